@@ -5,7 +5,7 @@ estimate        what is told of a frame, of a run of contact, and of θ
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
 grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
-palpation       measured forces: curves, regions, relaxation, grasps
+palpation       measured forces: curves, regions, relaxation
 online          stiffness place by place, of particles that are mapped to what every frame shows
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight

@@ -46,8 +46,6 @@ class ForceCurve:
     """Measured force, shape [T] [N]; not a number where nothing was measured."""
     factor: float
     """Force over the quantity that is proportional to it."""
-    factor_sd: float
-    """Standard deviation of the factor."""
 
 
 def read_forces(path: Path) -> KnownForce:
@@ -95,4 +93,4 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
         )
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
-    return ForceCurve(factor * signal, sd, known, factor, math.sqrt(variance))
+    return ForceCurve(factor * signal, sd, known, factor)

@@ -77,10 +77,10 @@ def log_likelihoods(observed: np.ndarray, simulated: np.ndarray) -> tuple[np.nda
     return np.stack([noisy, bounded_log_density(apart)], axis=1), np.stack([noisy, alike], axis=1)
 
 
-def bounded_log_density(apart: np.ndarray, blur: float = BLUR) -> np.ndarray:
+def bounded_log_density(apart: np.ndarray) -> np.ndarray:
     """Log-density of rounding errors, shape [n, M] [σ]: even over one step, its ends blurred [σ], shape [n]."""
     sizes = np.abs(apart + REST * _NODES[:, None, None])
-    even = (ndtr((STEP / 2 - sizes) / blur) - ndtr((-STEP / 2 - sizes) / blur)) / STEP
+    even = (ndtr((STEP / 2 - sizes) / BLUR) - ndtr((-STEP / 2 - sizes) / BLUR)) / STEP
     astray = np.exp(-0.5 * np.square(sizes / WANDER)) / (WANDER * math.sqrt(2 * math.pi))
     frames = np.log((1 - ASTRAY) * even + np.maximum(ASTRAY * astray, np.finfo(float).tiny))
     return logsumexp(frames.sum(axis=2), axis=0, b=_SHARES[:, None])

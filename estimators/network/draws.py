@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -78,24 +77,18 @@ class Drawn:
     """Σ slopes·error/σ² of the observations, shape [B, 3]; by it the errors move the likelihood's optimum."""
 
 
-def draw_observed(
-    fits: Fits,
-    count: int,
-    generator: np.random.Generator,
-    choose_slots: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> Drawn:
+def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Drawn:
     """Contacts of the fits with new errors.
 
     Args:
         fits: contacts with the parameters that explain them.
         count: number of samples, B.
         generator: draws contacts, errors and observed slots.
-        choose_slots: gives the observed slots of the slots under load, shapes [B, SLOTS]; None = `draw_known`.
     """
     index = generator.integers(len(fits.logs), size=count)
     motion, loaded, spacing = fits.motion[index], fits.loaded[index], fits.spacing[index]
     error, noise = draw_errors(motion, generator)
-    known = draw_known(loaded, generator) if choose_slots is None else choose_slots(loaded)
+    known = draw_known(loaded, generator)
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Protocol
 
 import numpy as np
 from scipy.special import gammainccinv
@@ -44,32 +43,12 @@ MAX_FRAMES = 8
 """Most frames, evenly chosen, that are compared: finding the tissue that pixels show takes longer than the rollout."""
 
 
-class _Comparison(Protocol):
-    """The observation that the simulation is compared with; M vertices, N instants, K of which are compared in full."""
-
-    vertices: np.ndarray
-    """Vertices to be simulated, the contact's first, shape [M]."""
-    times: np.ndarray
-    """Instants after the onset, shape [N] [s]."""
-    compared_times: np.ndarray
-    """Instants that are compared in full, shape [K] [s]."""
-    observed: np.ndarray
-    """One observed number an instant, by which delays are found, shape [N] [scene units]."""
-
-    def signal(self, path: np.ndarray) -> np.ndarray:
-        """The same number of simulated displacements [T, M, 3], shape [T]."""
-        ...
-
-    def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives [L, D].
-
-        `rates` are derivatives of the displacements by D parameters, shape [K, M, 3, D].
-        """
-        ...
-
-
 class _PointComparison:
-    """The followed point, along the force."""
+    """The followed point, along the force: M vertices, N instants, K of which are compared in full.
+
+    `vertices` [M] are to be simulated, the contact's first. At `times` [N], instants after the onset [s], delays are
+    found by one `observed` number each [scene units]; `compared_times` [K] are those that are compared in full.
+    """
 
     def __init__(self, contact: Interaction) -> None:
         self.vertices, self.times, self.observed = np.array([contact.vertex]), contact.observation.times, contact.along
@@ -77,15 +56,20 @@ class _PointComparison:
         self._direction, self._noise = np.asarray(contact.direction, np.float64), contact.noise
 
     def signal(self, path: np.ndarray) -> np.ndarray:
+        """The number that `observed` holds, of simulated displacements [T, M, 3], shape [T]."""
         return path[:, 0] @ self._direction
 
     def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives [L, D].
+
+        `rates` are derivatives of the displacements by D parameters, shape [K, M, 3, D].
+        """
         changes = np.einsum("nid,i->nd", rates[:, 0], self._direction)
         return (self.signal(moved) - self.observed) / self._noise, changes / self._noise
 
 
 class _PixelComparison:
-    """The pixels around the contact that move."""
+    """The pixels around the contact that move; names as of `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
         patches = Patches(contact.mesh, contact.vertex, sequence.size, PIXEL_RADIUS)
@@ -115,6 +99,9 @@ class _PixelComparison:
         used = np.isfinite(residual) & (np.abs(change) > MOVED * self._noise).any(axis=0)
         sigma = np.hypot(self._noise, WALL * patches.steepness(moved))[used]
         return residual[used] / sigma, shown[used, 1:] / sigma[:, None]
+
+
+_Comparison = _PointComparison | _PixelComparison
 
 
 def _comparison(contact: Interaction) -> _Comparison:

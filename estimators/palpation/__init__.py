@@ -1,10 +1,9 @@
 """What a measured force tells of tissue (Frank 2010), with a deformed surface or without one.
 
-curves      tables of probes, of indentations that are held, and of grasps
+curves      tables of probes and of indentations that are held
 indentation one force–depth curve: a modulus where the indenter is stated, a stiffness in N/mm otherwise
 region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
 relaxation  how a force falls while the depth is held: standard linear solids
-grasp       stiffness of an object between two jaws
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP)
 views       several depth views of a body as one surface
@@ -19,11 +18,10 @@ from palpate.common.lazy import exported
 __getattr__ = exported(
     __name__,
     {
-        "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_grasp", "read_hold", "read_probes"),
+        "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),
         "palpate.estimators.palpation.region": ("fit_region",),
         "palpate.estimators.palpation.relaxation": ("fit_relaxation",),
-        "palpate.estimators.palpation.grasp": ("fit_grasp",),
         "palpate.estimators.palpation.skin": ("Skin", "cover"),
         "palpate.estimators.palpation.bench": ("Palpation",),
         "palpate.estimators.palpation.material_fit": ("FitSettings", "fit_material"),

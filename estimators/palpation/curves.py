@@ -1,4 +1,4 @@
-"""Tables of measured forces: probes, indentations that are held, grasps. Units are those of such tables, mm and N."""
+"""Tables of measured forces: probes, and indentations that are held. Units are those of such tables, mm and N."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from palpate.data.source.table import MOST_BYTES, read_columns
 
 PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
 HOLD = ("t_s", "force_N", "displacement_mm")
-GRASP = ("force_N", "gripper_width_m")
-KINDS = (PROBES, HOLD, GRASP)
+KINDS = (PROBES, HOLD)
 """Columns by which a table is known."""
 LEAST = 4
 """Rows of a curve, below which nothing is fitted to it."""
@@ -55,16 +54,6 @@ class Hold:
         within = np.zeros(len(self.depth), bool)
         within[near[0] : near[-1] + 1] = True
         return within
-
-
-@dataclass(frozen=True, eq=False)
-class Grasp:
-    """Two jaws that close on an object; T samples."""
-
-    force: np.ndarray
-    """Shape [T] [N]."""
-    width: np.ndarray
-    """Between the jaws, shape [T] [mm]."""
 
 
 def kind_of(path: Path) -> tuple[str, ...] | None:
@@ -115,16 +104,3 @@ def read_hold(path: Path) -> Hold:
     if found.held.sum() < 2 * LEAST:
         raise InputError(f"{printable(path)} holds its depth for {int(found.held.sum())} samples; give a longer hold.")
     return found
-
-
-def read_grasp(path: Path) -> Grasp:
-    """Read a grasp with the columns GRASP, frame by frame.
-
-    Raises:
-        InputError: it can't be read, or is too short.
-    """
-    table = read_columns(path, GRASP, "table of a grasp")
-    table = table[np.isfinite(table).all(axis=1)]
-    if len(table) < LEAST:
-        raise InputError(f"{printable(path)} has {len(table)} rows of numbers; give {LEAST} or more.")
-    return Grasp(table[:, 0], 1000 * table[:, 1])

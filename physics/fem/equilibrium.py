@@ -2,7 +2,7 @@
 
 Newton's method on the potential energy with a backtracking line search (Nocedal & Wright 2006, algorithm 3.1) along
 load steps that are halved where it fails. Derivatives come from the tangent at the solution (implicit function
-theorem): by (E, ν) and by forces directly, of a scalar by every element's E and every nodal force through the adjoint.
+theorem), by (E, ν) and by forces.
 """
 
 from __future__ import annotations
@@ -163,25 +163,11 @@ class Equilibrium:
         pulled = (self._matrix @ moved.reshape(-1, 2)).reshape(*solid.rest.shape, 2) + slopes
         return moved, np.where(self.held[..., None], pulled, 0.0)
 
-    def gradient(self, by_displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of a scalar by every element's E [E] and every component of the nodal forces [N, 3].
-
-        Args:
-            by_displacement: its derivatives by the displacement, shape [N, 3]; those of what is prescribed don't count.
-        """
-        adjoint = self.moved_by(by_displacement[..., None])[..., 0]  # the matrix is symmetric
-        by_element = self.energy.solid.element_forces(self._elastic_stress(*self.material.lame))
-        by_element = by_element / np.broadcast_to(self.material.young, len(by_element))[:, None, None]
-        return -(by_element * adjoint[self.energy.solid.elements]).sum((1, 2)), adjoint
-
-    def _elastic_stress(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        solid = self.energy.solid
-        parts = (np.broadcast_to(value, len(solid.elements))[:, None] for value in (mu, lam))
-        return respond(self.material.law, solid.deformation(self.displacement), *parts).stress
-
     def _forces_at(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Nodal forces of the elastic stress with other constants, in which it is linear, shape [N, 3]."""
-        return self.energy.solid.forces(self._elastic_stress(mu, lam))
+        solid = self.energy.solid
+        parts = (np.broadcast_to(value, len(solid.elements))[:, None] for value in (mu, lam))
+        return solid.forces(respond(self.material.law, solid.deformation(self.displacement), *parts).stress)
 
 
 def find_equilibrium(

@@ -16,8 +16,8 @@ from palpate.physics.mesh import Mesh
 from palpate.physics.observation import Observation
 
 
-def _joined(arrays: Iterable[np.ndarray], dtype: type, axis: int = 0) -> Tensor:
-    return torch.from_numpy(np.concatenate(list(arrays), axis=axis).astype(dtype))
+def _joined(arrays: Iterable[np.ndarray], dtype: type) -> Tensor:
+    return torch.from_numpy(np.concatenate(list(arrays)).astype(dtype))
 
 
 def _offsets(arrays: Iterable[np.ndarray]) -> Tensor:
@@ -25,9 +25,9 @@ def _offsets(arrays: Iterable[np.ndarray]) -> Tensor:
     return torch.from_numpy(np.cumsum([0, *(len(array) for array in arrays)]))
 
 
-def pieces(values: Tensor, offsets: Tensor, axis: int = 0) -> list[np.ndarray]:
+def pieces(values: Tensor, offsets: Tensor) -> list[np.ndarray]:
     """Each sample's part of joined values, on the CPU."""
-    return np.split(values.detach().cpu().numpy(), offsets.tolist()[1:-1], axis=axis)
+    return np.split(values.detach().cpu().numpy(), offsets.tolist()[1:-1])
 
 
 @dataclass

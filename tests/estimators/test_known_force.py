@@ -39,7 +39,6 @@ def test_errors_of_factor_frames_and_shown_force_add_up() -> None:
     factor, variance, left = fit_factor(shown[:3], known[:3])
     curve = predict_force(known, shown, np.array([0.0, 0.0, 0.0, 0.2]))
     assert curve.sd[3] == pytest.approx(np.sqrt(36 * variance + left**2 + (0.2 * factor) ** 2))
-    assert curve.factor_sd == pytest.approx(np.sqrt(variance))
 
 
 def test_intervals_hold_nine_of_ten_forces() -> None:

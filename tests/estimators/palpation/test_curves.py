@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.palpation import read_grasp, read_hold, read_probes
+from palpate.estimators.palpation import read_hold, read_probes
 
 
 def test_probes_are_sorted_by_depth_and_slips_left_out(tmp_path: Path) -> None:
@@ -33,11 +33,6 @@ def test_a_hold_begins_where_the_depth_is_reached(tmp_path: Path) -> None:
     assert hold.depth.max() == 10
 
 
-def test_a_grasp_is_in_millimetres(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("frame,force_N,gripper_width_m\n" + "\n".join(f"{i},{i},0.05" for i in range(5)))
-    assert read_grasp(tmp_path / "a.csv").width.tolist() == [50.0] * 5
-
-
 @pytest.mark.parametrize(
     ("reader", "text", "says"),
     [
@@ -46,7 +41,6 @@ def test_a_grasp_is_in_millimetres(tmp_path: Path) -> None:
         (read_hold, "t_s,force_N,displacement_mm\n" + "0,1,1\n" * 20, "times that don't rise"),
         (read_hold, "t_s,force_N,displacement_mm\n" + "".join(f"{i},1,1\n" for i in range(20)), "shows no indentation"),
         (read_hold, "t_s,force_N,displacement_mm\n" + "".join(f"{i},1,{i}\n" for i in range(20)), "a longer hold"),
-        (read_grasp, "force_N,gripper_width_m\n1,1\n", "1 rows of numbers"),
     ],
 )
 def test_what_is_wrong_is_a_sentence(tmp_path: Path, reader, text: str, says: str) -> None:

@@ -161,7 +161,7 @@ def test_derivatives_equal_finite_differences(law: str) -> None:
     body, young, ratio = block(2, seed=2), 40.0, 0.35
     forces, held = pulled(body), clamped(body)
 
-    def rest(young: float | np.ndarray = young, ratio: float = ratio, forces: np.ndarray = forces):
+    def rest(young: float = young, ratio: float = ratio, forces: np.ndarray = forces):
         return find_equilibrium(body, Material(law, young, ratio), held, forces=forces, steps=2)
 
     found = rest()
@@ -176,25 +176,14 @@ def test_derivatives_equal_finite_differences(law: str) -> None:
             expected = (getattr(more, name) - getattr(less, name)) / (2 * step)
             np.testing.assert_allclose(slope[..., index], expected, atol=1e-6 * np.abs(expected).max() + 1e-9)
     weights = np.random.default_rng(0).normal(size=body.rest.shape)
-    by_young, by_force = found.gradient(weights)
 
-    def scalar(**changed) -> float:
-        return float((weights * rest(**changed).displacement).sum())
+    def scalar(forces: np.ndarray) -> float:
+        return float((weights * rest(forces=forces).displacement).sum())
 
-    moduli = np.full(len(body.elements), young)
-    for element in (0, 17, 33):
-        up, down = moduli.copy(), moduli.copy()
-        up[element] += young * 1e-3
-        down[element] -= young * 1e-3
-        assert by_young[element] == pytest.approx(
-            (scalar(young=up) - scalar(young=down)) / (2e-3 * young), rel=1e-5, abs=1e-9
-        )
-    assert by_young.sum() == pytest.approx(float((weights * moved[..., 0]).sum()), rel=1e-9)
     node = int(np.flatnonzero(~held[:, 0])[5])
     push = np.zeros_like(forces)
     push[node, 1] = STEP
-    expected = (scalar(forces=forces + push) - scalar(forces=forces - push)) / (2 * STEP)
-    assert by_force[node, 1] == pytest.approx(expected, rel=1e-6)
+    expected = (scalar(forces + push) - scalar(forces - push)) / (2 * STEP)
     along = found.moved_by(push[..., None] / STEP)[..., 0]
     assert float((weights * along).sum()) == pytest.approx(expected, rel=1e-6)
 

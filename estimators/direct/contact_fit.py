@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from palpate.estimators.direct.error_model import log_likelihoods, variance_scale
-from palpate.estimators.direct.motion import about_tissue
+from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.problem import (
     ContactProblem,
     Optimum,
@@ -56,24 +58,47 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
         optima = distinct([*optima, find_optimum(problem, draws.likeliest, low, high)])
         draws = _sample(problem, optima, box, (candidates, paths))
     mean, spread, best = combine(optima, prior)
-    judges = mean[None]
-    if draws.effective >= TOO_FEW:
+    return concluded(problem, box, optima, best, (mean, spread), draws if draws.effective >= TOO_FEW else None)
+
+
+def concluded(
+    problem: ContactProblem | SequenceProblem[PressMotion],
+    box: np.ndarray,
+    optima: Sequence[Optimum],
+    best: Optimum,
+    known: tuple[np.ndarray, np.ndarray],
+    draws: Draws | None,
+    **more: Any,
+) -> Estimate:
+    """What a fit of a press comes to.
+
+    Args:
+        problem: that was fitted.
+        box: lower and upper ends of all parameters, shape [2, D].
+        optima: all that were found, and the best of them.
+        known: mean [D] and covariance [D, D] of all parameters by these.
+        draws: of the posterior, which say them better; None = there are too few.
+        more: further fields of the estimate.
+    """
+    motion, prior, (mean, spread), judges = problem.motion, box_information(box), known, known[0][None]
+    if draws is not None:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
     information = problem.information(mean)
-    residual = (problem.path(best.logs) - problem.moved) @ problem.direction
     found = Estimate(
-        theta=problem.theta(mean),
+        theta=motion.theta(mean),
         covariance=spread[:3, :3],
         information=information[:3, :3],
         noise=problem.sigma,
-        misfit=float(np.sqrt(np.square(residual).mean())) / problem.sigma,
+        misfit=problem.misfit(best.logs),
         largest_misfit=LARGEST_MISFIT,
-        at_bound=np.minimum(best.logs - low, high - best.logs)[:3] < AT_BOUND,
+        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
-        delays=tuple((problem.motion.within * mean[3:]).tolist()),
-        delays_at_end=bool((np.abs(mean[3:]) > DELAY_AT_END).any()),
+        delays=tuple((motion.within * mean[motion.delays]).tolist()),
+        delays_at_end=bool((np.abs(mean[motion.delays]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
         modes=count_modes(optima, prior),
+        shape=motion.shape(mean),
+        **more,
     )
     return widened_if_oblique(found, information, prior)
 

@@ -127,6 +127,11 @@ class SequenceProblem(Generic[M]):
 
         return SequenceProblem(contact, motion, noise, kind.parts)
 
+    @property
+    def sigma(self) -> float:
+        """σ of a pixel [scene units]."""
+        return self.sequence.noise.total
+
     def _seen_to_move(self) -> np.ndarray:
         """Pixels whose motion is clear without a model, shape [P], bool."""
         return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.sequence.noise.total).sum(axis=0) >= SEVERAL

@@ -8,19 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import (
-    AT_BOUND,
-    DELAY_AT_END,
-    JUDGES,
-    LARGEST_MISFIT,
-    LEAST_SHARE,
-    TOO_FEW,
-    WIDER,
-    trusted_information,
-    widened_if_oblique,
-)
+from palpate.estimators.direct.contact_fit import LEAST_SHARE, TOO_FEW, WIDER, concluded
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
     CANDIDATES,
@@ -28,14 +18,12 @@ from palpate.estimators.direct.problem import (
     Optimum,
     apart,
     combine,
-    count_modes,
     distinct,
     evidence_shares,
     find_optimum,
 )
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import Estimate
-from palpate.estimators.oblique import view_angle
 from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import Mechanics
 
@@ -67,7 +55,7 @@ def fit_field(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> Esti
 
     Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
     """
-    return concluded(problem, field_optima(problem, tissue), tissue)
+    return sampled(problem, field_optima(problem, tissue), tissue)
 
 
 def field_optima(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> list[Optimum]:
@@ -85,36 +73,17 @@ def field_optima(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> l
     return optima
 
 
-def concluded(problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+def sampled(problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
     scale = max(1.0, problem.misfit(best.logs)) ** 2
-    spread = scale * spread
-    judges = mean[None]
+    spread, draws = scale * spread, None
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
-        draws = _sample(problem, optima, best, box, scale)
-        if draws.effective >= TOO_FEW:
-            mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
-    information = problem.information(mean)
-    found = Estimate(
-        theta=problem.motion.theta(mean),
-        covariance=spread[:3, :3],
-        information=information[:3, :3],
-        noise=problem.sequence.noise.total,
-        misfit=problem.misfit(best.logs),
-        largest_misfit=LARGEST_MISFIT,
-        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
-        delays=tuple((problem.motion.within * mean[problem.motion.delays]).tolist()),
-        delays_at_end=bool((np.abs(mean[problem.motion.delays]) > DELAY_AT_END).any()),
-        view_angle=view_angle(problem.contact),
-        outliers=problem.outliers,
-        modes=count_modes(optima, prior),
-        shape=problem.motion.shape(mean),
-    )
-    return widened_if_oblique(found, information, prior)
+        found = _sample(problem, optima, best, box, scale)
+        draws = found if found.effective >= TOO_FEW else None
+    return concluded(problem, box, optima, best, (mean, spread), draws, outliers=problem.outliers)
 
 
 def fit_press(
@@ -135,12 +104,12 @@ def fit_press(
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
-        return concluded(step, plain, tissue)
+        return sampled(step, plain, tissue)
     patch = SequenceProblem.of_press(contact, mechanics, within, noise, PatchMotion)
     shaped = fit_field(patch, tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
-    return shaped if explained > further * math.log(counted) else concluded(step, plain, tissue)
+    return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
 def field_starts(problem: SequenceProblem[PressMotion], box: np.ndarray) -> np.ndarray:

@@ -114,6 +114,11 @@ class ContactProblem(Likelihood):
         """Motion at the observations for one φ, with the problem's own time step, shape [N, 3]."""
         return self.simulated(logs).reshape(-1, 3)
 
+    def misfit(self, logs: np.ndarray) -> float:
+        """Root mean square of what a φ leaves of the motion along the force, in standard deviations."""
+        residual = (self.path(logs) - self.moved) @ self.direction
+        return float(np.sqrt(np.square(residual).mean())) / self.sigma
+
     def _linearise(self, logs: np.ndarray) -> Linearised:
         moved, slopes = (values[:, 0] for values in self.motion.at(logs))
         residual = (moved - self.moved) / self.sigma
@@ -156,7 +161,12 @@ class LeastSquares(Protocol):
 
 
 def find_optimum(
-    problem: LeastSquares, start: np.ndarray, low: np.ndarray, high: np.ndarray, evaluations: int | None = None
+    problem: LeastSquares,
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    evaluations: int | None = None,
+    fall: float = 0.0,
 ) -> Optimum:
     """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in, or how far it comes.
 
@@ -166,10 +176,13 @@ def find_optimum(
         low: of the box, shape [D].
         high: likewise.
         evaluations: after which it stops; None = MOST_EVALUATIONS.
+        fall: of χ²/2 in a step, below which it stops as well.
     """
+    value = 0.5 * float(np.square(problem.residual(start)).sum()) if fall else 1.0
     end = least_squares(
-        problem.residual, start, problem.jacobian, (low, high), method="trf",
-        x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=evaluations or MOST_EVALUATIONS,
+        problem.residual, start, problem.jacobian, (low, high), method="trf", x_scale="jac",
+        ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
+        max_nfev=evaluations or MOST_EVALUATIONS,
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

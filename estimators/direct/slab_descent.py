@@ -13,10 +13,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from palpate.estimators.direct.contact_fit import AT_BOUND
 from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.problem import find_optimum
 from palpate.estimators.direct.slab_motion import SlabMotion
 from palpate.estimators.estimate import NoEstimate
 from palpate.physics.identifiability import box_information
@@ -94,14 +94,4 @@ def descend(problem: SequenceProblem[SlabMotion], start: np.ndarray, box: np.nda
 
     if not np.isfinite(problem.motion.at(start)[0]).all():
         raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
-    value = 0.5 * float(np.square(problem.residual(start)).sum())
-    end = least_squares(
-        problem.residual,
-        start,
-        problem.jacobian,
-        tuple(box),
-        x_scale="jac",
-        ftol=enough / max(value, enough),
-        max_nfev=EVALUATIONS,
-    )
-    return end.x
+    return find_optimum(problem, start, *box, EVALUATIONS, enough).logs

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import reprlib
 from collections.abc import Mapping
 from os.path import isfile
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
-from palpate.common.settings import fits
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import DepthModel
 from palpate.data.depth.normalise import DepthSettings
@@ -17,6 +15,7 @@ from palpate.data.depth.preset import resolve_model
 from palpate.data.masks.onnx import OnnxMasks
 from palpate.data.masks.sources import MaskClasses, mask_model
 from palpate.data.settings import NUMBERS, PrepareSettings
+from palpate.data.source.layout import InputError, from_mapping
 from palpate.estimators.contract import Chosen
 from palpate.models.onnx_session import ExportedModel, ModelFileError
 from palpate.physics.mechanics import Bounds, Mechanics
@@ -106,7 +105,7 @@ def check_sources(settings: PrepareSettings) -> None:
 
 
 def section(model: ExportedModel, name: str, kind: type[Settings], values: Mapping[str, Any] | None = None) -> Settings:
-    """One section of the model's metadata as its dataclass; JSON's lists become tuples again.
+    """One section of the model's metadata as its dataclass.
 
     Args:
         values: the fields to use instead of the section's own.
@@ -116,18 +115,7 @@ def section(model: ExportedModel, name: str, kind: type[Settings], values: Mappi
     """
     values = model.metadata.get(name, {}) if values is None else values
     values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in RETIRED.items()}
-    kinds = get_type_hints(kind)
-    unknown = sorted(set(values) - set(kinds))
-    if unknown:
-        raise ModelFileError(
-            f"{model.path} was exported with the unknown setting '{name}.{unknown[0]}'; "
-            "use the version of this program that exported it, or export it again."
-        )
     try:
-        for key, value in values.items():
-            if not fits(value, kinds[key]):
-                raise TypeError(f"{key} is {reprlib.repr(value)}")
-        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
-    except (TypeError, ValueError) as error:
-        problem = f"{model.path} has unusable settings in '{name}' ({error}); export it again."
-        raise ModelFileError(problem) from error
+        return from_mapping(kind, values, f"{model.path}, '{name}' of its metadata,")
+    except (TypeError, InputError) as error:
+        raise ModelFileError(f"{error} Export the model again.") from error

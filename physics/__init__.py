@@ -9,7 +9,6 @@ brightness       how bright tissue is under a light at the camera, and the deriv
 identifiability  what a motion can tell about θ: information, bounds, verdict
 jit              compiled loops
 sheet            a gripped sheet at rest: the quasi-static limit
-endless_sheet    how such a sheet without an end answers a force
 fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
 pbd              extended position-based dynamics: particles that constraints join, fields of stiffness, adjoint
 msd              mass–spring–damper sheets, with a numpy door and a torch door

@@ -12,8 +12,8 @@ import yaml
 
 from palpate.command import train
 from palpate.estimators.network.training import ContactSettings
-from palpate.estimators.online.bounds import PAPER
 from palpate.estimators.online.fitting import BENDINGS
+from palpate.estimators.online.objective import PAPER
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.physics.mechanics import Mechanics
 

@@ -20,8 +20,7 @@ from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, Shown, shrunk
 from palpate.estimators.estimate import NINETY, GripEstimate, NoEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
-from palpate.estimators.grip.pull_fit import fit_pull
-from palpate.estimators.grip.pull_motion import CELLS
+from palpate.estimators.grip.pull_fit import CELLS, fit_pull
 from palpate.estimators.grip.sheet import Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.grip.stiffness_fit import fit_stiffness

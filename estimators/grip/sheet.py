@@ -3,7 +3,7 @@
 Points beside an instrument are followed badly: windows that hold its edge are dragged along or held back by it. Taken
 as a prescribed displacement they bias foundation and force by a quarter and more (docs/reports/real.md). Here they are
 observations as all others are, with their told noise, and the forces on every place at the instrument are unknown, also
-on tissue that it hides; an endless sheet (`physics.endless_sheet`) answers these, and an affine background moves on its
+on tissue that it hides; an endless sheet (`physics.sheet`) answers these, and an affine background moves on its
 own. Far points tell the sum of the forces, and how fast the motion dies away, whatever happens at the grip. Errors of
 points are Student's (`common.robust`), whose scale is found in every frame: a sheet is not tissue. Neighbours' errors
 are alike (`estimators.grip.whitening`).
@@ -27,7 +27,7 @@ from palpate.common.robust import error_scale, median_sd, student_loss, student_
 from palpate.estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, evenly
 from palpate.estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points, correlated_points
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.physics.endless_sheet import response
+from palpate.physics.sheet import response
 
 LOADED = 32.0
 """Forces act on tissue that began nearer to the tool [px]."""
@@ -167,7 +167,7 @@ def load_precision(answer: np.ndarray, loaded: np.ndarray, energy: float = ENERG
     """Prior precision of loads on places [M, 2] and of the background's three numbers, shape [M + 3, M + 3].
 
     Args:
-        answer: of the sheet, as `physics.endless_sheet.response` gives it.
+        answer: of the sheet, as `physics.sheet.response` gives it.
         loaded: as of `loaded_cells`.
         energy: expected work of a load [px² · stiffness].
     """

@@ -1,13 +1,11 @@
 """The online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
 
-matching   how far particles are from what was seen: Chamfer distance to a cloud, followed points
-mapping    the residual deformation that takes a state to what was seen, and its adjoint
-objective  gap, history and smoothness, with their slopes by the fields of stiffness
-bounds     sigmoid bounds on the fields; adam, gauss_newton: the optimisers
+mapping    the residual deformation that takes a state to what was observed (a cloud, followed points), and its adjoint
+objective  gap, history and smoothness, with their slopes by the fields of stiffness, which have sigmoid bounds
+gauss_newton the optimiser besides Adam
 session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
 given      a mask of what is pinned and the gripper's path, of a user
-surface    particles of the tissue in a frame; driven: these under an instrument that is followed
-visibility which of these the camera sees
+surface    particles of the tissue in a frame, and which the camera sees; driven: these under an instrument
 determined what the instrument alone explains of the motion, and where that tells the stiffness
 fitting    time step, foundation and bending of one clip, by its first frames
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them

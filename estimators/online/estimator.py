@@ -31,8 +31,7 @@ from palpate.estimators.estimate import FieldEstimate, InteractionEstimate, NoEs
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
 from palpate.estimators.online.settings import FILES, OnlineSettings
-from palpate.estimators.online.surface import make_surface
-from palpate.estimators.online.visibility import facing, uncovered
+from palpate.estimators.online.surface import facing, make_surface, uncovered
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 

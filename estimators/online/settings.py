@@ -10,9 +10,8 @@ from typing import Literal, get_type_hints
 
 from palpate.common.settings import require_choices
 from palpate.data.source.layout import from_mapping, read_mapping
-from palpate.estimators.online.bounds import Bounds
 from palpate.estimators.online.mapping import Mapping
-from palpate.estimators.online.objective import Objective, Weights
+from palpate.estimators.online.objective import Bounds, Objective, Weights
 from palpate.estimators.online.session import Method
 from palpate.physics.pbd.simulation import Stepping
 

@@ -18,10 +18,9 @@ import pandas as pd
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from palpate.estimators.online.adam import Adam
-from palpate.estimators.online.matching import Chamfer, Match
+from palpate.estimators.online.mapping import Chamfer, Match
 from palpate.estimators.online.objective import Objective
-from palpate.estimators.online.session import Method, Session
+from palpate.estimators.online.session import Adam, Method, Session
 from palpate.evaluation.online.sequences import Pull
 from palpate.physics.pbd.stiffness import Stiffness
 

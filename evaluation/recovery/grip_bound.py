@@ -26,7 +26,7 @@ from scipy.spatial.distance import cdist
 from palpate.common.robust import affine_terms, median_sd
 from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
 from palpate.estimators.grip.whitening import matern
-from palpate.physics.endless_sheet import response
+from palpate.physics.sheet import response
 
 STEP = 0.01
 """Of log foundation, for derivatives."""

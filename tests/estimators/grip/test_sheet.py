@@ -21,7 +21,7 @@ from palpate.estimators.grip.sheet import (
     information,
 )
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.physics.endless_sheet import response
+from palpate.physics.sheet import response
 
 SPACING, NOISE = 8, 0.1
 ANCHOR = 0.05

@@ -17,9 +17,9 @@ from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online import fitting
-from palpate.estimators.online.bounds import PAPER, Bounds
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import GripperPath
+from palpate.estimators.online.objective import PAPER, Bounds
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, make_surface

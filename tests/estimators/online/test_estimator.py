@@ -15,7 +15,7 @@ from scipy.stats import spearmanr
 from palpate.command import infer
 from palpate.data.masks.class_table import CLASSES
 from palpate.estimators.online import driven
-from palpate.estimators.online.matching import Chamfer
+from palpate.estimators.online.mapping import Chamfer
 from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
 
 SHARES = np.linspace(0, 1, 6)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from palpate.estimators.online.matching import Tracks
+from palpate.estimators.online.mapping import Tracks
 from palpate.estimators.online.objective import Objective
-from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Method, Session
+from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Adam, Method, Session
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
@@ -126,3 +126,37 @@ def test_snapshots_are_four_of_the_last_twenty_frames():
 def test_another_method_is_refused():
     with pytest.raises(ValueError, match="name is 'RM'; give one of PBD, PBD-RM, PBD-RM-ON"):
         Method("RM")  # ty: ignore[invalid-argument-type]
+
+
+def test_the_first_step_is_the_rate_against_the_sign():
+    found = Adam(0.1).step(np.array([1.0, -2.0, 3.0]), np.array([5.0, -1e-3, 0.0]))
+    np.testing.assert_allclose(found, [0.9, -1.9, 3.0], rtol=1e-5)
+
+
+def test_equal_slopes_make_equal_steps():
+    """Both means are then the slope and its square, whatever the count."""
+    adam, values = Adam(0.05, guard=0.0), np.zeros(2)
+    for count in range(1, 30):
+        values = adam.step(values, np.array([3.0, -0.1]))
+        np.testing.assert_allclose(values, [-0.05 * count, 0.05 * count], rtol=1e-12)
+
+
+def test_steps_are_those_of_the_sums():
+    """The means as weighted sums over all slopes so far, instead of the recurrence."""
+    slopes, adam, values = np.random.default_rng(0).normal(size=(7, 4)), Adam(), np.zeros(4)
+    expected = np.zeros(4)
+    for count in range(1, 8):
+        values = adam.step(values, slopes[count - 1])
+        back = np.arange(count)[::-1]
+        mean, square = (
+            (1 - decay) * (decay**back) @ slopes[:count] ** power / (1 - decay**count)
+            for decay, power in ((0.9, 1), (0.999, 2))
+        )
+        expected -= 0.1 * mean / (np.sqrt(square) + 1e-8)
+    np.testing.assert_allclose(values, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [0.0, np.inf])
+def test_a_rate_out_of_range_is_refused(rate):
+    with pytest.raises(ValueError, match="rate is"):
+        Adam(rate)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.online.bounds import Bounds
+from palpate.estimators.online.objective import Bounds
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
 from palpate.evaluation.recovery.grip_bound import Following, GripBound, grip_bound, measure_following, ring_correlation
-from palpate.physics.endless_sheet import response
+from palpate.physics.sheet import response
 
 SPACING, LOG = 8, np.log(0.2)
 PULLS = np.array([0.6, 1.0])

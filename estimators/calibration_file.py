@@ -55,7 +55,7 @@ class CalibrationFile:
     force_time_s: float | None = None
     """When it acted: in the run of contact under way then, in the clip's time [s]."""
     measured: str | None = None
-    """Measured forces, a CSV file beside this one with the columns time_s (in the clip's time) and force_N."""
+    """Measured forces, a CSV file next to this one with the columns time_s (in the clip's time) and force_N."""
     known_s: tuple[float, float] | None = None
     """The part of `measured` that tells the scale [s]; the rest is compared. None = all of it is compared only."""
     rest_s: tuple[float, float] | None = None
@@ -66,7 +66,7 @@ class CalibrationFile:
     """Its standard deviation."""
     stiffness_unit: Literal["N/m", "N/scene unit"] = "N/m"
     palpation: str | None = None
-    """calibration.json or curves.csv of calibrate.py, beside this file: E, of which k_s is three quarters, times
+    """calibration.json or curves.csv of calibrate.py, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: float | None = None
     """Of the sheet that the tissue's surface is [m]."""

@@ -65,7 +65,7 @@ class Estimate:
     misfit: float = math.nan
     """Root mean square of observed minus simulated displacement along the force over `noise`: 1 where the model
     explains the data. Not across it, where a measured normal that is off by a few degrees (8-bit depth) tells more than
-    the tissue; so a sideways motion that the model can't explain is not told."""
+    the tissue; so a sideways motion that the model can't explain is not determined."""
     largest_misfit: float = math.inf
     """Beyond it the model does not explain the motion."""
     at_bound: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3, bool))
@@ -81,7 +81,8 @@ class Estimate:
     delays_at_end: bool = False
     """Whether one of them lies at its range's end."""
     outliers: float | None = None
-    """Share of what was seen that lies so far from the model that it counted less; None where all counts alike."""
+    """Share of what was observed that lies so far from the model that it counted less; None where all counts
+    equally."""
     modes: int = 1
     """Tissues far apart that explain the motion about as well; mean and covariance are those of all of them."""
     shape: PressShape | None = None
@@ -293,7 +294,7 @@ class FrameEstimate:
 
 @dataclass(frozen=True, eq=False)
 class GripEstimate:
-    """What the motion around an instrument tells where the onset of contact was not seen; T frames that move.
+    """What the motion around an instrument tells where the onset of contact was not observed; T frames that move.
 
     The tissue at the instrument is taken as given, a sheet on a foundation explains the rest. Neither k_s nor k_d nor a
     force in any unit is determined by a displacement.
@@ -322,13 +323,13 @@ class GripEstimate:
     reaction_over_stiffness_high: float
     """Upper end."""
     stiffness: StiffnessField | None = None
-    """Where the tissue is stiffer, if it is attached alike everywhere; None where that could not be fitted."""
+    """Where the tissue is stiffer, if it is attached homogeneous; None where that could not be fitted."""
     points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
     moved: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0, 2)))
     """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
     reaction_over_young: float = math.nan
-    """What holds the tissue in the last frame over E, if a slab of told thickness lies beneath; nan where none was
+    """What holds the tissue in the last frame over E, if a slab of given thickness lies beneath; nan where none was
     fitted [scene units²]."""
     reaction_over_young_low: float = math.nan
     """Lower end of its 90 % interval."""
@@ -382,7 +383,7 @@ class FieldEstimate:
     points: np.ndarray
     """Followed points that the instrument does not hold, at rest, shape [Q, 2] [px]."""
     observed: np.ndarray
-    """Their displacement in the last frame that shows some, shape [Q, 2] [px]; not seen = NaN."""
+    """Their displacement in the last frame that shows some, shape [Q, 2] [px]; not observed = NaN."""
     predicted: np.ndarray
     """The same by the simulation that the instrument alone leads."""
     times: np.ndarray
@@ -450,9 +451,9 @@ class InteractionEstimate:
     onset_time_s: float
     """Its time stamp [s]."""
     load_s: float | None = None
-    """Time from the onset to the release [s]; None where either was not seen."""
+    """Time from the onset to the release [s]; None where either was not observed."""
     interaction: Interaction | None = None
-    """What was seen; None where the tissue was not followed from an onset."""
+    """What was observed; None where the tissue was not followed from an onset."""
     estimate: Estimate | None = None
     """Its parameters."""
     simulated: tuple[np.ndarray, np.ndarray] | None = None
@@ -480,7 +481,7 @@ class InteractionEstimate:
 
 
 def mixture(found: Sequence[Estimate]) -> Estimate:
-    """Several estimates of one contact that count alike as one, the moment-matched mixture.
+    """Several estimates of one contact that count equally as one, the moment-matched mixture.
 
     What else it says is that of the one which explains the motion best.
     """

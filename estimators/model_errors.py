@@ -28,14 +28,14 @@ class ModelErrors:
     force_uneven: float
     """Of the force over stiffness, there."""
     foundation_as_seen: float
-    """Of the foundation where the grip's motion is taken from points beside the instrument, which err alike."""
+    """Of the foundation where the grip's motion is taken from points next to the instrument, which err together."""
     force_as_seen: float
     """Of the force over stiffness, there."""
     force_common: float
     """No standard deviation, but the correlation between errors of the force in two frames: where it acts beneath the
     instrument is as unknown in one as in the other."""
     pull_force: float
-    """Of force over E by a slab: mesh, law, the grip's shape, tissue that relaxes or is not alike throughout."""
+    """Of force over E by a slab: mesh, law, the grip's shape, tissue that relaxes or is not homogeneous."""
     pull_course: float
     """Of the force over that of the last frame, by a slab, as a share of it."""
     slab_motion: float

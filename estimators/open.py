@@ -45,7 +45,7 @@ class EstimatorOptions:
     """What `direct` and `network` look at, one of `data.contact.interaction.OBSERVATIONS`; None = the whole dent,
     of pictures without depth its light."""
     noise: float | None = None
-    """σ that `direct` is told [scene units]; None = the clip's own estimate."""
+    """σ that `direct` is given [scene units]; None = the clip's own estimate."""
     horizon: Horizon = None
     """How much of a whole contact `network` and `direct` look at."""
     settings: Path | None = None

@@ -19,7 +19,7 @@ from palpate.physics.observation import Observation
 
 
 class Linearised(NamedTuple):
-    """A likelihood around one φ of D parameters; K seen coordinates."""
+    """A likelihood around one φ of D parameters; K observed coordinates."""
 
     residual: np.ndarray
     """(Φ - d)/σ, shape [K]."""
@@ -43,12 +43,12 @@ class Linearised(NamedTuple):
 
 
 class Likelihood:
-    """The simulator against what was seen.
+    """The simulator against what was observed.
 
     Args:
         mesh: tissue at rest.
         load: what presses on it, over the instants of the observation at least.
-        observation: what was seen; instants are compared at the nearest step.
+        observation: what was observed; instants are compared at the nearest step.
         mechanics: constants of the simulator.
         dtype: float32 or float64, the precision of the simulation.
 
@@ -68,7 +68,7 @@ class Likelihood:
         self.load = load.until(int(self.steps.max()) + 1)
         observed = observation.displacement.astype(np.float64)
         self.seen = np.isfinite(observed)
-        """Coordinates that were seen, shape [M, N, 3], bool."""
+        """Coordinates that were observed, shape [M, N, 3], bool."""
         self.observed = observed[self.seen]
         """Their displacements, shape [K] [scene units]."""
         self.noise = np.broadcast_to(np.asarray(observation.noise, np.float64), observed.shape)[self.seen]
@@ -92,7 +92,7 @@ class Likelihood:
         return known[1]
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
-        """(Φ - d)/σ of every seen coordinate, shape [K]."""
+        """(Φ - d)/σ of every observed coordinate, shape [K]."""
         return self.linearise(logs).residual
 
     def jacobian(self, logs: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ class Likelihood:
         return self.linearise(logs).information
 
     def simulated(self, logs: np.ndarray) -> np.ndarray:
-        """Φ of every seen coordinate, shape [K] [scene units]."""
+        """Φ of every observed coordinate, shape [K] [scene units]."""
         return self.residual(logs) * self.noise + self.observed
 
     def _linearise(self, logs: np.ndarray) -> Linearised:

@@ -60,7 +60,7 @@ class Press:
 
         Args:
             mesh, vertex: the place is a vertex of a mesh,
-            offset: or so many rows and columns beside it [grid pixels].
+            offset: or so many rows and columns from it [grid pixels].
             radius: R [grid pixels]. Where no vertex is so near, the nearest one bears the whole force.
             direction, factor: as of `Press`.
 

@@ -1,4 +1,4 @@
-"""What was seen of moving tissue: followed points, when, how far from rest, and with what noise."""
+"""What was observed of moving tissue: followed points, when, how far from rest, and with what noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Observation:
     times: np.ndarray
     """Since the load began, ascending, shape [N] [s]."""
     displacement: np.ndarray
-    """From rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not seen."""
+    """From rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
     noise: np.ndarray
     """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
     the line of sight it may be far smaller than along it. Not a number where it isn't known."""

@@ -1,10 +1,10 @@
-"""How the errors of a tracked contact belong together from frame to frame: what a posterior must know beside their σ.
+"""How the errors of a tracked contact belong together from frame to frame: what a posterior must know besides their σ.
 
 A program removed since (`benchmarks/tracking_errors.py` of commit 00dabdb) measured it on 240 synthetic clips with
 known truth (validation split): errors lie along the viewing ray (0.05 σ across it, 0.14 σ where depth was rounded to
 8 bits), and
 
-- the rest position is off by 0.04 σ (`clean`, `noisy`) to 0.09 σ (`8bit`), in all frames alike;
+- the rest position is off by 0.04 σ (`clean`, `noisy`) to 0.09 σ (`8bit`), the same in all frames;
 - noise is independent otherwise (correlations of 0.02 at most between frames up to four apart);
 - rounding errors of `8bit` correlate as their theory says: where the depths of two frames differ by u steps of
   rounding, 1 - 6u(1 - u) is the sawtooth's autocorrelation. In consecutive frames, around u = 0.04, 0.1, 0.22, 0.38,
@@ -45,8 +45,8 @@ theory over a dozen steps; simulated ones are not exact enough to count several.
 INDEPENDENT = 0.2
 """Share of the rounding errors' variance that is taken to be independent, for the same reason; measured: none."""
 ROUNDED_ODDS = math.exp(-3.0)
-"""Odds of rounded to noisy depth before the motion was seen. In one of 20 clips noise alone was evidence for rounding
-by a factor of more than 3, and in one of 20 rounding was by less than 47."""
+"""Odds of rounded to noisy depth before the motion was observed. In one of 20 clips noise alone was evidence for
+rounding by a factor of more than 3, and in one of 20 rounding was by less than 47."""
 SIGMA_FREEDOM = 100.0
 """Degrees of freedom with which σ is taken to be known: to 7 %. It comes from the first frame in contact, on synthetic
 clips to 1 %. Where a model can't explain a motion, behind drifting fat say, the residuals then widen the posterior.

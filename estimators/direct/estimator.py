@@ -92,7 +92,7 @@ class DirectEstimator:
             model |= {"slab": {"thickness": thickness, "law": LAW, "poisson": POISSON, "density": DENSITY}}
         seen = {"onset": onset, "observation": observation or "auto", "horizon": horizon}
         self.described = {"name": self.name, **seen, "noise": noise, **model}
-        """All that the fits depend on beside the clip."""
+        """All that the fits depend on besides the clip."""
         self.log_box = bounds.log_box
         """Of φ, shape [2, 3]."""
 

@@ -27,7 +27,7 @@ OUTLIER = 4.0
 """Residuals of more than this many standard deviations count as if they had as many."""
 MOVED, SEVERAL = 3.0, 3
 """Pixels that move by more than so many standard deviations say how well the model explains the motion: in any frame by
-the model, or in so many by what is seen, as one outlier is no motion."""
+the model, or in so many by what is observed, as one outlier is no motion."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
 WALL = 0.08
@@ -153,16 +153,16 @@ class SequenceProblem(Generic[M]):
         change, total = self.change(moved, logs), self.sequence.noise.total
         left = change - self.observed
         self.seen = np.isfinite(left)
-        # By what is seen, too: else a model that moves nothing would explain everything.
+        # By what is observed, too: else a model that moves nothing would explain everything.
         self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | self._seen_to_move()
-        """Pixels that move clearly, by the model or by what is seen, shape [P], bool."""
+        """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
         self._walls = np.square(WALL * self.patches.steepness(moved))
         weight = np.ones_like(left)
         if outliers:
             apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)
             weight = np.minimum(1.0, OUTLIER / np.maximum(apart, OUTLIER)) ** 2
         self.outliers = float(((weight < 1) & self.seen).sum() / max(self.seen.sum(), 1))
-        """Share of what is seen that counts less."""
+        """Share of what is observed that counts less."""
         self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
@@ -242,7 +242,7 @@ class SequenceProblem(Generic[M]):
 
     @property
     def counted(self) -> float:
-        """How many independent values of pixels that move were seen, by the last look."""
+        """How many independent values of pixels that move were observed, by the last look."""
         return float((self.seen & self.moving).sum()) / self.sequence.noise.alike_in_time
 
     def misfit(self, logs: np.ndarray) -> float:

@@ -1,9 +1,9 @@
 """How vertices of the mesh move under a press, by all parameters of a fit: θ, and when the press began and ended.
 
 A camera knows the beginning and the end of a press to a frame only, and a few milliseconds look like other tissue.
-Where the instants aren't known, two delays are parameters beside φ = (log k_s, log k_d, log |F|), independent of each
+Where the instants aren't known, two delays are parameters besides φ = (log k_s, log k_d, log |F|), independent of each
 other. They count from the time stamps that say so, in units of `within`: from -1 to 1. That of the end is a parameter
-where it was seen. Before the press begins the tissue is at rest.
+where it was observed. Before the press begins the tissue is at rest.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PressMotion:
         contact: mesh and load.
         mechanics: of simulations with derivatives.
         vertices: of the mesh, shape [M].
-        times: instants since the time stamp at which the press was seen to begin, shape [N] [s].
+        times: instants since the time stamp at which the press was observed to begin, shape [N] [s].
         within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
     """
 
@@ -103,7 +103,7 @@ class PressMotion:
         return dataclasses.replace(self.contact.load, factor=held(self.loaded(logs, longer) / time_step, steps))
 
     def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
-        """Time under load for all parameters [D], and `longer`; infinite where no release was seen [s]."""
+        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
         if not self.contact.released:
             return math.inf
         delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
@@ -116,7 +116,7 @@ class PressMotion:
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
 
-        Exact by φ; by the delays of a press whose release was seen they are differences from then on, good to 5 %.
+        Exact by φ; by the delays of a press whose release was observed they are differences from then on, good to 5 %.
         Without derivatives where the motion is so chaotic that rounding decides them.
         """
         theta, step = self.theta(logs), self.mechanics.time_step
@@ -146,7 +146,7 @@ class PressMotion:
         )
 
     def _others(self, logs: np.ndarray) -> np.ndarray:
-        """Derivatives of the displacements by all parameters beside φ and the delays, shape [N, M, 3, D']."""
+        """Derivatives of the displacements by all parameters besides φ and the delays, shape [N, M, 3, D']."""
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:

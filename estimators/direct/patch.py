@@ -1,9 +1,9 @@
 """How vertices move under a press on a patch, in any direction, whose force rises, holds and falls.
 
 Beside φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
-middle lies beside the contact vertex, over which share of the time under load the force rises, and over which share of
-the rest it falls (no fall where no release was seen: then the first share is of the time that was seen). `PressShape`
-says what they mean.
+middle lies next to the contact vertex, over which share of the time under load the force rises, and over which share of
+the rest it falls (no fall where no release was observed: then the first share is of the time that was observed).
+`PressShape` says what they mean.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from palpate.estimators.direct.motion import PressMotion
 from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
-"""Of patches [grid pixels]: at the least it is one vertex, and dents are seen as far as 7."""
+"""Of patches [grid pixels]: at the least it is one vertex, and dents are visible as far as 7."""
 ASTRAY = 2.5
 """Largest distance of a patch's middle from the contact vertex along an axis [grid pixels]."""
 MOST_LEAN = 0.85

@@ -42,7 +42,7 @@ class ContactProblem(Likelihood):
         contact: one followed point, seen at every instant.
         mechanics: of the fits.
         noise: σ of every observed coordinate [scene units].
-        within: as of `PressMotion`: delays of the press are parameters beside φ where it is above 0.
+        within: as of `PressMotion`: delays of the press are parameters besides φ where it is above 0.
         kind: of motion: what is fitted of the press.
     """
 

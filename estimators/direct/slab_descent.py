@@ -2,8 +2,8 @@
 
 The middle of the tip is a pixel or two from the contact's vertex, and is found first, from small motions. Then a trust
 region goes down by exact derivatives of the motion. (On six drawn slabs, 0.3 to 0.8 off in every logarithm at first, it
-took 36 simulations in all, where Gauss and Newton's matrix corrected by the gradients seen took 47, and χ²/2 ended 0 to
-69 lower.)
+took 36 simulations in all, where Gauss and Newton's matrix corrected by the observed gradients took 47, and χ²/2 ended
+0 to 69 lower.)
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ or two off [grid px]."""
 ROUGH, DONE = 3.0, 0.2
 """Fall of χ²/2 in a step, below which outliers are looked for, and the fit is done."""
 EVALUATIONS = 10
-"""With all that is seen, and again without outliers."""
+"""With all that is visible, and again without outliers."""
 
 
 def slab_start(problem: SequenceProblem[SlabMotion]) -> np.ndarray:

@@ -119,7 +119,7 @@ def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, f
         try:
             logs = descend(problem, valley.best, box, DONE)
             valley = follow_valley(problem, logs, box, scale)
-        except NoEstimate:  # the valley was told by small motions; as it is, the slab can't be followed there
+        except NoEstimate:  # the valley was given by small motions; as it is, the slab can't be followed there
             problem.look(logs, outliers=True)
     return logs, valley, scale
 

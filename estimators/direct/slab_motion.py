@@ -87,12 +87,12 @@ class SlabMotion:
         contact: its load.
         slab: the body beneath.
         pixels: rows and columns of the places at rest, shape [V, 2] [grid px].
-        times: instants since the time stamp at which the press was seen to begin, rising, shape [N] [s].
+        times: instants since the time stamp at which the press was observed to begin, rising, shape [N] [s].
         within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
         relaxing: a standard linear solid instead of damping proportional to mass.
         fine: the same body, of elements whose small motions are exact enough; None = they are taken for so here.
         place: column and row of the tip's middle; None = the contact's vertex [grid px].
-        region: that is firmer; None = tissue is alike throughout.
+        region: that is firmer; None = tissue is homogeneous.
     """
 
     def __init__(

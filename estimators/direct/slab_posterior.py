@@ -32,7 +32,7 @@ BETWEEN = 400
 
 
 class Valley(NamedTuple):
-    """The posterior of (log E, log d, log |F|) of a slab that is alike throughout."""
+    """The posterior of (log E, log d, log |F|) of a slab that is homogeneous."""
 
     mean: np.ndarray
     """Shape [3]."""

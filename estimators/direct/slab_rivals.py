@@ -1,7 +1,8 @@
-"""What else explains the sequence of a dent than a slab that is alike throughout and damped in proportion to its mass.
+"""What else explains the sequence of a dent than a slab that is homogeneous and damped in proportion to its mass.
 
 Tissue may be firmer in some place beneath: a handful of places is compared to first order, the likeliest are fitted
-anew, and the posterior is the mean over these fits and that of alike tissue (Bayesian model averaging). And it may
+anew, and the posterior is the mean over these fits and that of homogeneous tissue (Bayesian model averaging). And it
+may
 relax: where a standard linear solid explains the sequence better than damping does, with a firm region or without, that
 model is refuted, however small its misfit.
 """
@@ -40,7 +41,7 @@ REFUTED = 10.0
 
 
 class Firm(NamedTuple):
-    """A fit with a firm region, beside that of tissue that is alike throughout."""
+    """A fit with a firm region, in addition to that of tissue that is homogeneous."""
 
     gain: float
     """Logarithm of how much likelier it makes the sequence: that it was picked from many, and fitted, is not paid
@@ -98,7 +99,7 @@ def with_firm_regions(
     """Fits of the likeliest firm regions, firmer by each of FIRMER; those that can't be followed are left out.
 
     Args:
-        plain: of tissue that is alike throughout, fitted, at parameters `logs`.
+        plain: of tissue that is homogeneous, fitted, at parameters `logs`.
         regions: likeliest first, with where their fits begin.
         problem_of: the depth-change sequence with a region.
         scale: as of `follow_valley`.
@@ -117,7 +118,7 @@ def with_firm_regions(
 
 
 def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Over tissue that is alike throughout and that with a firm region, alike likely beforehand.
+    """Over tissue that is homogeneous and that with a firm region, alike likely beforehand.
 
     Returns:
         the probability that there is one; the mean shift of (log E, log d, log |F|), shape [3]; what it adds to their

@@ -37,7 +37,7 @@ LEAST_GRIPPED, LEAST_AROUND = 20, 50
 PRECISION = 1e-5
 """Of the likeliest log foundation, relative."""
 HIDDEN = 0.1
-"""Relative standard deviation of the force on the foundation of tissue that is not seen."""
+"""Relative standard deviation of the force on the foundation of tissue that is not visible."""
 RADIUS = 2.1459660262893474
 """Standard deviations of a two-dimensional normal distribution that hold 90 % of it, √(-2 log 0.1)."""
 
@@ -57,7 +57,7 @@ class GripFrame:
 
     @property
     def around(self) -> np.ndarray:
-        """The other points that are seen, shape [N], bool."""
+        """The other points that are visible, shape [N], bool."""
         return np.isfinite(self.moved).all(axis=1) & ~self.gripped
 
     @property
@@ -94,7 +94,7 @@ class SheetFit:
     """A sheet whose springs have stiffness 1; N points, M nodes."""
 
     count: int
-    """N. The sheet's first nodes are the points, those behind them are not seen."""
+    """N. The sheet's first nodes are the points, those behind them are not visible."""
     nodes: int
     """M."""
     springs: np.ndarray
@@ -137,9 +137,9 @@ class SheetFit:
     def relative_force(self, frames: Sequence[GripFrame]) -> tuple[np.ndarray, np.ndarray]:
         """What holds the gripped tissue in every frame over what holds it in the last, and its standard deviation.
 
-        Along the last one's direction, shape [T] each, of the points that are seen in all of them; not a number where
-        these are too few. What the sheet leaves of the motion counts as its share of the force, in between rest and the
-        last frame, where the ratio is 0 and 1 whatever the tissue.
+        Along the last one's direction, shape [T] each, of the points that are visible in all of them; not a number
+        where these are too few. What the sheet leaves of the motion counts as its share of the force, in between rest
+        and the last frame, where the ratio is 0 and 1 whatever the tissue.
         """
         same = np.logical_and.reduce([frame.gripped for frame in frames])
         if same.sum() < LEAST_GRIPPED:
@@ -152,7 +152,7 @@ class SheetFit:
     def log_force(self, frame: GripFrame) -> tuple[float, float]:
         """Log of what holds the gripped tissue over the springs' stiffness, and its standard deviation [px].
 
-        Tissue behind the instrument is not seen: the share of the force that it takes, on its foundation, counts as
+        Tissue behind the instrument is not visible: the share of the force that it takes, on its foundation, counts as
         known to HIDDEN of itself.
         """
         found = self.held(frame).found
@@ -182,7 +182,7 @@ def fit_sheet(points: np.ndarray, spacing: int, frames: Sequence[GripFrame], bac
             It is found with the sheet, because far points, too, are pulled along.
 
     Raises:
-        NothingMoves: fewer than LEAST_FRAMES frames move, or too few points are seen.
+        NothingMoves: fewer than LEAST_FRAMES frames move, or too few points are visible.
     """
     # With the background's motion on top it can't be seen which frames move.
     moving = [frame for frame in frames if background or frame.tells]
@@ -288,7 +288,7 @@ def _deviation(sheet: SheetFit, frames: Sequence[GripFrame]) -> float:
 
 
 def continued(points: np.ndarray, spacing: int, beyond: int) -> np.ndarray:
-    """Nodes of the sheet, shape [M, 2] [px]: the points [N, 2], and behind them what is not seen.
+    """Nodes of the sheet, shape [M, 2] [px]: the points [N, 2], and behind them what is not visible.
 
     Tissue goes on behind the instrument and beyond the picture's edges; a sheet with a hole there, or that ends there,
     is pulled along with too little force.

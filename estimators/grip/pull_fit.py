@@ -4,7 +4,7 @@ The body's shape being known, force over E follows from displacements alone. The
 the instrument are followed badly; it is linear in the motion, and solved for at every φ = (log E, log d) in units of a
 density (variable projection, Golub & Pereyra 1973), with an affine background in every frame. It is a natural cubic
 spline in time which begins at rest: one simulation for each direction in the picture's plane answers for all its bumps,
-as these differ in time alone. Errors of points are Student's, and as many err alike as of a sheet
+as these differ in time alone. Errors of points are Student's, and as many err together as of a sheet
 (`estimators.grip.sheet`).
 """
 
@@ -31,7 +31,7 @@ from palpate.physics.identifiability import box_information
 from palpate.physics.load import Grip
 
 CELLS = 6, 6, 2
-"""Of the slab, along columns, rows and depth, of quadratic elements: linear ones are far too stiff beside the grip."""
+"""Of the slab, along columns, rows and depth, of quadratic elements: linear ones are far too stiff next to the grip."""
 KNOTS = 9
 """Of the way, from its beginning to the last instant that is looked at."""
 STEPS = 3
@@ -124,7 +124,7 @@ RADII = 6.0, 10.0, 14.0
 YOUNG, DAMPING = np.log([100.0, 1000.0]), np.log([3e3, 2e4, 1.5e5])
 """log E and log d among whose pairs a start is looked for."""
 ALIKE = PIECE**2 / THIRD**2
-"""So many of the points that count err alike."""
+"""So many of the points that count err together."""
 INSTANTS = 4.0
 """So many frames err independently: what a slab can't explain stays."""
 BENT = 0.5
@@ -197,7 +197,7 @@ class _Problem:
         self.size = float(np.sqrt(np.square(moved[-1][self._seen[-1]]).sum(axis=-1).mean()))
         """Of the points' motion in the last frame, root mean square [px]."""
         self.scale = float(self._told.min())
-        """Of errors besides the told noise, variance by axis [px²]."""
+        """Of errors besides the given noise, variance by axis [px²]."""
         self._weights: np.ndarray = self._seen.astype(np.float64)
 
     def solve(self, motion: PullMotion, logs: np.ndarray) -> _Solved:
@@ -248,7 +248,7 @@ def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, f
         frames: T of them.
 
     Raises:
-        NoEstimate: no point is seen on the slab.
+        NoEstimate: no point is visible on the slab.
     """
     problem = _Problem(slab, cell, grid, frames)
     motions = [PullMotion(slab, cell, problem.places, radius, times) for radius in RADII]

@@ -51,7 +51,7 @@ class GripRecorder:
 
     Args:
         first: its first frame, which shows pictures and labels.
-        thickness: of a slab of finite elements that is fitted beside the sheet [scene units]; None = none.
+        thickness: of a slab of finite elements that is fitted in addition to the sheet [scene units]; None = none.
     """
 
     def __init__(self, first: PreparedFrame, thickness: float | None = None) -> None:
@@ -88,7 +88,7 @@ class GripRecorder:
         """A sheet's one number, judged on the second half of the motion by what the first half tells; and a slab's.
 
         Raises:
-            NoEstimate: too little moves, too few points are seen, or no slab fits under the tissue.
+            NoEstimate: too little moves, too few points are visible, or no slab fits under the tissue.
         """
         kept, half, points = self._kept, len(self._kept) // 2, self._follower.points
         if half < LEAST_FRAMES:
@@ -98,7 +98,7 @@ class GripRecorder:
             )
         spacing, frames = self._follower.spacing, [item.frame for item in kept]
         # Whether the tissue moves with the instrument is judged by what moves against far tissue; how, with the
-        # background's motion found beside the sheet's, because far tissue is pulled along, too.
+        # background's motion found together with the sheet's, because far tissue is pulled along, too.
         distance = self._follower.distance
         against = [
             dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
@@ -200,7 +200,7 @@ def _rival_skill(points: np.ndarray, spacing: int, distance: np.ndarray, frames:
         spacing: of the points [px].
 
     Returns:
-        -∞ where too few points are seen there in all frames, or too little of them moves.
+        -∞ where too few points are visible there in all frames, or too little of them moves.
     """
     seen = np.logical_and.reduce([np.isfinite(frame.moved).all(axis=1) for frame in frames])
     far = seen & (distance > ELSEWHERE)

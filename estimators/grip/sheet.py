@@ -1,15 +1,15 @@
 """How firmly gripped tissue is attached, and what holds it, with the grip's motion unknown.
 
-Points beside an instrument are followed badly: windows that hold its edge are dragged along or held back by it. Taken
+Points next to an instrument are followed badly: windows that hold its edge are dragged along or held back by it. Taken
 as a prescribed displacement they bias foundation and force by a quarter and more (docs/reports/real.md). Here they are
-observations as all others are, with their told noise, and the forces on every place at the instrument are unknown, also
-on tissue that it hides; an endless sheet (`physics.sheet`) answers these, and an affine background moves on its
+observations as all others are, with their given noise, and the forces on every place at the instrument are unknown,
+also on tissue that it hides; an endless sheet (`physics.sheet`) answers these, and an affine background moves on its
 own. Far points tell the sum of the forces, and how fast the motion dies away, whatever happens at the grip. Errors of
 points are Student's (`common.robust`), whose scale is found in every frame: a sheet is not tissue. Neighbours' errors
 are alike (`estimators.grip.whitening`).
 
 Followed points are filtered, which biases them where neighbours lie on one side. So once a sheet explains them, they
-are measured again where it says they are. Should more points err alike than expected, they count for less.
+are measured again where it says they are. Should more points err together than expected, they count for less.
 """
 
 from __future__ import annotations
@@ -32,22 +32,23 @@ from palpate.physics.sheet import response
 LOADED = 32.0
 """Forces act on tissue that began nearer to the tool [px]."""
 DENSE, THIRD = 64.0, 3
-"""Of points that began farther from the tool every third one along both axes counts: neighbours err alike."""
+"""Of points that began farther from the tool every third one along both axes counts: neighbours err together."""
 SIZE = 512
 """Of the repeated piece of the endless sheet [nodes]."""
 ENERGY, FREE = 300.0, 3000.0
 """Prior scale of the work that the forces do, a number of them [px² · stiffness]: at a node alone 10 px. The sum of the
-forces hangs on it where an instrument hides tissue. The foundation is told with ten times as much: strong pulls, which
-are expected less, would pass for a softer attachment."""
+forces hangs on it where an instrument hides tissue. The foundation is determined with ten times as much: strong pulls,
+which are expected less, would pass for a softer attachment."""
 UNTOLD = 1e-6
 """Of the loads' independent numbers those count that move points by more than so much, as far as they are expected
 [px²]: no link tells of others."""
 LINK = 0.05
 """Least standard deviation of a point by axis [px]."""
 LEAST_SCALE = LINK**2 / 100
-"""Of errors besides the told noise: a smaller variance by axis is none [px²]."""
+"""Of errors besides the given noise: a smaller variance by axis is none [px²]."""
 ALIKE = PIECE**2 / THIRD**2
-"""So many points are taken to err alike where they are weighted: what a sheet can't explain is smooth over a piece."""
+"""So many points are taken to err together where they are weighted: what a sheet can't explain is smooth over a
+piece."""
 ROUNDS, AGAIN, CONVERGED = 15, 4, 1e-3
 """Of weighting the points anew: at most, where near values are solved, and the change of weights that ends them."""
 MOST_LOADED = 400
@@ -71,15 +72,15 @@ LIMITS = -10.0, 1.0
 STEP = 0.1
 """Of log foundation, for derivatives."""
 EXCESS = 0.03
-"""Errors beyond the told noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15 drawn
-clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
+"""Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15
+drawn clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
 MOST_ALIKE = 2.0
-"""Where what is left of the motion goes together over so many times as many points as following errs alike (1.0 times
-on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either."""
+"""Where what is left of the motion goes together over so many times as many points as following errs together (1.0
+times on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either."""
 
 
 class NoSheet(ValueError):
-    """Forces at the instrument and a sheet that is alike everywhere don't explain the points to within their noise."""
+    """Forces at the instrument and a sheet that is homogeneous don't explain the points to within their noise."""
 
 
 class PointGrid(NamedTuple):
@@ -114,9 +115,9 @@ class Solved:
     unknowns: np.ndarray
     """Loads [stiffness × px] and the background's motion, shape [M + 3, 2]."""
     weights: np.ndarray
-    """Of the points that count, 0 for those not seen."""
+    """Of the points that count, 0 for those not observed."""
     scale: float
-    """Of the errors besides the told noise, variance by axis [px²]."""
+    """Of the errors besides the given noise, variance by axis [px²]."""
 
 
 class Design(NamedTuple):
@@ -133,7 +134,7 @@ class Design(NamedTuple):
 
 
 class Whitened(NamedTuple):
-    """Of the n points that count in a frame; rows of those not seen are 0."""
+    """Of the n points that count in a frame; rows of those not observed are 0."""
 
     transform: csr_array
     """What makes their errors independent and of size 1, shape [n, n]."""
@@ -207,7 +208,7 @@ class SheetProblem:
     def design(self, log_anchor: float, energy: float = FREE) -> Design:
         """How the points that count follow what is unknown.
 
-        Few combinations of loads under an instrument can be told apart: those of the prior's independent numbers that
+        Few combinations of loads under an instrument can be given apart: those of the prior's independent numbers that
         move the points, by the eigenvectors of what these say.
         """
         answer = response(float(np.exp(log_anchor)), SIZE)
@@ -230,7 +231,7 @@ class SheetProblem:
 
         Args:
             design: of the foundation.
-            frame: what is seen.
+            frame: what is observed.
             start: from which to begin.
         """
         seen = np.flatnonzero(np.isfinite(frame.moved[self.counted]).all(axis=1))
@@ -283,13 +284,13 @@ class SheetProblem:
         return (following @ solved.unknowns).reshape(places.shape)
 
     def left(self, log_anchor: float, frame: SeenFrame, solved: Solved) -> np.ndarray:
-        """What is not explained over its told size, of all points, shape [N, 2]; outliers count little."""
+        """What is not explained over its given size, of all points, shape [N, 2]; outliers count little."""
         off = frame.moved - self.motion(log_anchor, solved, self._points)
         variance = np.square(np.maximum(frame.noise, LINK)) + solved.scale
         return off * np.sqrt(student_weights(np.square(off).sum(axis=1), variance) / variance)[:, None]
 
     def wider(self, left: np.ndarray) -> float:
-        """By which factor variances grow if more points err alike than was taken for granted, 1 or more."""
+        """By which factor variances grow if more points err together than was taken for granted, 1 or more."""
         return max(correlated_points(self._points, self._spacing, left) / self._expected, 1.0)
 
 
@@ -308,7 +309,7 @@ class Measuring:
     """Of the whole grid, also where there is no point, shape [rows, columns, 2] (column, row) [px]."""
     measure: Callable[[int, np.ndarray, np.ndarray], SeenFrame]
     """Gives a frame by its number, by the motion of the whole grid, shape [rows, columns, 2] [px], with those points
-    that are named by numbers; their errors are alike over `MEASURED_REACH` only."""
+    that are named by numbers; their errors are correlated over `MEASURED_REACH` only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,8 +464,8 @@ def _measured_again(
 def information(curvatures: np.ndarray, correlation: np.ndarray) -> float:
     """What J frames tell whose mean loss is minimised, by their curvatures [J] and their errors' correlation [J, J].
 
-    Scores err as far as the curvatures say, and alike as far as the errors do. Nothing is told where no curvature is
-    positive.
+    Scores err as far as the curvatures say, and alike as far as the errors do. Nothing is determined where no curvature
+    is positive.
     """
     scores = np.sqrt(np.maximum(curvatures, 0.0))
     return float(np.square(scores).sum() ** 2 / max(scores @ correlation @ scores, TINY))
@@ -473,7 +474,7 @@ def information(curvatures: np.ndarray, correlation: np.ndarray) -> float:
 def frame_correlation(left: np.ndarray) -> np.ndarray:
     """Correlation of errors between J frames, by what is not explained [J, N, 2], shape [J, J].
 
-    1 where no point is seen in all of them.
+    1 where no point is visible in all of them.
     """
     always = left[:, np.isfinite(left).all(axis=(0, 2))]
     if not always.size:

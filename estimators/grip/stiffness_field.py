@@ -11,7 +11,7 @@ from palpate.estimators.grip.sheet import EXCESS
 from palpate.physics.identifiability import LIMIT
 
 LEARNT = 0.7
-"""What is known must be surer than what was expected before anything was seen, by this factor."""
+"""What is known must be surer than what was expected before anything was observed, by this factor."""
 MOST = 0.5
 """Share of the tissue that moves which must be known for the field to count as determined."""
 MOVES = 5.0
@@ -37,13 +37,13 @@ class StiffnessField:
     covariance: np.ndarray
     """Theirs, shape [K, K]."""
     expected: np.ndarray
-    """Their covariance before anything was seen, shape [K, K]."""
+    """Their covariance before anything was observed, shape [K, K]."""
     roughness: float
     """Standard deviation of the difference between neighbouring knots that was expected."""
     moving: np.ndarray
     """Places of tissue that moves by more than MOVES, shape [M, 2] [px]."""
     excess: float
-    """Standard deviation by axis of what the sheet leaves of the motion besides the told noise [px]."""
+    """Standard deviation by axis of what the sheet leaves of the motion besides the given noise [px]."""
     picture: np.ndarray
     """The run's first one, in whose pixels all places are, uint8 [H, W, 3] RGB."""
 
@@ -69,7 +69,7 @@ class StiffnessField:
         return row @ self.log_stiffness, np.hypot(_sd(row, self.covariance), stray)
 
     def known(self, places: np.ndarray) -> np.ndarray:
-        """Where the logarithm is known to LIMIT, as the knots around it are, by what was seen, shape [N], bool.
+        """Where the logarithm is known to LIMIT, as the knots around it are, by what was observed, shape [N], bool.
 
         Nothing is known beyond the knots, which span what moves.
         """

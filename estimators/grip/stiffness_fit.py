@@ -1,7 +1,7 @@
 """Fits where gripped tissue is stiffer, with the grip's motion unknown.
 
 K u = f, the sheet of `physics.sheet` with forces only at the instrument: where tissue that may be loaded went is
-unknown, and the sheet carries that to all other places. Every followed point is an observation with its told noise.
+unknown, and the sheet carries that to all other places. Every followed point is an observation with its given noise.
 Log stiffness is bilinear between knots with a smoothness prior. The foundation is one number, the same everywhere:
 fields of both are not determined by a displacement in one direction. Of a knot where nothing moves nothing is known but
 its prior.
@@ -52,11 +52,11 @@ KNOT, MOST_KNOTS = 32.0, 160
 ROUGHNESS = 0.55
 """Standard deviation of the difference between neighbouring knots: intervals hold at a step by a factor 3, too."""
 ALIKE = 24.0
-"""So many points err alike: neighbours share what flow sees of them."""
+"""So many points err together: neighbours share what flow sees of them."""
 UNEXPLAINED = 2.0
 """Where a sheet does not explain the motion to within its noise, so many times as many do."""
 STRAINED = 0.03
-"""Following errs by this share of the motion besides the told noise: windows are strained with the tissue."""
+"""Following errs by this share of the motion besides the given noise: windows are strained with the tissue."""
 LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
 """Times that points are weighted anew, in so many rounds, evaluations between, and the relative fall of χ² that ends
 them."""
@@ -65,7 +65,8 @@ LEVEL = 0.1
 
 
 class _Solved(NamedTuple):
-    """One choice of the P numbers, the loaded tissue's motion at its likeliest; n seen points, K unknowns by axis."""
+    """One choice of the P numbers, the loaded tissue's motion at its likeliest; n visible points, K unknowns by
+    axis."""
 
     unit: Equilibrium
     """The sheet, for a unit of motion of every loaded node."""
@@ -80,11 +81,11 @@ class _Solved(NamedTuple):
     found: np.ndarray
     """The unknowns, shape [K, 2]."""
     left: np.ndarray
-    """Simulated minus seen motion, shape [n, 2] [px]."""
+    """Simulated minus observed motion, shape [n, 2] [px]."""
 
 
 class _Problem:
-    """The sheet around a grip and what is seen of it; arguments as of `fit_stiffness`."""
+    """The sheet around a grip and what is observed of it; arguments as of `fit_stiffness`."""
 
     def __init__(self, grid: PointGrid, frame: SeenFrame) -> None:
         points, distance, hidden, spacing = grid
@@ -122,14 +123,14 @@ class _Problem:
         self._prior = cholesky(block_diag(self.precision, SPREAD**-2))
         seen = np.isfinite(far[kept])
         self.seen = np.flatnonzero(seen)
-        """Points that are seen, shape [n]."""
+        """Points that are visible, shape [n]."""
         self._moved = frame.moved[kept][seen]
         told = np.square(np.maximum(frame.noise[kept][seen], LINK))
         self._told = told + np.square(STRAINED * far[kept][seen])
         self._terms = affine_terms(self.points)
         self.alike = max(ALIKE / step**2, 1.0)
         self.scale = 0.0
-        """Of the errors besides the told noise, variance by axis [px²]."""
+        """Of the errors besides the given noise, variance by axis [px²]."""
         self._weights = np.ones(len(self.seen))
         self._latest: tuple[np.ndarray, Equilibrium, np.ndarray] | None = None
 

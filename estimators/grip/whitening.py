@@ -1,4 +1,4 @@
-"""Neighbours' errors are alike: a transform after which they are independent.
+"""Neighbours' errors are correlated: a transform after which they are independent.
 
 Every point is predicted from neighbours before it, and what is left is divided by its standard deviation (Vecchia 1988,
 Estimation and model identification for continuous spatial processes): the inverse of the covariance's Cholesky factor,
@@ -41,12 +41,12 @@ class Whitening:
         self._between = matern(np.linalg.norm(places[:, :, None] - places[:, None], axis=-1) / reach)
 
     def transform(self, sizes: np.ndarray) -> csr_array:
-        """The transform, shape [n, n]; rows of points that are not seen are zero.
+        """The transform, shape [n, n]; rows of points that are not visible are zero.
 
         Two points share what the better one errs by: what spoils the other one is its own.
 
         Args:
-            sizes: standard deviations by axis, shape [n] [px]; not a number where a point is not seen.
+            sizes: standard deviations by axis, shape [n] [px]; not a number where a point is not visible.
         """
         seen = np.isfinite(sizes)
         own = np.square(np.where(seen, sizes, 1.0))
@@ -72,7 +72,7 @@ def matern(distance: np.ndarray) -> np.ndarray:
 
 
 def alike_points(spacing: float, reach: float = REACH) -> float:
-    """How many points of a square grid [px] err alike: the sum of the correlation over the grid, as its integral."""
+    """How many points of a square grid [px] err together: the sum of the correlation over the grid, as its integral."""
     return 6 * np.pi * (reach / spacing) ** 2
 
 

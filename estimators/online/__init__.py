@@ -1,4 +1,4 @@
-"""The online estimator (Liang 2024): a simulated state is taken to what was seen, and its stiffness to fit.
+"""The online estimator (Liang 2024): a simulated state is taken to what was observed, and its stiffness to fit.
 
 mapping    the residual deformation that takes a state to what was observed (a cloud, followed points), and its adjoint
 objective  gap, history and smoothness, with their slopes by the fields of stiffness, which have sigmoid bounds

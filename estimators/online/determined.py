@@ -1,9 +1,10 @@
 """What the instrument alone explains of the motion, and what that determines of the fields, place by place.
 
-A simulation is led by the instrument from rest on and never taken to what is seen, as the session's state is: what it
-leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
-derivatives of what is seen, and these with a normal prior the posterior of log stiffness at the knots (Gauss–Newton's:
-linear least squares around the fields of each frame). The noise is what the likeliest leave of the motion. Where a
+A simulation is led by the instrument from rest on and never taken to what is observed, as the session's state is: what
+it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
+derivatives of what is observed, and these with a normal prior the posterior of log stiffness at the knots
+(Gauss–Newton's: linear least squares around the fields of each frame). The noise is what the likeliest leave of the
+motion. Where a
 model is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is
 left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in
 a frame points by as much as their means over the cells around the knots vary.
@@ -26,8 +27,8 @@ from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.stiffness import Stiffness
 
 LEARNT = 0.5
-"""What is known must be surer than before anything was seen, by this factor: three quarters of what is said of it, at
-least, then come from what was seen."""
+"""What is known must be surer than before anything was observed, by this factor: three quarters of what is said of it,
+at least, then come from what was observed."""
 SPREAD = 1.0
 """Standard deviation of log stiffness at a knot before anything is seen, about the stiffness to begin with."""
 STEPPED = "time_step", "foundation"
@@ -83,7 +84,7 @@ class Determined:
         self._squares = np.zeros((counts[0], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(counts[0])
-        """Of every cell, over frames: squares and products, summed over its points, of what is seen less what the
+        """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
         fields to begin with would show, then of its derivatives; the same of their means over points, times their
         number; and that."""
         self._frames = 0
@@ -105,7 +106,7 @@ class Determined:
         Args:
             fields: stiffness as it is before the frame is taken in, shape [N].
             places: where the gripped particles are, shape [G, 3] [m].
-            seen: displacement of the points, shape [Q, 2] [px]; not seen = NaN.
+            seen: displacement of the points, shape [Q, 2] [px]; not observed = NaN.
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
         likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
@@ -146,7 +147,8 @@ class Determined:
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
 
-        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was seen, and the field
+        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was observed, and the
+        field
         is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
         something else. Deviations include what the knots leave open, from one to the next a random walk. Nothing is
         known where places that would be differ by less than their deviations, which doesn't tell which of them is
@@ -183,7 +185,7 @@ class Determined:
         for _ in range(ROUNDS if some.any() else 0):
             way = np.append(1.0, -likeliest)
             left, alike = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
-            # Of a cell's points in a frame so many err alike, and so do all frames.
+            # Of a cell's points in a frame so many err together, and so do all frames.
             together = np.maximum(points * alike.sum() / max(left.sum(), 1e-300), self._frames)
             weight = 1 / (together * (left / (2 * points) + NOISE**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])

@@ -113,10 +113,10 @@ class DrivenTissue:
         return sd, known & stretched & (self.alone.skill >= LEAST_SKILL)
 
     def gripped_places(self, moved: np.ndarray, nearer: float = 0.0) -> np.ndarray | None:
-        """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are seen.
+        """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are visible.
 
         Args:
-            moved: displacement of the followed points, shape [P, 2] [px]; not seen = NaN.
+            moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
             nearer: how far the tissue there has come nearer to the camera than at rest [scene units].
         """
         seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
@@ -152,7 +152,7 @@ class DrivenTissue:
         taken in once more.
 
         Args:
-            moved: displacement of the followed points since rest, shape [P, 2] [px]; not seen = NaN.
+            moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
             cloud: points of the tissue, shape [m, 3] [scene units], where clouds are compared.
             seen: particles that no tool hides, shape [n]; with the cloud.
             led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
@@ -218,7 +218,7 @@ class DrivenTissue:
         """Predicted displacement of the points `around` under a path of the instrument alone, shape [T, Q, 2] [px].
 
         What the simulation does from now on, begun at rest and led along the instrument's way so far, is added to where
-        the points are: a state that was mapped to what was seen isn't one of the model's, and would fall back.
+        the points are: a state that was mapped to what was observed isn't one of the model's, and would fall back.
 
         Args:
             moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; only those near the

@@ -1,8 +1,9 @@
 """The online estimator (Liang 2024): a field of stiffness of tissue that an instrument drives, frame by frame.
 
 A run of contact begins a sheet or a volume of particles at rest, its end ends it. How the instrument moves the tissue
-is taken from what is followed beside it, or from a file; all other tissue is simulated, mapped to what the frame shows,
-and its stiffness changed by one step. θ, a force and a unit are not told: displacements don't determine them.
+is taken from what is followed next to it, or from a file; all other tissue is simulated, mapped to what the frame
+shows, and its stiffness changed by one step. θ, a force and a unit are not determined: displacements don't determine
+them.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class OnlineEstimator:
         named = {name: getattr(settings, name) for name in FILES}
         files = {name: _described(Path(path)) for name, path in named.items() if path is not None}
         self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
-        """All that the fields depend on beside the clip."""
+        """All that the fields depend on besides the clip."""
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
         """Smoothed tissue, and otherwise what the user chooses."""
@@ -122,7 +123,7 @@ class OnlineSession(RunSession):
         return None if self._driven is None else self._driven.frame_field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
-        """What was seen of a run, and what its field comes to in a sentence."""
+        """What was observed of a run, and what its field comes to in a sentence."""
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None
@@ -172,7 +173,7 @@ class _Followed:
         self._times.append(frame.frame.time_s)
 
     def _led(self, time: float) -> np.ndarray | None:
-        """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't told.
+        """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't known.
 
         Raises:
             InputError: behind the camera.
@@ -191,7 +192,7 @@ class _Followed:
 
     @property
     def fitted(self) -> str:
-        """What the first frames told by one number each, a sentence; empty if nothing was fitted."""
+        """What the first frames say by one number each, a sentence; empty if nothing was fitted."""
         fit = self._driven.fit
         if fit is None:
             return ""

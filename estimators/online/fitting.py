@@ -1,7 +1,8 @@
 """What one number each can say of gripped tissue: how fast it follows, what holds it to its rest, how it bends.
 
 The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. These
-three are fitted to the frames that were seen, by simulation alone; stiffness place by place is left to the optimiser.
+three are fitted to the frames that were observed, by simulation alone; stiffness place by place is left to the
+optimiser.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def fit_motion(
     Args:
         body: N particles.
         grip: where the gripped ones are in T frames.
-        seen: displacement of Q points in them, shape [T, Q, 2] [px]; not seen = NaN.
+        seen: displacement of Q points in them, shape [T, Q, 2] [px]; not observed = NaN.
         shown: gives that of states [T, N, 3].
         stepping: sweeps a step; its time step and foundation don't count.
         stiffness: of distances, the same everywhere.

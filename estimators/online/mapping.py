@@ -26,7 +26,7 @@ class Chamfer:
     """
 
     def __init__(self, cloud: np.ndarray, seen: np.ndarray) -> None:
-        """Keep what is seen.
+        """Keep what is observed.
 
         Args:
             cloud: observed points, shape [m, 3] [m].
@@ -71,7 +71,7 @@ class Tracks:
 
         Args:
             places: shares of the particles in every point's position, shape [P, N], rows adding up to 1.
-            observed: where the points are, shape [P, 3] [m]; not seen = NaN.
+            observed: where the points are, shape [P, 3] [m]; not observed = NaN.
 
         Raises:
             ValueError: shapes that don't fit, nothing seen.
@@ -106,8 +106,8 @@ class Mapping:
     """Gradient steps (section II-B)."""
     rate: float = 50.0
     """Of them at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths may
-    have any unit: both terms are squares of lengths. A particle that more of what was seen hangs on than that bears,
-    as where points are followed on a part of a large sheet only, goes at most as far as these points ask."""
+    have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on than that
+    bears, as where points are followed on a part of a large sheet only, goes at most as far as these points ask."""
 
     def __post_init__(self) -> None:
         """Check ranges."""

@@ -113,7 +113,7 @@ class Evaluation:
     simulated: np.ndarray
     """x, the state one step on, shape [N, 3] [m]."""
     residual: Residual
-    """Δ, from there to what was seen."""
+    """Δ, from there to what was observed."""
     terms: Terms
     slopes: Stiffness
     """Derivatives of the terms' sum by the fields, shape [N]; by that of volumes 0, which is fixed."""
@@ -207,13 +207,13 @@ class Objective:
         matches: Sequence[Match],
         snapshots: Sequence[np.ndarray],
     ) -> Evaluation:
-        """Step on and map; beside it the snapshots, whose grip stays where it was: they should stay as they are.
+        """Step on and map; and so the snapshots, whose grip stays where it was: they should stay as they are.
 
         Args:
             fields: stiffness, shape [N].
             start: the state before, shape [N, 3] [m].
             places: where gripped particles now are, shape [G, 3] [m].
-            matches: what was seen, one at least.
+            matches: what was observed, one at least.
             snapshots: earlier states, mapped, each [N, 3] [m].
         """
         with ThreadPoolExecutor(1) as beside:  # compiled loops let two run at once

@@ -64,7 +64,7 @@ class Method:
     """
 
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
-    """Simulation alone; with states that are mapped to what is seen; with stiffness that is optimised, too."""
+    """Simulation alone; with states that are mapped to what is observed; with stiffness that is optimised, too."""
     optimizer: Literal["adam", "gauss-newton"] = "adam"
     """What changes the stiffness: Adam, the paper's, or recursive Gauss–Newton steps of the fields at a few knots."""
     rate: float = 0.1
@@ -77,7 +77,7 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a frame told; N particles."""
+    """What a frame gave; N particles."""
 
     positions: np.ndarray
     """The state, mapped where the method maps, shape [N, 3] [m]."""

@@ -1,4 +1,4 @@
-"""Everything that the online estimator can be told; `configs/online.yaml` holds the same with the reasons."""
+"""Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class OnlineSettings:
     thickness: float | None = None
     """Of the tissue along its surface's normal [scene units]; None = a sheet."""
     pins: str | None = None
-    """Mask picture of the clip's size whose white tissue is pinned, beside the settings' file; None = the tissue's edge
-    far from instruments."""
+    """Mask picture of the clip's size whose white tissue is pinned, next to the settings' file; None = the tissue's
+    edge far from instruments."""
     path: str | None = None
     """CSV file of the gripper's way, likewise, with the columns time_s, x_px, y_px and z [scene units]; None = as the
     points move that are followed at the instrument."""
@@ -116,7 +116,7 @@ class OnlineSettings:
 
 
 def load_settings(path: Path) -> OnlineSettings:
-    """Settings of a YAML file; what it leaves out keeps its default, and files that it names lie beside it.
+    """Settings of a YAML file; what it leaves out keeps its default, and files that it names lie next to it.
 
     Raises:
         InputError: unreadable file, an unknown key, or an impossible value.

@@ -35,7 +35,7 @@ LEAST_SEEN = 30
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A sheet or a volume of N particles, and the picture that it was seen in."""
+    """A sheet or a volume of N particles, and the picture that it was observed in."""
 
     body: Body
     """At rest, in coordinates of the camera [scene units]; of a volume the surface's particles come first."""
@@ -231,7 +231,7 @@ def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Bo
 
 
 _TOUCHING = 1e-6
-"""Share of a depth by which tissue lies before a particle, or of a triangle beside it: less is rounding."""
+"""Share of a depth by which tissue lies before a particle, or of a triangle next to it: less is rounding."""
 
 
 def facing(points: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -263,7 +263,7 @@ def uncovered(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     particle, face = np.repeat(found, [len(each) for each in near]), np.concatenate(near).astype(np.int64)
     other = (used[face] != particle[:, None]).all(axis=1)
     particle, corners = particle[other], points[used[face[other]]].transpose(0, 2, 1)
-    sized = np.abs(np.linalg.det(corners)) > 0  # one that is seen from its edge hides nothing
+    sized = np.abs(np.linalg.det(corners)) > 0  # one that is visible from its edge hides nothing
     particle, corners = particle[sized], corners[sized]
     shares = np.linalg.solve(corners, points[particle][..., None])[..., 0]
     hidden = (shares.min(axis=1) > _TOUCHING) & (shares.sum(axis=1) > 1 + _TOUCHING)

@@ -25,7 +25,7 @@ GRAZING = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Palpation:
-    """One press and what was seen of it; P points."""
+    """One press and what was observed of it; P points."""
 
     force: np.ndarray
     """Onto the body, in the body's frame, shape [3] [N]."""
@@ -125,7 +125,7 @@ class Bench:
     def matched(self, vertices: np.ndarray, which: int, pose: np.ndarray) -> tuple[Match, np.ndarray]:
         """Where a palpation's sights meet the surface in a state, and the cosines of their angles to it [P].
 
-        A sensor errs along its sight: what is met there is what was seen, however far off the point came out. The
+        A sensor errs along its sight: what is met there is what was observed, however far off the point came out. The
         closest place isn't, and is closer wherever the surface bends.
         """
         sights = self.sights[which] @ pose[:3, :3].T

@@ -22,7 +22,7 @@ ASIDE = 1e-4
 """By how much log E and ν are moved for the gradient. By a hundredth, half of it times the curvature by E outweighs the
 gradient within half a percent of a valley's floor, and no step goes down there any more."""
 TRIES = 10
-"""Of an E that bears the forces, each four times the last, beside the one that is given."""
+"""Of an E that bears the forces, each four times the last, besides the one that is given."""
 
 
 def descend(

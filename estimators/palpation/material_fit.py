@@ -47,7 +47,7 @@ NOTHING = "nothing determined"
 REVERSED = 5.0
 """Standard deviations below zero, from which on a compliance says that a force is reversed."""
 LIKELY = (0.0, 0.4, 0.49)
-"""ν for which that must hold as well as for the one that a fit begins at: with it tissue bulges out beside a tool."""
+"""ν for which that must hold as well as for the one that a fit begins at: with it tissue bulges out next to a tool."""
 VISIBLE = 0.2
 """Of the noise: the motion that most of the moved points show less than tells no sign."""
 BEGUN = 0.03
@@ -66,7 +66,7 @@ class FitSettings:
     """ν to begin at."""
     model_error: float = 0.02
     """By what share displacements of mesh and law are off, alike within a quarter of the body: what the covariance
-    takes beside the sensor's noise."""
+    takes besides the sensor's noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ def fit_material(
 
     Raises:
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
-        ValueError: a contact off the surface, too few points beside the hole, or a reversed force.
+        ValueError: a contact off the surface, too few points next to the hole, or a reversed force.
     """
     bench = Bench(skin, held, palpations, settings.law)
     poisson = float(np.clip(settings.poisson, *POISSON))
@@ -232,7 +232,7 @@ def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
     """Whether a surface moved against its force, of every palpation, shape [O], bool.
 
     By Hooke's law displacements go with the compliance 1/E: a regression on them of the points' distances from the
-    surface at rest, the pose unknown beside it, gives a compliance below zero then.
+    surface at rest, the pose unknown as well, gives a compliance below zero then.
     """
     still, states = np.zeros_like(bench.skin.vertices), []
     scale = _scale(bench, rests)
@@ -328,7 +328,7 @@ class _System:
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
             places.append(match.at(triangles, skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's two and the six of the pose that a point was seen from, shape [R, 8]."""
+        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
         limit, size = OUTLIER * bench.noise, np.abs(self.residual)
@@ -409,7 +409,7 @@ class _System:
         normal = self._normal()[0]
         normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
         inverse = np.linalg.inv(normal)
-        # Beyond so many points sums over pairs gain nothing: errors are alike among neighbours.
+        # Beyond so many points sums over pairs gain nothing: errors are correlated among neighbours.
         count = len(self.sinks)
         some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
         own = inverse[:2, np.stack([_unknowns(which) for which in self.which[some]])]

@@ -69,7 +69,7 @@ def register(
         match = Match.of(seen, vertices, triangles)
         near = match.apart <= np.quantile(match.apart, kept)
         centre = seen[near].mean(axis=0)
-        # Turned about the middle, and in units of the cloud's size, the six unknowns weigh alike.
+        # Turned about the middle, and in units of the cloud's size, the six unknowns weigh equally.
         jacobian = np.hstack([np.cross((seen[near] - centre) / size, match.normal[near]), match.normal[near]])
         # A motion that the surface doesn't show, as within a plane, is left out.
         step = np.linalg.lstsq(jacobian, -match.distance[near], rcond=shown)[0]

@@ -3,7 +3,7 @@
 Quasi-linear viscoelasticity (Fung 1993, section 7.6): F(t) = ∫ G(t - s) dFₑ(d(s)), with the elastic answer
 Fₑ = (e^(b·d) - 1)/(e^(b·d_max) - 1) and G(t) = w₀ + Σ wⱼ e^(-t/τⱼ), wⱼ ≥ 0. One branch is the standard linear solid
 (Findley 1976, section 5.3). Tissue relaxes over all times at once, so the default has branches at fixed times, two a
-decade, from a sample's spacing to three times what was seen; weights are the non-negative least squares'.
+decade, from a sample's spacing to three times what was observed; weights are the non-negative least squares'.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from palpate.physics.fem import Relaxation
 A_DECADE = 2
 """Branches."""
 AHEAD = 3.0
-"""Longest branch over what was seen of the hold: slower ones look like one that never relaxes."""
+"""Longest branch over what was observed of the hold: slower ones look like one that never relaxes."""
 STIFFENING = (0.01, 10.0)
 """Within which b·d_max is looked for: from a straight line to a force that doubles in the last tenth of the depth."""
 
@@ -40,7 +40,7 @@ class Viscoelastic:
     """Root mean square of what is left where it was fitted [N]."""
     drift: float
     """How far off a forecast will be, by how far off the same fit to the first half of the seen hold was on the second
-    [N]; not a number where too little was seen."""
+    [N]; not a number where too little was observed."""
 
     @property
     def relaxed_share(self) -> float:

@@ -60,7 +60,7 @@ class SceneFile:
     palpations: tuple[dict[str, Any], ...]
     """Each with the fields of `PalpationFile`."""
     surface: str | None = None
-    """The surface at rest, an .obj file beside this one [m]; none = `views` show it."""
+    """The surface at rest, an .obj file next to this one [m]; none = `views` show it."""
     views: tuple[dict[str, Any], ...] = ()
     """Depth views of it, each with the fields of `ViewFile`; they are registered and joined."""
     cells: int = 8
@@ -90,7 +90,7 @@ class ViewFile:
     """Fields of a view."""
 
     surface: str
-    """What the sensor saw, an .obj file beside the scene, in the sensor's frame [m]."""
+    """What the sensor saw, an .obj file next to the scene, in the sensor's frame [m]."""
     pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     """Of the sensor as it is believed; the first view's is kept."""
 
@@ -105,7 +105,7 @@ class PalpationFile:
     force: tuple[float, float, float]
     contact: tuple[float, float, float]
     points: str
-    """CSV file beside this one, with columns x, y, z [m], in the sensor's frame."""
+    """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
     pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     tool_radius: float = 0.015
     hole: float = 0.02

@@ -76,7 +76,7 @@ def join_views(views: Sequence[View]) -> Joined:
         vertices, triangles = _oriented(views[number], poses[number])
         lengths = np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1)
         match = Match.of(vertices[triangles].mean(axis=1), *whole)
-        # What lies beside a rim, not over the surface, is new.
+        # What lies next to a rim, not over the surface, is new.
         over = np.abs(match.distance) >= OVER * match.apart
         same = (match.apart < SEAM * np.median(lengths)) & (over | (match.apart < 1e-6 * np.ptp(vertices)))
         apart.append(match.distance[same])

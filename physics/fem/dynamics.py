@@ -67,7 +67,7 @@ class Direction:
     """A way to change what a motion depends on: the derivative of each by one parameter; T steps, N nodes."""
 
     young: float = 0.0
-    """Of log E, of every element alike."""
+    """Of log E, of every element the same."""
     damping: float = 0.0
     """Of Rayleigh's α [1/s]."""
     ratio: float = 0.0

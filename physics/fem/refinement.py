@@ -40,7 +40,7 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
     Args:
         nodes: shape [N, 3] [m].
         tetrahedra: corners, shape [E, 4], of positive volume.
-        longest: how long edges may be, told at the elements' middle.
+        longest: how long edges may be, given at the elements' middle.
 
     Returns:
         nodes, those given first; corners of the tetrahedra, of positive volume.

@@ -1,8 +1,8 @@
 """A slab beneath an open surface that one camera sees: its elements crowd where an instrument presses.
 
-How thick tissue is can't be seen, so it is told. The slab lies under the grid mesh around a vertex, its sides along the
-contact's normal; it is held at the bottom, at its sides, and, where that is wanted, beyond the tissue's edge. Tissue
-that an instrument hides goes on beneath it.
+How thick tissue is can't be seen, so it is given. The slab lies under the grid mesh around a vertex, its sides along
+the contact's normal; it is held at the bottom, at its sides, and, where that is wanted, beyond the tissue's edge.
+Tissue that an instrument hides goes on beneath it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ higher one bends so far beyond the tissue's edge that a slab folds."""
 NEAREST = 4
 """Vertices that tell the rest of a node's depth."""
 BESIDE = 1.0
-"""A node farther from all vertices lies beside the mesh [grid px]."""
+"""A node farther from all vertices lies next to the mesh [grid px]."""
 SAMPLES = 41
 """Of a patch along a side, to share it out over nodes."""
 

@@ -147,7 +147,8 @@ class ObservationBatch:
 
     @classmethod
     def of(cls, observations: Sequence[Observation], time_step: float) -> ObservationBatch:
-        """Join observations of one point each, for trajectories with this time step [s]; what was not seen weighs 0."""
+        """Join observations of one point each, for trajectories with this time step [s]; what was not observed weighs
+        0."""
         steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]
         moved = [
             torch.from_numpy(point.astype(np.float32)) for (point,) in (item.displacement for item in observations)
@@ -185,9 +186,9 @@ class DepthBatch:
     steps: Tensor
     """Index into the trajectory that each instant belongs to, shape [B, N], int64."""
     change: Tensor
-    """Observed change since rest, shape [B, N, P], float32 [scene units]; 0 where nothing was seen."""
+    """Observed change since rest, shape [B, N, P], float32 [scene units]; 0 where nothing was observed."""
     weight: Tensor
-    """Whether it was seen, shape [B, N, P], float32."""
+    """Whether it was observed, shape [B, N, P], float32."""
     noise: Tensor
     """σ of every observed change, shape [B], float32 [scene units]."""
     common: Tensor

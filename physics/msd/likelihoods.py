@@ -1,4 +1,4 @@
-"""Batches against what was seen: the paper's squared error, and the likelihood around each sample's φ.
+"""Batches against what was observed: the paper's squared error, and the likelihood around each sample's φ.
 
 Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's difference), extended to several time stamps.
 """
@@ -17,7 +17,7 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
 
     Args:
         trajectory: displacement of the contact vertex, shape [B, T, 3] [scene units].
-        observation: what was seen; padding may hold anything, also NaN.
+        observation: what was observed; padding may hold anything, also NaN.
 
     Returns:
         Shape [B] [scene units²]; 0 for a sample without any observation.
@@ -50,11 +50,12 @@ def linearise(
         path: displacement of the contact vertex, shape [B, T, 3] [scene units].
         slopes: its derivatives by θ, shape [B, T, 3, 3].
         theta: k_s, k_d and signed F, shape [B, 3] [normalised].
-        observation: what was seen; padding may hold anything, also NaN.
+        observation: what was observed; padding may hold anything, also NaN.
         noise: σ of every observed coordinate, shape [B] [scene units].
 
     Returns:
-        The misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3] by φ; 0 where nothing was seen.
+        The misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3] by φ; 0 where nothing was
+        observed.
     """
     sigma = noise.double()[:, None, None]
     residual = _difference(path.double(), observation) / sigma
@@ -77,7 +78,7 @@ def linearise_depth(
         path: displacement of the V vertices, shape [B, T, V, 3] [scene units].
         slopes: its derivatives by θ, shape [B, T, V, 3, 3].
         theta: k_s, k_d and signed F, shape [B, 3] [normalised].
-        observation: what was seen of these vertices.
+        observation: what was observed of these vertices.
 
     Returns:
         As `linearise`.
@@ -105,7 +106,7 @@ def _seen(observation: DepthBatch, moved: Tensor, tangent: Tensor) -> tuple[Tens
     """Change of the depth of every sample's pixels, and its derivatives by φ, shapes [B, N, P] and [B, N, P, 3].
 
     Args:
-        observation: whose views say what is seen.
+        observation: whose views say what is observed.
         moved, tangent: displacements of the vertices [B, N, V, 3] and their derivatives [B, N, V, 3, 3].
     """
     found = []
@@ -116,7 +117,7 @@ def _seen(observation: DepthBatch, moved: Tensor, tangent: Tensor) -> tuple[Tens
 
 
 def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
-    """Simulated minus observed displacement [B, M, 3]; 0 where nothing was seen."""
+    """Simulated minus observed displacement [B, M, 3]; 0 where nothing was observed."""
     steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
     simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
     return torch.where((observation.weight > 0)[..., None], simulated - observation.displacement, 0.0)

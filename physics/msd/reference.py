@@ -1,4 +1,4 @@
-"""The mass-spring-damper rollout in plain numpy: short enough to be read beside the equation, and needs no compiler.
+"""The mass-spring-damper rollout in plain numpy: short enough to be read next to the equation, and needs no compiler.
 
 Source: Bini 2026, equation 9 and table 1: m ẍ + k_d ẋ + k_s x = F_ext per vertex, springs along the mesh's edges.
 """

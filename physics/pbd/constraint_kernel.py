@@ -86,7 +86,7 @@ def _column(matrix, index):
 
 @inlined
 def turned_back(rotation, matrix):
-    """Rᵀ A by columns: what is left of A beside its rotation."""
+    """Rᵀ A by columns: what is left of A besides its rotation."""
     a, b, c = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
     return (

@@ -334,7 +334,7 @@ FAULTY = {
 
 @pytest.fixture(scope="module", params=FAULTY)
 def damaged(request: pytest.FixtureRequest, pressed: SyntheticClip) -> tuple[list[PreparedFrame], list]:
-    """A clip of every kind, and its runs of contact: their first frames and whether their onsets are seen."""
+    """A clip of every kind, and its runs of contact: their first frames and whether their onsets are visible."""
     numbers, faults, runs = FAULTY[request.param]
     return faulty(pressed, numbers, faults), runs
 

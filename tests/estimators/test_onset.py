@@ -21,7 +21,7 @@ CONTACT = Interaction(
 
 
 def test_later_beginnings_leave_less_time_for_the_same_motion() -> None:
-    """Frames of 40 ms are 8 steps: what was seen in the 8th step happened 4 or 12 steps after other beginnings."""
+    """Frames of 40 ms are 8 steps: what was observed in the 8th step happened 4 or 12 steps after other beginnings."""
     assert onset_perturbations(CONTACT, 0.0, 2) == [CONTACT]
     found = onset_perturbations(CONTACT, 0.04, 2)
     assert [each.observation.steps(STEP).tolist() for each in found] == [
@@ -34,7 +34,7 @@ def test_later_beginnings_leave_less_time_for_the_same_motion() -> None:
     np.testing.assert_array_equal(found[-1].observation.displacement, CONTACT.observation.displacement[:, 1:])
     for each in found:
         assert each.load_seconds == pytest.approx(0.25)
-        assert each.load.steps == 208  # what was seen in the load's last step may lie a frame behind it
+        assert each.load.steps == 208  # what was observed in the load's last step may lie a frame behind it
     assert len(onset_perturbations(CONTACT, 0.04, 4)) == 4
     (alone,) = onset_perturbations(CONTACT, 0.04, 5)
     np.testing.assert_array_equal(alone.observation.times, CONTACT.observation.times)

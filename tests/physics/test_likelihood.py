@@ -39,7 +39,7 @@ def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian():
     _, slopes = simulate_sensitivities(theta, MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)
     slopes = np.swapaxes(log_jacobian(slopes, theta)[STEPS], 0, 1)
     rows = (slopes / NOISE[:, None]).reshape(36, len(logs))
-    np.testing.assert_allclose(around.residual, 0, atol=1e-4)  # single precision of what was seen
+    np.testing.assert_allclose(around.residual, 0, atol=1e-4)  # single precision of what was observed
     np.testing.assert_allclose(around.jacobian, rows, rtol=1e-9, atol=1e-9 * np.abs(rows).max())
     np.testing.assert_allclose(likelihood.information(logs), rows.T @ rows, rtol=1e-9)
     weight = np.diag(np.tile(NOISE, 12) ** -2.0)  # Σ⁻¹, which differs by axis

@@ -1,4 +1,4 @@
-"""What was seen: shapes, instants, noise by axis."""
+"""What was observed: shapes, instants, noise by axis."""
 
 from __future__ import annotations
 

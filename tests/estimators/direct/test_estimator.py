@@ -105,7 +105,7 @@ def expected_information(theta: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 def test_exact_motion_gives_the_parameters_back(theta: tuple[float, float, float]) -> None:
     estimate = fit(contact_of(theta))
-    # The posterior is not quite symmetric, so its mean lies a little beside its mode.
+    # The posterior is not quite symmetric, so its mean lies a little next to its mode.
     assert (np.abs(np.log(estimate.theta / theta)) < 0.25 * estimate.log_sd).all()
     assert estimate.misfit < 0.01
     assert not estimate.at_bound.any()

@@ -407,7 +407,7 @@ def test_an_outlier_does_not_move_the_fit(place: Literal["middle", "wall", "far"
 
     found = fitted(spoiled)
     sd = np.sqrt(np.diag(np.linalg.inv(found.information)))
-    # It is as if nothing had been seen there.
+    # It is as if nothing had been observed there.
     assert (np.abs(found.logs - fitted(hidden).logs) < 0.2 * sd).all()
     assert (np.abs(found.logs - fitted(plain).logs) < 0.6 * sd).all()
     if place != "far":

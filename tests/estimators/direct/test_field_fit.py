@@ -149,7 +149,7 @@ def test_exact_sequences_made_with_fine_steps_give_the_parameters_back(
     fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
     contact = contact_of(theta, size=size, mechanics=fine)
     estimate = fit(dataclasses.replace(contact, load=contact_of(theta).load, time_step=MECHANICS.time_step))
-    # A posterior that is not narrow has its mean beside its mode.
+    # A posterior that is not narrow has its mean next to its mode.
     assert (np.abs(errors(estimate, theta)) < (0.1 if estimate.log_sd.max() < NARROW else 0.35)).all()
     assert estimate.misfit < 0.05
 

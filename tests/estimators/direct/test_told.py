@@ -1,4 +1,4 @@
-"""What a direct fit tells beside its parameters: the motion that is drawn, and doubts."""
+"""What a direct fit tells besides its parameters: the motion that is drawn, and doubts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_release_that_came_later_holds_the_force_for_longer() -> None:
     (_, plain), (_, longer) = motion(), motion(CONTACT, 0.0, SHIFT)
     np.testing.assert_allclose(longer[: LOAD_STEPS + 1], plain[: LOAD_STEPS + 1], rtol=1e-6, atol=1e-9)
     assert not np.allclose(longer[LOAD_STEPS + 2 :], plain[LOAD_STEPS + 2 :], atol=1e-5)
-    # One whose release was not seen stays pressed, whatever its other delay.
+    # One whose release was not observed stays pressed, whatever its other delay.
     pressed = dataclasses.replace(CONTACT.load, factor=held(MECHANICS.steps, MECHANICS.steps))
     _, held_on = motion(dataclasses.replace(CONTACT, load=pressed), 0.0)
     np.testing.assert_allclose(held_on[: LOAD_STEPS + 1], plain[: LOAD_STEPS + 1], rtol=1e-6, atol=1e-9)

@@ -148,7 +148,7 @@ def truth(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def seen(cells: tuple[int, int, int], noise: float = 0.0) -> list[SeenFrame]:
-    """Points of every frame; some beside the tool are dragged along by 3 px, as their noise says."""
+    """Points of every frame; some next to the tool are dragged along by 3 px, as their noise says."""
     moved, _ = truth(cells)
     distance, generator = grid()[1], np.random.default_rng(8)
     near = distance < 12

@@ -1,4 +1,4 @@
-"""A sheet whose grip is not seen well: foundation and force are found again all the same, or it is said why not."""
+"""A sheet whose grip is not visible well: foundation and force are found again all the same, or it is said why not."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_a_tool_that_hides_too_much_is_refused() -> None:
 
 
 def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:
-    """A wave within a told noise that is three times too large."""
+    """A wave within a given noise that is three times too large."""
     places, distance = grid()
     wave = 0.15 * np.sin(places[distance > 5] / 25)
     plain, waved = (

@@ -141,7 +141,7 @@ def test_forces_are_over_that_of_the_last_frame() -> None:
 
 
 def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
-    """Only what is seen in all frames is held; where that is too little, nothing is said."""
+    """Only what is observed in all frames is held; where that is too little, nothing is said."""
     points = grid()
     whole = held(points)
     fewer = whole & (np.cumsum(whole) <= 21)

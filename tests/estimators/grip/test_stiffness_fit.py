@@ -73,7 +73,7 @@ def test_nothing_is_known_where_nothing_moves() -> None:
     far = np.linalg.norm(moved, axis=1)
     assert field.known(points[far > 5]).mean() > 0.9
     assert field.known(points[far < 0.5]).mean() < 0.1
-    # As sure as before anything was seen, and no surer.
+    # As sure as before anything was observed, and no surer.
     weak = dataclasses.replace(field, covariance=field.expected)
     assert not weak.known(points).any()
 

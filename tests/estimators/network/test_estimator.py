@@ -38,7 +38,7 @@ def network(posterior) -> NetworkEstimator:
 
 @pytest.fixture(scope="module")
 def contact(pressed, frames: list[PreparedFrame]) -> Interaction:
-    """The clip's run of contact, as it was seen to its end, without its depth-change sequence."""
+    """The clip's run of contact, as it was observed to its end, without its depth-change sequence."""
     return built(pressed, frames, None)
 
 
@@ -93,7 +93,7 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
         if item.status != "ok":
             assert (item.estimate, item.verdict, "stiffness_sd" in values) == (None, "", False)
             continue
-        if item.frame < onset + 2:  # too little motion was seen
+        if item.frame < onset + 2:  # too little motion was observed
             assert (item.estimate, item.verdict) == (None, "undetermined")
             assert item.detail == TOO_EARLY
             continue
@@ -221,7 +221,7 @@ def test_a_motion_that_is_not_explained_widens_the_intervals(network: NetworkEst
 
 
 def test_a_motion_across_the_force_is_no_misfit(network: NetworkEstimator, contact: Interaction) -> None:
-    """A measured normal that is off by some degrees would look like it; the network is not told of it either."""
+    """A measured normal that is off by some degrees would look like it; the network is not determined of it either."""
     across = np.cross(contact.direction, [1.0, 0.0, 0.0])
     straight, aside = (estimated(network, each) for each in (contact, moved(contact, contact.moved + 0.05 * across)))
     assert aside.misfit == pytest.approx(straight.misfit, rel=1e-4)

@@ -40,7 +40,7 @@ def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
 
 @pytest.mark.parametrize("within", [0.0, 0.04])
 def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> None:
-    """The bottom of the dent, which is narrower than a pixel of the grid, is not seen at its depth."""
+    """The bottom of the dent, which is narrower than a pixel of the grid, is not visible at its depth."""
     contact, logs = contact_of(within)
     misfit, information = compared(contact, MECHANICS, logs, SURE, within)
     assert 0.5 < misfit < 1.3

@@ -44,7 +44,7 @@ def random_sequences(count: int = 3) -> DepthSequences:
 
 
 def test_sequence_information_is_that_of_the_whole_covariance() -> None:
-    """Of all slots that are seen at once, with the rest surface's error the same in all of them."""
+    """Of all slots that are visible at once, with the rest surface's error the same in all of them."""
     sequences, generator = random_sequences(), np.random.default_rng(1)
     noise = np.array([1e-3, 5e-4, 3e-3])
     errors = 1e-3 * generator.normal(size=sequences.amounts.shape)

@@ -130,7 +130,7 @@ def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps:
 def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> None:
     """On eight contacts, two hundred steps bring the estimates nearer to what explains the motions.
 
-    Those that were seen for a second: most windows that end under the tool tell too little to come near.
+    Those that were observed for a second: most windows that end under the tool tell too little to come near.
     """
     posterior = new_posterior()
     generator = np.random.default_rng(1)
@@ -150,9 +150,9 @@ def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.slow
 def test_the_expected_bound_learns_and_leaves_the_posterior_alone(fits: Fits) -> None:
-    """On eight contacts, four hundred steps tell how well each was seen, under noise that was not drawn before.
+    """On eight contacts, four hundred steps tell how well each was observed, under noise that was not drawn before.
 
-    Half as many are enough for contacts that were seen to their end.
+    Half as many are enough for contacts that were observed to their end.
     """
     posterior = new_posterior()
     generator = np.random.default_rng(1)

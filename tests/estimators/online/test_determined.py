@@ -83,7 +83,8 @@ def test_what_is_known_is_true_and_both_optimisers_agree_on_it(sheet: Surface) -
 
 
 def test_nothing_is_known_where_the_instrument_does_not_explain_the_motion(sheet: Surface) -> None:
-    """The same motion with a path that is invented: tissue stretches in the simulation, by nothing that was seen."""
+    """The same motion with a path that is invented: tissue stretches in the simulation, by nothing that was
+    observed."""
     moved, rest = followed(sheet, 8), sheet.body.rest[sheet.gripped, 2]
     chosen = dataclasses.replace(SETTINGS, stepping=STEPPING, path="path.csv")
     tissue = DrivenTissue(sheet, POINTS, AWAY, chosen)

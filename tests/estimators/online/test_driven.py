@@ -85,7 +85,7 @@ def test_the_far_edge_is_pinned_and_what_is_near_the_tool_gripped(surface: Surfa
     assert away[~gripped].min() > surface.reach - 2
     right = pixels[:, 0] > pixels[:, 0].max() - 1
     assert pinned[right].all()
-    assert away[pinned].min() >= np.percentile(away, 60) - 2  # the picture's border beside the tool is free
+    assert away[pinned].min() >= np.percentile(away, 60) - 2  # the picture's border next to the tool is free
     border = (pixels[:, 1] < pixels[:, 1].min() + 1) & (pixels[:, 0] < 100)
     assert border.any()
     assert not pinned[border].any()

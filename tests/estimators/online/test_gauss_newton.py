@@ -100,7 +100,8 @@ def test_one_step_goes_to_the_minimum_of_gap_and_prior(monkeypatch: pytest.Monke
 @pytest.mark.slow
 @pytest.mark.parametrize("begun", [5.0, 0.2])
 def test_the_field_is_found_from_stiff_and_from_soft(begun: float):
-    """Where all particles are seen as they are, and the truth is the estimator's own simulation: few, so heavy ones."""
+    """Where all particles are visible as they are, and the truth is the estimator's own simulation: few, so heavy
+    ones."""
     body, frames = sheet(9, 6, pinned_rows=1), 40
     objective, places = pulled(body, frames)
     objective = dataclasses.replace(objective, weights=Weights(gap=100.0))

@@ -1,4 +1,4 @@
-"""A cloud finds its way back to the surface it was seen on."""
+"""A cloud finds its way back to the surface it was observed on."""
 
 from __future__ import annotations
 

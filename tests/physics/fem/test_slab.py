@@ -62,7 +62,7 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
     loose = slab_beneath(edge, middle(edge), NORMAL, THICKNESS, attached=False)
     assert not loose.held[loose.top[1:-1, 1:-1]].any()
     np.testing.assert_array_equal(loose.held[loose.top[0]], slab.held[slab.top[0]])
-    # Where tissue is seen, the surface is the mesh's.
+    # Where tissue is visible, the surface is the mesh's.
     rows, columns = loose.rows, loose.columns[:-1]
     expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns[:, None] - SIDE / 2) * (rows - SIDE / 2))
     inside = columns < SIDE // 2 + 8

@@ -17,7 +17,7 @@ def volumes(rest: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 
 def anticlockwise(body) -> np.ndarray:
-    """Faces of a sheet as they are seen from above."""
+    """Faces of a sheet as they are visible from above."""
     one, two, three = body.rest[body.faces].transpose(1, 0, 2)
     turned = np.cross(two - one, three - one)[:, 2] < 0
     return np.where(turned[:, None], body.faces[:, ::-1], body.faces)

@@ -14,7 +14,7 @@ BODIES = {"sheet": sheet(4, 4), "block": block((2, 1, 1))}
 
 
 def case_of(name, seed=0, size=1e-3):
-    """Energy, positions and a direction; spreads of the stiffness make kinds of constraint weigh alike."""
+    """Energy, positions and a direction; spreads of the stiffness make kinds of constraint weigh equally."""
     body, random = BODIES[name], np.random.default_rng(seed)
     stiffness = random.uniform(0.5, 2.0, len(body.layout.rest))
     stiffness[body.kinds[1]] *= 1e10

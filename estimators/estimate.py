@@ -288,8 +288,13 @@ class FrameEstimate:
     @functools.cached_property
     def values(self) -> dict[str, Any]:
         """Everything by name, the numbers of estimate and field included; what is not known is missing or None."""
-        told = {} if self.estimate is None else self.estimate.numbers()
-        return {**vars(self), **told, **({} if self.field is None else self.field.numbers()), "verdict": self.verdict}
+        numbers = {} if self.estimate is None else self.estimate.numbers()
+        return {
+            **vars(self),
+            **numbers,
+            **({} if self.field is None else self.field.numbers()),
+            "verdict": self.verdict,
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,11 +103,7 @@ def _open_direct(options: EstimatorOptions) -> DirectEstimator:
     if model == SHEET and options.thickness is not None:
         raise ValueError("--thickness is for --model fem; a sheet has none, so leave it out.")
     return DirectEstimator(
-        options.onset or BETWEEN,
-        options.observation,
-        options.horizon,
-        options.noise,
-        thickness=options.thickness,
+        options.onset or BETWEEN, options.observation, options.horizon, options.noise, thickness=options.thickness
     )
 
 

@@ -185,22 +185,22 @@ def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics
 def doubts(found: Estimate, bounds: Bounds) -> str:
     """Sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
     oblique = remark(found)
-    told = [oblique] if oblique else []
+    sentences = [oblique] if oblique else []
     if found.refuted:
-        told.append(found.refuted)
+        sentences.append(found.refuted)
     if found.misfit > found.largest_misfit:
-        told.append(
+        sentences.append(
             f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it"
             # An oblique one was widened by its misfit.
             + ("." if oblique else ", so the uncertainties are too small.")
         )
     if found.modes > 1:
-        told.append(f"{found.modes} kinds of tissue far apart explain the motion; the intervals span them all.")
+        sentences.append(f"{found.modes} kinds of tissue far apart explain the motion; the intervals span them all.")
     if found.delays_at_end:
-        told.append(
+        sentences.append(
             "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."
         )
     for name, stuck, (low, high) in zip(PARAMETERS, found.at_bound, np.exp(bounds.log_box).T, strict=True):
         if stuck:
-            told.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
-    return " ".join(told)
+            sentences.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
+    return " ".join(sentences)

@@ -192,18 +192,18 @@ class _Problem:
         if not self._seen.any(axis=1).all():
             raise NoEstimate("No followed point lies on the slab; choose a place where tissue is seen.")
         self._moved = np.where(self._seen[..., None], moved, 0.0)
-        self._told = np.square(np.maximum([frame.noise[counted] for frame in frames], LINK))
+        self._given = np.square(np.maximum([frame.noise[counted] for frame in frames], LINK))
         self._terms = affine_terms(self.places)
         self.size = float(np.sqrt(np.square(moved[-1][self._seen[-1]]).sum(axis=-1).mean()))
         """Of the points' motion in the last frame, root mean square [px]."""
-        self.scale = float(self._told.min())
+        self.scale = float(self._given.min())
         """Of errors besides the given noise, variance by axis [px²]."""
         self._weights: np.ndarray = self._seen.astype(np.float64)
 
     def solve(self, motion: PullMotion, logs: np.ndarray) -> _Solved:
         """The likeliest way and background, as the points count by now."""
         answer, held = motion.at(logs)
-        root = np.sqrt(self._weights / (self._told + self.scale) * INSTANTS / ALIKE / len(answer))
+        root = np.sqrt(self._weights / (self._given + self.scale) * INSTANTS / ALIKE / len(answer))
         rows, right = [], []
         for columns, seen, weight in zip(answer, self._moved, root, strict=True):
             # What the background could do as well tells nothing.
@@ -232,9 +232,9 @@ class _Problem:
         """Weight the points anew by how far they lie from the slab, and find the size of their errors."""
         for _ in range(ROUNDS):
             squares = self.solve(motion, logs).squares
-            told, seen = self._told[self._seen], squares[self._seen]
-            self.scale = error_scale(seen, told, self._weights[self._seen], self.scale, LEAST_SCALE)
-            self._weights[self._seen] = student_weights(seen, told + self.scale)
+            given, seen = self._given[self._seen], squares[self._seen]
+            self.scale = error_scale(seen, given, self._weights[self._seen], self.scale, LEAST_SCALE)
+            self._weights[self._seen] = student_weights(seen, given + self.scale)
 
 
 def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, frames: Sequence[SeenFrame]) -> PullFit:
@@ -271,10 +271,10 @@ def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, f
         )
         logs = found.x
     information = found.jac.T @ found.jac + box_information(SLAB_BOUNDS.log_box[:, :2])
-    return _told(problem, motion, logs, np.linalg.inv(information))
+    return _concluded(problem, motion, logs, np.linalg.inv(information))
 
 
-def _told(problem: _Problem, motion: PullMotion, logs: np.ndarray, covariance: np.ndarray) -> PullFit:
+def _concluded(problem: _Problem, motion: PullMotion, logs: np.ndarray, covariance: np.ndarray) -> PullFit:
     """What a fit at φ [2], known with a covariance [2, 2], says of the force."""
     here = problem.solve(motion, logs)
     length, along, _ = along_last(here.force)

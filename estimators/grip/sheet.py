@@ -39,7 +39,7 @@ ENERGY, FREE = 300.0, 3000.0
 """Prior scale of the work that the forces do, a number of them [px² · stiffness]: at a node alone 10 px. The sum of the
 forces hangs on it where an instrument hides tissue. The foundation is determined with ten times as much: strong pulls,
 which are expected less, would pass for a softer attachment."""
-UNTOLD = 1e-6
+NEGLIGIBLE = 1e-6
 """Of the loads' independent numbers those count that move points by more than so much, as far as they are expected
 [px²]: no link tells of others."""
 LINK = 0.05
@@ -129,7 +129,7 @@ class Design(NamedTuple):
     """Prior precision of these, shape [K + 3]."""
     loads: np.ndarray
     """Loads on the M places for a unit of the numbers, shape [M, K]."""
-    untold: float
+    undetermined: float
     """Variance by axis of the sum of the loads that no point tells [stiffness² × px²]."""
 
 
@@ -216,9 +216,9 @@ class SheetProblem:
         prior = load_precision(answer, self._loaded_cells, energy)[: self.loaded, : self.loaded]
         triangle = cholesky(prior, check_finite=False)
         by_number = solve_triangular(triangle, rows[:, : self.loaded].T, trans=1, check_finite=False).T
-        told, vectors = np.linalg.eigh(by_number.T @ by_number)
+        values, vectors = np.linalg.eigh(by_number.T @ by_number)
         loads = solve_triangular(triangle, vectors, check_finite=False)
-        kept = told > UNTOLD
+        kept = values > NEGLIGIBLE
         return Design(
             np.hstack([rows[:, : self.loaded] @ loads[:, kept], rows[:, self.loaded :]]),
             np.append(np.ones(int(kept.sum())), np.zeros(3)),
@@ -235,24 +235,24 @@ class SheetProblem:
             start: from which to begin.
         """
         seen = np.flatnonzero(np.isfinite(frame.moved[self.counted]).all(axis=1))
-        told = np.square(np.maximum(frame.noise[self.counted][seen], LINK))
+        given = np.square(np.maximum(frame.noise[self.counted][seen], LINK))
         rows, moved = design.rows[seen], frame.moved[self.counted][seen]
         scale = 0.0 if start is None else start.scale
-        weights = np.ones(len(told)) if start is None else start.weights[seen]
+        weights = np.ones(len(given)) if start is None else start.weights[seen]
         for _ in range(ROUNDS if start is None else AGAIN):
             before = weights
-            root = np.sqrt(weights / (told + scale) / ALIKE)[:, None]
+            root = np.sqrt(weights / (given + scale) / ALIKE)[:, None]
             factor = _factor(rows * root, design.precision)
             found = cho_solve(factor, (rows * root).T @ (moved * root), check_finite=False)
             squares = np.square(moved - rows @ found).sum(axis=1)
-            scale = error_scale(squares, told, weights, scale, LEAST_SCALE)
-            weights = student_weights(squares, told + scale)
+            scale = error_scale(squares, given, weights, scale, LEAST_SCALE)
+            weights = student_weights(squares, given + scale)
             if np.abs(weights - before).max() < CONVERGED:
                 break
         whole = np.zeros(len(self.counted))
         whole[seen] = weights
         return Solved(
-            student_loss(squares, told + scale) / ALIKE + float(0.5 * design.precision @ np.square(found).sum(axis=1)),
+            student_loss(squares, given + scale) / ALIKE + float(0.5 * design.precision @ np.square(found).sum(axis=1)),
             np.vstack([design.loads @ found[:-3], found[-3:]]),
             whole,
             scale,
@@ -260,8 +260,8 @@ class SheetProblem:
 
     def whitened(self, frame: SeenFrame, solved: Solved) -> Whitened:
         """What makes errors of a frame independent and of size 1."""
-        told = np.square(np.maximum(frame.noise[self.counted], LINK)) + solved.scale
-        sizes = np.sqrt(told / np.where(solved.weights > 0, solved.weights, np.nan))
+        given = np.square(np.maximum(frame.noise[self.counted], LINK)) + solved.scale
+        sizes = np.sqrt(given / np.where(solved.weights > 0, solved.weights, np.nan))
         transform = self._whitening.transform(sizes)
         return Whitened(transform, transform @ np.where(solved.weights[:, None] > 0, frame.moved[self.counted], 0.0))
 
@@ -275,7 +275,7 @@ class SheetProblem:
         return Profile(
             0.5 * float((left * seen.moved).sum()),
             total @ found,
-            float(total @ cho_solve(factor, total, check_finite=False)) + design.untold,
+            float(total @ cho_solve(factor, total, check_finite=False)) + design.undetermined,
         )
 
     def motion(self, log_anchor: float, solved: Solved, places: np.ndarray) -> np.ndarray:
@@ -359,8 +359,8 @@ def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Meas
             judged, (looked, found), error = measured, again, MODEL_ERRORS.foundation_measured
     log_anchor = found.log_anchor
     left = np.array([judged.left(log_anchor, *pair) for pair in zip(looked, found.solved, strict=True)])
-    told = information(found.curvatures, frame_correlation(left))
-    variance = judged.wider(left[-1]) * median_sd(left[-1]) ** 2 / max(told, TINY)
+    known = information(found.curvatures, frame_correlation(left))
+    variance = judged.wider(left[-1]) * median_sd(left[-1]) ** 2 / max(known, TINY)
     return _with_forces(problem, frames, log_anchor, variance + error**2)
 
 
@@ -381,7 +381,7 @@ def _with_forces(
         for design in (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
     )
     (shorter, ratios_less, _), (length, along, _), (longer, ratios_more, _) = (
-        along_last(np.array([item.force for item in told])) for told in (less, here, more)
+        along_last(np.array([item.force for item in found])) for found in (less, here, more)
     )
     bent = (np.log(longer) - np.log(shorter)) / (2 * STEP)
     variances = wider * np.array([item.variance for item in here])

@@ -125,8 +125,8 @@ class _Problem:
         self.seen = np.flatnonzero(seen)
         """Points that are visible, shape [n]."""
         self._moved = frame.moved[kept][seen]
-        told = np.square(np.maximum(frame.noise[kept][seen], LINK))
-        self._told = told + np.square(STRAINED * far[kept][seen])
+        given = np.square(np.maximum(frame.noise[kept][seen], LINK))
+        self._given = given + np.square(STRAINED * far[kept][seen])
         self._terms = affine_terms(self.points)
         self.alike = max(ALIKE / step**2, 1.0)
         self.scale = 0.0
@@ -152,8 +152,8 @@ class _Problem:
         """Weight the points anew by how far they lie from the sheet, and find the size of their errors."""
         for _ in range(ROUNDS):
             squares = np.square(self._solved(numbers).left).sum(axis=1)
-            self.scale = error_scale(squares, self._told, self._weights, self.scale, LEAST_SCALE)
-            self._weights = student_weights(squares, self._told + self.scale)
+            self.scale = error_scale(squares, self._given, self._weights, self.scale, LEAST_SCALE)
+            self._weights = student_weights(squares, self._given + self.scale)
 
     def residual(self, numbers: np.ndarray) -> np.ndarray:
         """Of points and priors, whitened, as the points count by now, shape [R]; its squares add up to χ²."""
@@ -190,7 +190,7 @@ class _Problem:
             prior += TINY * prior.max() * np.eye(held + 3)
             self._latest = np.array(numbers), unit, cholesky(prior, check_finite=False)
         _, unit, loads = self._latest
-        root = np.sqrt(self._weights / (self._told + self.scale) / self.alike)[:, None]
+        root = np.sqrt(self._weights / (self._given + self.scale) / self.alike)[:, None]
         rows = np.hstack([unit.displacement[: self.count], self._terms])[self.seen] * root
         factor = cho_factor(rows.T @ rows + loads.T @ loads, check_finite=False)
         found = cho_solve(factor, rows.T @ (self._moved * root), check_finite=False)

@@ -16,11 +16,7 @@ import numpy as np
 
 from palpate.data.contact.features import FRAME_RATE, contact_surroundings, slot_times
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.sequence_features import (
-    dent_shapes,
-    motion_in_sequence,
-    shape_amounts,
-)
+from palpate.data.contact.sequence_features import dent_shapes, motion_in_sequence, shape_amounts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import ContactProblem, find_optimum

@@ -46,15 +46,7 @@ from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import REGIMES
 from palpate.estimators.network.draws import NOISE, Drawn, draw_observed
-from palpate.estimators.network.fits import (
-    BOUNDS,
-    EXPLAINED,
-    FRAME_S,
-    MECHANICS,
-    SCENES,
-    Fits,
-    fit_sequence,
-)
+from palpate.estimators.network.fits import BOUNDS, EXPLAINED, FRAME_S, MECHANICS, SCENES, Fits, fit_sequence
 from palpate.models.evidence import box_prior, covering, preconditioned
 from palpate.models.expected_bound import bound_loss
 from palpate.models.posterior import ContactPosterior

@@ -27,7 +27,7 @@ PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
 
-class _Told(NamedTuple):
+class _Given(NamedTuple):
     """What a frame tells, as `DrivenTissue.step` takes it."""
 
     moved: np.ndarray
@@ -51,7 +51,7 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: list[_Told] = []
+        self._first: list[_Given] = []
         self._awaited = settings.fitted
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
@@ -158,8 +158,8 @@ class DrivenTissue:
             led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
                 where it doesn't tell.
         """
-        frame = _Told(moved, cloud, seen, led)
-        told = self._taken(*frame)
+        frame = _Given(moved, cloud, seen, led)
+        found = self._taken(*frame)
         if self._awaited > 0:
             self._awaited -= 1
             self._first.append(frame)
@@ -167,9 +167,9 @@ class DrivenTissue:
                 if self._fitted():
                     self._begin()
                     for frame in self._first:
-                        told = self._taken(*frame)
+                        found = self._taken(*frame)
                 self._first = []
-        return told
+        return found
 
     def _fitted(self) -> bool:
         """Choose time step, foundation and bending by the first frames; whether these tell anything."""
@@ -204,15 +204,15 @@ class DrivenTissue:
                 matches.append(Chamfer(cloud, seen))
         seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
-        told = self.session.step(self._places, matches)
+        found = self.session.step(self._places, matches)
         self._past.append(self._places)
         first, second = self._edges
-        lengths = np.linalg.norm(told.positions[first] - told.positions[second], axis=1)
+        lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
         strained = np.abs(lengths / rest - 1) > self.settings.strain
-        if told.terms is not None:  # stiffness was learnt from it
+        if found.terms is not None:  # stiffness was learnt from it
             self._moving[first[strained]] = self._moving[second[strained]] = True
-        return told
+        return found
 
     def ahead(self, moved: np.ndarray) -> np.ndarray:
         """Predicted displacement of the points `around` under a path of the instrument alone, shape [T, Q, 2] [px].

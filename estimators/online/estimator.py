@@ -127,11 +127,11 @@ class OnlineSession(RunSession):
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None
-        told, found = self._reason, None
+        said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            told = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
-        detail = " ".join(filter(None, (run.detail, told, FIELD_ALONE)))
+            said = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
+        detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)
 
 
@@ -186,8 +186,8 @@ class _Followed:
         shrunk = np.divide((surface.camera.width, surface.camera.height), self._clip.size)
         places = self._driven.led_places(motion[:2] * shrunk - self._background[surface.gripped], -motion[2])
         if not (places[:, 2] > 0).all():
-            told = f"takes tissue behind the camera by {time:g} s"
-            raise InputError(f"{printable(self._path.path)} {told}; give z in scene units, as the clip's depth is.")
+            said = f"takes tissue behind the camera by {time:g} s"
+            raise InputError(f"{printable(self._path.path)} {said}; give z in scene units, as the clip's depth is.")
         return places
 
     @property

@@ -37,8 +37,8 @@ class Pins:
     def require_size(self, size: tuple[int, int]) -> None:
         """Raise an InputError unless pictures of such width and height [px] have its pixels."""
         if self.size != size:
-            told = "is {}x{}, the clip's pictures are {}x{}".format(*self.size, *size)
-            raise InputError(f"{printable(self.path)} {told}; give a mask of the size of the clip's pictures.")
+            said = "is {}x{}, the clip's pictures are {}x{}".format(*self.size, *size)
+            raise InputError(f"{printable(self.path)} {said}; give a mask of the size of the clip's pictures.")
 
     def at(self, pixels: np.ndarray) -> np.ndarray:
         """Whether places [N, 2] (column, row) [px] are white, shape [N], bool."""
@@ -70,8 +70,8 @@ class GripperPath:
         """
         place = self.at(frame.time_s)
         if place is None:
-            told = f"tells no place at {frame.time_s:g} s, when contact begins in frame {frame.number}"
-            raise NoEstimate(f"{printable(self.path)} {told}; give rows from before that time on.")
+            said = f"tells no place at {frame.time_s:g} s, when contact begins in frame {frame.number}"
+            raise NoEstimate(f"{printable(self.path)} {said}; give rows from before that time on.")
         return place
 
 

@@ -179,8 +179,8 @@ def _led(path: GripperPath, apart: np.ndarray, reach: float, larger: float, numb
         NoEstimate: even that is out of reach.
     """
     if apart.min() > reach:
-        told = f"is {apart.min() * larger:.0f} px away from all tissue in frame {number}, when contact begins"
-        raise NoEstimate(f"{printable(path.path)} {told}; give the gripper's place in the clip's pictures.")
+        said = f"is {apart.min() * larger:.0f} px away from all tissue in frame {number}, when contact begins"
+        raise NoEstimate(f"{printable(path.path)} {said}; give the gripper's place in the clip's pictures.")
     return apart <= max(DRIVEN, apart.min())
 
 
@@ -192,8 +192,8 @@ def _white(pins: Pins, mesh: Mesh, driven: np.ndarray, number: int) -> np.ndarra
     """
     white = pins.at(grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, pins.size)) & ~driven
     if not white.any():
-        told = f"is white at none of the {(~driven).sum()} particles of free tissue in frame {number}"
-        raise NoEstimate(f"{printable(pins.path)} {told}; paint wider areas there.")
+        said = f"is white at none of the {(~driven).sum()} particles of free tissue in frame {number}"
+        raise NoEstimate(f"{printable(pins.path)} {said}; paint wider areas there.")
     return white
 
 
@@ -225,8 +225,8 @@ def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Bo
     rest, tetrahedra = layered(upper, faces, below, layers)
     merged = (np.diff(rest.reshape(layers, -1, 3), axis=0) == 0).all(axis=2).any()  # by rounding
     if merged or len(tetrahedra) == 0:
-        told = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
-        raise NoEstimate(f"{told}; give the tissue's, or null for a sheet.")
+        said = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
+        raise NoEstimate(f"{said}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))
 
 

@@ -221,13 +221,13 @@ def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent
     _require_size(f"{where}: pose_shift", each.pose_shift, REACH / 10)
     _require_pose(where, each.pose)
     contact = np.array(each.contact)
-    told = f"{where}: contact, {list(each.contact)},"
-    _require_metres(told, lambda unit: extent.near(unit * contact, 3 if unit == 1 else 0.1))
+    said = f"{where}: contact, {list(each.contact)},"
+    _require_metres(said, lambda unit: extent.near(unit * contact, 3 if unit == 1 else 0.1))
     points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
-        told = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-        raise InputError(f"{printable(folder / each.points)} {told}.")
+        said = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
+        raise InputError(f"{printable(folder / each.points)} {said}.")
     _require_body(printable(folder / each.points), points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
     return Palpation(np.array(each.force), contact, points, np.array(each.pose, np.float64), *sizes)
@@ -279,8 +279,8 @@ def _surface(scene: SceneFile, views: list[View]) -> tuple[np.ndarray, np.ndarra
     if scene.surface is not None:
         return views[0].vertices, views[0].triangles, ()
     joined = join_views(views)
-    told = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
-    return joined.vertices, joined.triangles, (told,)
+    said = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
+    return joined.vertices, joined.triangles, (said,)
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -302,8 +302,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
         places = np.array(vertices, np.float64).reshape(-1, 3)
         faces = np.array(triangles, np.int64).reshape(-1, 3)
     except (OSError, ValueError) as error:
-        told = getattr(error, "strerror", None) or "a line is not as it should be"
-        raise InputError(f"{printable(path)} is no .obj surface ({told}); give lines v x y z and f i j k.") from error
+        said = getattr(error, "strerror", None) or "a line is not as it should be"
+        raise InputError(f"{printable(path)} is no .obj surface ({said}); give lines v x y z and f i j k.") from error
     if not len(faces) or faces.min() < 0 or faces.max() >= len(places) or not (np.abs(places) <= LARGEST).all():
         raise InputError(f"{printable(path)} holds no triangles of its own finite vertices; give lines v and f.")
     return places, faces

@@ -89,11 +89,7 @@ def turned_back(rotation, matrix):
     """Rᵀ A by columns: what is left of A besides its rotation."""
     a, b, c = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
-    return (
-        (dot(x, a), dot(x, b), dot(x, c)),
-        (dot(y, a), dot(y, b), dot(y, c)),
-        (dot(z, a), dot(z, b), dot(z, c)),
-    )
+    return ((dot(x, a), dot(x, b), dot(x, c)), (dot(y, a), dot(y, b), dot(y, c)), (dot(z, a), dot(z, b), dot(z, c)))
 
 
 @inlined

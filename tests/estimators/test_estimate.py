@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import (
-    COMBINATIONS,
-    NINETY,
-    REPORTED,
-    SYMBOLS,
-    Estimate,
-    FrameEstimate,
-    mixture,
-)
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, FrameEstimate, mixture
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 

@@ -59,10 +59,7 @@ def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart
     return told, taken() - settled
 
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc")]
 
 
 @pytest.mark.parametrize(

@@ -69,10 +69,7 @@ GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
         ({"mechanics": {"mass": 0}}, "'mechanics' of its metadata, can't be used"),
         ({"observation": "guess"}, "unknown observation 'guess'"),
         ({"geometry": GRID_SETTINGS | {"keep": "all"}}, "'geometry' of its metadata, gives keep 'all'; give a number"),
-        (
-            {"geometry": GRID_SETTINGS | {"depth_radius": 2}},
-            "has the unknown key 'depth_radius'",
-        ),
+        ({"geometry": GRID_SETTINGS | {"depth_radius": 2}}, "has the unknown key 'depth_radius'"),
         ({"geometry": GRID_SETTINGS | {"min_tool_pixels": 1.5}}, r"gives min_tool_pixels 1\.5; give a whole number"),
         ({"geometry": GRID_SETTINGS | {"smoothing": 1e8}}, r"can't be used: geometry\.smoothing is 100000000"),
         ({"geometry": GRID_SETTINGS | {"keep": 1e-9}}, r"can't be used: geometry\.keep is 1e-09"),

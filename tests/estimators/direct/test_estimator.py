@@ -48,18 +48,11 @@ def facing_sheet() -> tuple[Mesh, np.ndarray]:
 MESH, DIRECTION = facing_sheet()
 NOISE = 2e-4
 NARROW = Bounds((0.1, 0.5), (0.01, 0.15), (-0.1, -0.02), initial=(0.3, 0.05, -0.05))
-REGIMES = {
-    "under-damped": (0.4, 0.015, -0.05),
-    "critical": (0.3, 0.035, -0.05),
-    "over-damped": (0.2, 0.06, -0.06),
-}
+REGIMES = {"under-damped": (0.4, 0.015, -0.05), "critical": (0.3, 0.035, -0.05), "over-damped": (0.2, 0.06, -0.06)}
 
 
 def contact_of(
-    theta: tuple[float, float, float],
-    noise: float = NOISE,
-    seed: int | None = None,
-    delays: tuple[int, int] = (0, 0),
+    theta: tuple[float, float, float], noise: float = NOISE, seed: int | None = None, delays: tuple[int, int] = (0, 0)
 ) -> Interaction:
     """A contact that moved as the simulator says, with noise where there is a seed.
 

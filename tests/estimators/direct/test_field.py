@@ -14,12 +14,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.data.source.camera import Camera, back_project
 from palpate.estimators.direct.error_model import rounding_covariance
-from palpate.estimators.direct.field import (
-    OUTLIER,
-    STILL_NEW,
-    WALL,
-    SequenceProblem,
-)
+from palpate.estimators.direct.field import OUTLIER, STILL_NEW, WALL, SequenceProblem
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.problem import Optimum, find_optimum
 from palpate.physics.load import Press, held
@@ -38,11 +33,7 @@ SIZE, LARGER = (WIDTH, HEIGHT), (3 * WIDTH + 4, 3 * HEIGHT + 4)
 """Of pictures that are the grid, and that are brought to it."""
 SIDE = 2 * REACH + 1
 PIXELS = SIDE * SIDE
-REGIMES = {
-    "under-damped": (0.4, 0.015, -0.05),
-    "critical": (0.3, 0.035, -0.06),
-    "over-damped": (0.2, 0.06, -0.06),
-}
+REGIMES = {"under-damped": (0.4, 0.015, -0.05), "critical": (0.3, 0.035, -0.06), "over-damped": (0.2, 0.06, -0.06)}
 THETA = REGIMES["critical"]
 
 

@@ -11,15 +11,7 @@ from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_descent import descend, find_tip, slab_start
 from palpate.estimators.direct.slab_motion import SlabMotion
-from tests.estimators.direct.slabs import (
-    COARSE,
-    LOGS,
-    TIMES,
-    VERTEX_PLACE,
-    contact_of,
-    seen,
-    slab_of,
-)
+from tests.estimators.direct.slabs import COARSE, LOGS, TIMES, VERTEX_PLACE, contact_of, seen, slab_of
 from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
 
 

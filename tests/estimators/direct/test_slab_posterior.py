@@ -10,14 +10,7 @@ import numpy as np
 from palpate.data.contact.depth_sequence import SequenceNoise
 from palpate.estimators.direct.slab_motion import SlabMotion
 from palpate.estimators.direct.slab_posterior import follow_valley, moved_by_mesh
-from tests.estimators.direct.slabs import (
-    FINE,
-    LOGS,
-    TIMES,
-    VISCOUS,
-    empty_problem,
-    shows,
-)
+from tests.estimators.direct.slabs import FINE, LOGS, TIMES, VISCOUS, empty_problem, shows
 from tests.estimators.direct.test_field import MESH, SIGMA
 
 

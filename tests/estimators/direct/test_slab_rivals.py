@@ -21,14 +21,7 @@ from palpate.estimators.direct.slab_rivals import (
     with_firm_regions,
 )
 from palpate.physics.fem import NoEquilibrium
-from tests.estimators.direct.slabs import (
-    FINE,
-    LOGS,
-    THICKNESS,
-    TIMES,
-    empty_problem,
-    shows,
-)
+from tests.estimators.direct.slabs import FINE, LOGS, THICKNESS, TIMES, empty_problem, shows
 from tests.estimators.direct.test_field import MESH
 
 

@@ -36,10 +36,7 @@ def write_annotated(folder: Path, shares: np.ndarray, camera: tuple[float, float
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a clip where tissue is pulled while the camera moves, and of one where nothing moves."""
     folder = tmp_path_factory.mktemp("online")
-    clips = [
-        write_annotated(folder / "pulled", SHARES, (6.0, 0.0)),
-        write_annotated(folder / "still", np.zeros(4)),
-    ]
+    clips = [write_annotated(folder / "pulled", SHARES, (6.0, 0.0)), write_annotated(folder / "still", np.zeros(4))]
     (folder / "online.yaml").write_text(SETTINGS)
     told = ["--estimator", "online", "--settings", str(folder / "online.yaml"), "--output", str(folder / "out")]
     assert infer.main([*map(str, clips), *told]) == 0

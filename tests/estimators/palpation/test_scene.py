@@ -88,11 +88,7 @@ ROW = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 300], [0, 0, 0, 1]]
         (1, {"palpations": [PRESS | {"hole": 17.5}]}, "palpation 1: hole, 17.5, looks like millimetres;"),
         (1, {"palpations": [PRESS | {"pose_shift": 50}]}, "pose_shift, 50, looks like millimetres or centimetres;"),
         (1, {"palpations": [PRESS | {"pose": ROW}]}, "the shift of pose, 300, looks like millimetres or centimetres;"),
-        (
-            1,
-            {"palpations": [PRESS | {"contact": [50, 30, 30]}]},
-            "contact, [50, 30, 30], looks like millimetres;",
-        ),
+        (1, {"palpations": [PRESS | {"contact": [50, 30, 30]}]}, "contact, [50, 30, 30], looks like millimetres;"),
         (1, {"palpations": [PRESS | {"points": "far.csv"}]}, "far.csv, 98.1 m wide, looks like millimetres;"),
     ],
 )

@@ -30,18 +30,11 @@ LOADS = {
 }
 """A load for each of up to two meshes."""
 
-BACKENDS = [
-    pytest.param("numba", marks=pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")),
-    "torch",
-]
+BACKENDS = [pytest.param("numba", marks=pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")), "torch"]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize(
-    "mechanics",
-    [Mechanics(), Mechanics(scheme="dkd")],
-    ids=["euler", "dkd"],
-)
+@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
 def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
     meshes = [sheet(9, 8), sheet(9, 8, keep=0.5)]

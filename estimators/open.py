@@ -66,7 +66,10 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name is not None and options.name not in NAMES:
         raise ValueError(f"there is no estimator {options.name}; choose {', '.join(NAMES)}.")
     if options.name == "online":
-        return _open_online(options)
+        for name in ("model", "thickness", "onset", "observation", "noise", "horizon"):
+            if getattr(options, name) is not None:
+                raise ValueError(f"--{name} is not for --estimator online; leave it out.")
+        return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))
     if options.settings is not None:
         raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
     if options.name == "direct":
@@ -105,13 +108,6 @@ def _open_direct(options: EstimatorOptions) -> DirectEstimator:
     return DirectEstimator(
         options.onset or BETWEEN, options.observation, options.horizon, options.noise, thickness=options.thickness
     )
-
-
-def _open_online(options: EstimatorOptions) -> OnlineEstimator:
-    for name in ("model", "thickness", "onset", "observation", "noise", "horizon"):
-        if getattr(options, name) is not None:
-            raise ValueError(f"--{name} is not for --estimator online; leave it out.")
-    return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))
 
 
 def preparation(

@@ -131,20 +131,17 @@ def _sample(
         return log_likelihoods(observed, paths @ direction / sigma)
 
     shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
+    # Less information where an optimum explains the motion badly.
+    trusted = [each.information / max(variance_scale(2 * each.cost, len(observed)), 1.0) for each in optima]
     start = Mixture(
         shares / shares.sum(),
         np.array([optimum.logs for optimum in optima]),
-        np.array([WIDER * np.linalg.inv(_tempered(optimum, len(observed)) + prior) for optimum in optima]),
+        np.array([WIDER * np.linalg.inv(each + prior) for each in trusted]),
     )
     candidates, paths = known
     return sample_posterior(
         lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, (candidates, likelihoods(paths))
     )
-
-
-def _tempered(optimum: Optimum, frames: int) -> np.ndarray:
-    """Information [3, 3] at an optimum, less where it explains the motion badly."""
-    return optimum.information / max(variance_scale(2 * optimum.cost, frames), 1.0)
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:

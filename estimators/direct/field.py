@@ -132,10 +132,6 @@ class SequenceProblem(Generic[M]):
         """σ of a pixel [scene units]."""
         return self.sequence.noise.total
 
-    def _seen_to_move(self) -> np.ndarray:
-        """Pixels whose motion is clear without a model, shape [P], bool."""
-        return (np.abs(np.nan_to_num(self.observed)) > MOVED * self.sequence.noise.total).sum(axis=0) >= SEVERAL
-
     def look(self, logs: np.ndarray, *, finer: bool = False, outliers: bool = False) -> None:
         """Decide what the pixels show, and how their errors belong together, by parameters [D] near the best.
 
@@ -154,7 +150,9 @@ class SequenceProblem(Generic[M]):
         left = change - self.observed
         self.seen = np.isfinite(left)
         # By what is observed, too: else a model that moves nothing would explain everything.
-        self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | self._seen_to_move()
+        # Of some pixels the motion is clear without a model.
+        clear = (np.abs(np.nan_to_num(self.observed)) > MOVED * total).sum(axis=0) >= SEVERAL
+        self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | clear
         """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
         self._walls = np.square(WALL * self.patches.steepness(moved))
         weight = np.ones_like(left)

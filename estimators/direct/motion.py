@@ -179,15 +179,11 @@ class PressMotion:
 
     def quick(self, logs: np.ndarray) -> np.ndarray:
         """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
-        mechanics = self.quick_mechanics()
+        mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
         path = self._path(logs, mechanics, self.longest, np.float32)
         if not self.within:
             return path[self.steps].astype(np.float64)
         return between_steps(path, mechanics.time_step, self.since(logs))[0]
-
-    def quick_mechanics(self) -> Mechanics:
-        """The simulator with a wider window."""
-        return dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
 
     def coarse_path(self, logs: np.ndarray) -> tuple[np.ndarray, int]:
         """Displacements after every coarse step since the press began [T, M, 3], and how many steps one of them is."""

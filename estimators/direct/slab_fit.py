@@ -15,9 +15,17 @@ import numpy as np
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend, find_tip, slab_start
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
-from palpate.estimators.direct.slab_posterior import Valley, follow_valley, moved_by_mesh
+from palpate.estimators.direct.slab_posterior import (
+    DONE,
+    ROUGH,
+    Valley,
+    descend,
+    find_tip,
+    follow_valley,
+    moved_by_mesh,
+    slab_start,
+)
 from palpate.estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS

@@ -2,9 +2,8 @@
 
 Tissue may be firmer in some place beneath: a handful of places is compared to first order, the likeliest are fitted
 anew, and the posterior is the mean over these fits and that of homogeneous tissue (Bayesian model averaging). And it
-may
-relax: where a standard linear solid explains the sequence better than damping does, with a firm region or without, that
-model is refuted, however small its misfit.
+may relax: where a standard linear solid explains the sequence better than damping does, with a firm region or without,
+that model is refuted, however small its misfit.
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_descent import DONE, ROUGH, descend
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
-from palpate.estimators.direct.slab_posterior import shown_change
+from palpate.estimators.direct.slab_posterior import DONE, ROUGH, descend, shown_change
 from palpate.estimators.estimate import NoEstimate
 from palpate.physics.identifiability import box_information
 

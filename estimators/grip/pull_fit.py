@@ -141,8 +141,6 @@ class PullFit:
 
     logs: np.ndarray
     """log E and log d in units of the density, shape [2]."""
-    logs_sd: np.ndarray
-    """Their standard deviations, shape [2]."""
     log_force: float
     """Of what holds the tissue in the last frame over E [scene units²]."""
     log_force_sd: float
@@ -287,7 +285,6 @@ def _concluded(problem: _Problem, motion: PullMotion, logs: np.ndarray, covarian
     relative[-1] = 0.0
     return PullFit(
         logs,
-        np.sqrt(np.diag(covariance)),
         float(np.log(length)),
         float(np.sqrt(variance[-1] + spread[0] + MODEL_ERRORS.pull_force**2)),
         along,

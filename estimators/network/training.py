@@ -149,7 +149,8 @@ class Trainer:
         contacts = [contact for contact, _ in batch]
         found = list(self.threads.map(widened, contacts, mean.detach().numpy(), [blur] * len(contacts)))
         gradient, information = (
-            _tensor([getattr(item, name) for item in found]) for name in ("gradient", "information")
+            torch.from_numpy(np.array([getattr(item, name) for item in found], np.float32))
+            for name in ("gradient", "information")
         )
         box = self.posterior.lower, self.posterior.upper
         return preconditioned(mean, factor, gradient, information, *box, whiten=False)
@@ -233,10 +234,6 @@ def _ahead(thread: ThreadPoolExecutor, draw: Callable[[], Drawn]) -> Iterator[Dr
         drawn = following.result()
         following = thread.submit(draw)
         yield drawn
-
-
-def _tensor(values) -> Tensor:
-    return torch.as_tensor(np.asarray(values), dtype=torch.float32)
 
 
 def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:

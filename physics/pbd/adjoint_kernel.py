@@ -40,11 +40,6 @@ def _less(a, b):
 
 
 @inlined
-def _negative(a):
-    return -a[0], -a[1], -a[2]
-
-
-@inlined
 def _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes):
     """From s: Δλ and -w s/g; the derivatives by λ and w are written."""
     step = stepped(weight[index], value, multiplier, mobility)
@@ -61,7 +56,7 @@ def _distances_back(layout, weight, inverse_mass, kept, pull, pulled, slopes):
         one, other = members[2 * index], members[2 * index + 1]
         value, multiplier = kept[index, 0], kept[index, 1]
         normal = kept[index, 2], kept[index, 3], kept[index, 4]
-        back = _negative(normal)
+        back = -normal[0], -normal[1], -normal[2]
         mobility = (inverse_mass[one] + inverse_mass[other]) * dot(normal, normal)
         by_step = pulled[index] + inverse_mass[one] * dot(normal, row(pull, one))
         by_step += inverse_mass[other] * dot(back, row(pull, other))

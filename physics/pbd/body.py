@@ -36,8 +36,6 @@ class Body:
 
     rest: np.ndarray
     """Positions at rest, shape [N, 3], float64 [m]."""
-    mass: np.ndarray
-    """Of the particles, shape [N] [kg]."""
     pinned: np.ndarray
     """Which never move, shape [N], bool."""
     edges: np.ndarray
@@ -72,23 +70,18 @@ class Body:
         return slice(0, volumes), slice(volumes, shapes), slice(shapes, len(self.layout.rest))
 
     def inverse_mass(self, gripped: np.ndarray) -> np.ndarray:
-        """1/m, and 0 for what is pinned or gripped, shape [N] [1/kg].
+        """1, the paper's masses being nowhere given, and 0 for what is pinned or gripped, shape [N].
 
         Args:
             gripped: particles, shape [G].
         """
-        inverse = np.where(self.pinned, 0.0, 1 / self.mass)
+        inverse = np.where(self.pinned, 0.0, 1.0)
         inverse[gripped] = 0.0
         return inverse
 
 
 def make_body(
-    rest: np.ndarray,
-    faces: np.ndarray,
-    tetrahedra: np.ndarray | None = None,
-    *,
-    pinned: np.ndarray | None = None,
-    mass: float | np.ndarray = 1.0,
+    rest: np.ndarray, faces: np.ndarray, tetrahedra: np.ndarray | None = None, *, pinned: np.ndarray | None = None
 ) -> Body:
     """Join particles: a distance an edge, a volume a tetrahedron, a shape a particle and its neighbours.
 
@@ -99,10 +92,9 @@ def make_body(
         faces: triangles of a sheet, or of a body's surface, shape [F, 3].
         tetrahedra: of a body, shape [V, 4]; None = a sheet.
         pinned: which particles never move, shape [N], bool; None = none.
-        mass: of the particles, one or shape [N] [kg].
 
     Raises:
-        ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, masses or edges of zero.
+        ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, edges of zero.
     """
     rest = np.ascontiguousarray(rest, np.float64)
     if rest.ndim != 2 or rest.shape[1] != 3 or not np.isfinite(rest).all():
@@ -114,17 +106,14 @@ def make_body(
         if cells.ndim != 2 or cells.shape[1] != width or cells.min(initial=0) < 0 or cells.max(initial=-1) >= count:
             raise ValueError(f"{name} has shape {cells.shape}; give [·, {width}], indices of the {count} particles.")
     held = np.zeros(count, bool) if pinned is None else np.asarray(pinned, bool)
-    weight = np.asarray(mass, np.float64)
-    if held.shape != (count,) or weight.shape not in ((), (count,)):
-        raise ValueError(f"pinned has shape {held.shape} and mass {weight.shape}; give one entry a particle, {count}.")
-    if not (np.isfinite(weight).all() and (weight > 0).all()):
-        raise ValueError("mass holds a number that is not positive.")
+    if held.shape != (count,):
+        raise ValueError(f"pinned has shape {held.shape}; give one entry a particle, {count}.")
     edges = _edges(triangles, fours)
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
     if not (lengths > 0).all():
         raise ValueError("two particles that an edge joins lie in one place; merge them.")
     layout = _layout(rest, edges, fours, lengths)
-    return Body(rest, np.broadcast_to(weight, count).copy(), held, edges, fours, triangles, layout)
+    return Body(rest, held, edges, fours, triangles, layout)
 
 
 def _edges(triangles: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

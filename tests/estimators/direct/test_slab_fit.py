@@ -15,10 +15,9 @@ from palpate.estimators.direct import estimator, slab_fit, slab_motion, slab_riv
 from palpate.estimators.direct.contact_fit import LARGEST_MISFIT
 from palpate.estimators.direct.estimator import DirectEstimator
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_descent import descend
 from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
 from palpate.estimators.direct.slab_motion import SlabMotion
-from palpate.estimators.direct.slab_posterior import Valley
+from palpate.estimators.direct.slab_posterior import Valley, descend
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.onset import BETWEEN

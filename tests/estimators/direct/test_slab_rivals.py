@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_descent import descend
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
+from palpate.estimators.direct.slab_posterior import descend
 from palpate.estimators.direct.slab_rivals import (
     WAYS,
     Firm,

@@ -62,11 +62,11 @@ def steps(
     """Positions after each step [N, 3], by the constraints' stiffness [K], gripped particles along a path [T, G, 3]."""
     free = (body.inverse_mass(gripped) > 0)[:, None]
     # ½ m|x - a|²/Δt² + ½ f|x - r|² is ½ (m + f Δt²)|x - b|²/Δt² and a constant, b the weighted mean.
-    back = how.foundation * how.time_step**2 / (body.mass + how.foundation * how.time_step**2)
+    back = how.foundation * how.time_step**2 / (1 + how.foundation * how.time_step**2)
     inverse_mass = body.inverse_mass(gripped) * (1 - back)
     positions = start.copy()
     for places in path:
-        positions += np.where(free, back[:, None], 0.0) * (body.rest - positions)
+        positions += np.where(free, back, 0.0) * (body.rest - positions)
         positions[gripped] = places
         multipliers = np.zeros(len(body.layout.rest))
         for _ in range(how.iterations):

@@ -24,8 +24,7 @@ from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.given import GripperPath, Pins
 from palpate.physics.fem.solid import outer_faces
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
-from palpate.physics.pbd.body import Body, make_body
-from palpate.physics.pbd.layers import layered
+from palpate.physics.pbd.body import Body, layered, make_body
 
 NEAREST = 8
 """Triangles around a point that are looked at for the one that holds it."""

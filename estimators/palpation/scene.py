@@ -18,9 +18,8 @@ from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
-from palpate.estimators.palpation.registration import placed
+from palpate.estimators.palpation.registration import View, join_views, placed
 from palpate.estimators.palpation.skin import Skin, cover
-from palpate.estimators.palpation.views import View, join_views
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.refinement import around

@@ -1,7 +1,7 @@
 """Extended position-based dynamics of sheets and bodies (Liang 2024, equations 1 to 3), differentiable in stiffness.
 
-body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods
-layers             a sheet's particles and tetrahedra below it, for a volume
+body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods; below a
+                   sheet, a volume
 stiffness          fields over particles, and what they make of every constraint
 simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction

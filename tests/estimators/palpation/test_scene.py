@@ -13,7 +13,7 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.palpation import scene
 from palpate.estimators.palpation.scene import FEWEST, read_scene
 from palpate.physics.fem import NoBody
-from tests.estimators.palpation.test_views import RADII, views
+from tests.estimators.palpation.test_registration import RADII, views
 
 PRESS = {"force": [0, 0, -1], "contact": [0, 0, 0.045], "points": "seen.csv"}
 

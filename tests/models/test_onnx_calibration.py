@@ -127,7 +127,7 @@ def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain: Path, tmp
     export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
     with pytest.raises(ModelFileError, match="takes depth"):
         calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))
-    monkeypatch.setattr("palpate.models.onnx_calibration.PARITY_TOLERANCE", -1.0)
-    with pytest.raises(ParityError, match="differ from torch"):
+    monkeypatch.setattr("palpate.models.onnx_export.PARITY_TOLERANCE", -1.0)
+    with pytest.raises(ParityError, match="differs from torch"):
         calibrate(plain, twice, Calibration(WHOLE))
     assert not twice.exists()

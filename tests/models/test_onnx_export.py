@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 import torch
 
@@ -16,7 +15,7 @@ from palpate.common.output import ForeignFile
 from palpate.data.depth.photometric import build_photometric
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity, require_own_model
-from palpate.models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
+from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
 
@@ -116,12 +115,6 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
     export(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
     assert not model.calibrated
-    # Earlier versions wrote factors of standard deviations instead of expected bounds.
-    former, document = onnx.load(model.path), model.metadata | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
-    onnx.helper.set_model_props(former, {METADATA_KEY: json.dumps(document)})
-    onnx.save(former, tmp_path / "old.onnx")
-    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
-        PosteriorModel(tmp_path / "old.onnx")
     mean, covariance, expected_bound = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
         expected, factor = posterior(torch.ones(2, 10))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,17 @@ import pytest
 from palpate.command import infer
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.results import store as result_store
-from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
+from tests.inference_inputs import (
+    GRID,
+    SIZE,
+    TISSUE_COLOR,
+    TOOL_COLOR,
+    encode,
+    metadata,
+    write_clip,
+    write_model,
+    write_video,
+)
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,114 +71,64 @@ def is_plain(told: str) -> bool:
 # --- clips that can't be opened: the clip fails by name, the others complete ---
 
 
-def empty_video(clips: Path) -> Path:
-    (clips / "bad.mp4").write_bytes(b"")
-    return clips / "bad.mp4"
+def frames_of(folder: Path) -> Path:
+    return write_clip(folder / "bad", FRAMES, 2)
 
 
-def no_video(clips: Path) -> Path:
-    (clips / "bad.mp4").write_bytes(os.urandom(4000))
-    return clips / "bad.mp4"
+def headless_video(folder: Path) -> None:
+    whole = write_video(folder / "bad.mp4", 30).read_bytes()
+    (folder / "bad.mp4").write_bytes(whole[: len(whole) // 2])
 
 
-def headless_video(clips: Path) -> Path:
-    whole = write_video(clips / "bad.mp4", 30).read_bytes()
-    (clips / "bad.mp4").write_bytes(whole[: len(whole) // 2])
-    return clips / "bad.mp4"
-
-
-def folder_of_broken_images(clips: Path) -> Path:
-    write_clip(clips / "bad", FRAMES, 2)
-    for path in (clips / "bad").glob("*_endo.png"):
+def broken_images(folder: Path) -> None:
+    for path in frames_of(folder).glob("*_endo.png"):
         path.write_bytes(b"")
-    return clips / "bad"
 
 
-def broken_clip_file(clips: Path) -> Path:
-    (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text("{")
-    return clips / "bad"
+def strip(folder: Path) -> None:
+    write_pictures(folder / "bad", encode(np.full((40, 400, 3), 90, np.uint8)))
 
 
-def two_images_of_one_number(clips: Path) -> Path:
-    folder = write_clip(clips / "bad", FRAMES, 2)
-    (folder / "frame_012_endo.png").write_bytes((folder / "frame_12_endo.png").read_bytes())
-    return folder
-
-
-def strip(clips: Path) -> Path:
-    (clips / "bad").mkdir()
-    for index in range(3):
-        (clips / "bad" / f"{index}.png").write_bytes(encode(np.full((40, 400, 3), 90, np.uint8)))
-    return clips / "bad"
-
-
-def video_of_a_device(clips: Path) -> Path:
-    (clips / "bad.mp4").symlink_to("/dev/zero")
-    return clips / "bad.mp4"
-
-
-def video_of_a_pipe(clips: Path) -> Path:
-    os.mkfifo(clips / "bad.mp4")
-    return clips / "bad.mp4"
-
-
-def video_of_a_loop(clips: Path) -> Path:
-    (clips / "bad.mp4").symlink_to("bad.mp4")
-    return clips / "bad.mp4"
-
-
-def clip_file_of_a_pipe(clips: Path) -> Path:
-    os.mkfifo(write_clip(clips / "bad", FRAMES, 2) / "clip.json")
-    return clips / "bad"
-
-
-def clip_file_of_camera(text: str) -> Callable[[Path], Path]:
-    def make(clips: Path) -> Path:
-        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"camera": {{"fx": {text}}}}}')
-        return clips / "bad"
-
-    return make
-
-
-def clip_file_of_rate(text: str) -> Callable[[Path], Path]:
-    def make(clips: Path) -> Path:
-        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"fps": {text}}}')
-        return clips / "bad"
-
-    return make
-
-
-def pictures_that_unpack_to_gigabytes(clips: Path) -> Path:
+def pictures_that_unpack_to_gigabytes(folder: Path) -> None:
     content = encode(np.zeros((40, 40), np.uint8))
-    (clips / "bad").mkdir()
+    write_pictures(folder / "bad", content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
+
+
+def write_pictures(folder: Path, content: bytes) -> None:
+    folder.mkdir()
     for index in range(3):
-        (clips / "bad" / f"{index}.png").write_bytes(content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
-    return clips / "bad"
+        (folder / f"{index}.png").write_bytes(content)
 
 
-UNUSABLE = (
-    empty_video,
-    no_video,
-    headless_video,
-    folder_of_broken_images,
-    broken_clip_file,
-    two_images_of_one_number,
-    strip,
-    video_of_a_device,
-    video_of_a_pipe,
-    video_of_a_loop,
-    clip_file_of_a_pipe,
-    *(clip_file_of_camera(text) for text in ("[" * 900 + "]" * 900, "9" * 400, "1e308", "-1", "NaN")),
-    *(clip_file_of_rate(text) for text in ("1e308", "1e-320", "9" * 400, "[" * 5000)),
-    pictures_that_unpack_to_gigabytes,
+def clip_file(text: str) -> Callable[[Path], object]:
+    return lambda folder: (frames_of(folder) / "clip.json").write_text(text)
+
+
+UNUSABLE: tuple[Callable[[Path], object], ...] = (
+    lambda folder: (folder / "bad.mp4").write_bytes(b""),
+    lambda folder: (folder / "bad.mp4").write_bytes(os.urandom(4000)),
+    lambda folder: (folder / "bad.mp4").symlink_to("/dev/zero"),
+    lambda folder: (folder / "bad.mp4").symlink_to("bad.mp4"),
+    lambda folder: os.mkfifo(folder / "bad.mp4"),
+    lambda folder: os.mkfifo(frames_of(folder) / "clip.json"),
+    lambda folder: shutil.copy(frames_of(folder) / "frame_12_endo.png", folder / "bad" / "frame_012_endo.png"),
+    *(headless_video, broken_images, strip, pictures_that_unpack_to_gigabytes),
+    clip_file("{"),
+    *(
+        clip_file(f'{{"camera": {{"fx": {text}}}}}')
+        for text in ("[" * 900 + "]" * 900, "9" * 400, "1e308", "-1", "NaN")
+    ),
+    *(clip_file(f'{{"fps": {text}}}') for text in ("1e308", "1e-320", "9" * 400, "[" * 5000)),
 )
+"""What makes the one clip of a folder, which can't be opened."""
 
 
 def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
     bad = []
     for index, make in enumerate(UNUSABLE):
-        (clips / f"{index} {make.__name__}").mkdir()
-        bad.append(make(clips / f"{index} {make.__name__}"))
+        (clips / str(index)).mkdir()
+        make(clips / str(index))
+        bad += (clips / str(index)).iterdir()
     assert call(clips) == 1
     told = capsys.readouterr()
     failures = [line for line in told.err.splitlines() if line.startswith("failed: ")]
@@ -186,90 +147,53 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path,
 # --- frames that can't be used: their rows say why, the clip's other frames are estimated ---
 
 
-def replace_frame(clip: Path, suffix: str, content: bytes, number: int = 13) -> None:
-    (clip / f"frame_{number}_endo{suffix}.png").write_bytes(content)
+Change = Callable[[bytes], bytes | None]
+"""From a file's content to another; None where the file is to be gone."""
 
 
-def zero_byte_frame(clip: Path) -> None:
-    replace_frame(clip, "", b"")
+def put(content: bytes | None) -> Change:
+    return lambda _: content
 
 
-def truncated_frame(clip: Path) -> None:
-    path = clip / "frame_13_endo.png"
-    path.write_bytes(path.read_bytes()[:900])
+def without(color: tuple[int, int, int], left: int = 0) -> Change:
+    """A mask without a class, but for some pixels of it."""
+
+    def change(content: bytes) -> bytes:
+        mask = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB)
+        mask[(mask == color).all(axis=2)] = 127
+        mask[60, 80 : 80 + left] = color
+        return encode(mask[..., ::-1])
+
+    return change
 
 
-def frame_of_another_size(clip: Path) -> None:
-    replace_frame(clip, "", encode(np.zeros((50, 70, 3), np.uint8)))
-
-
-def missing_mask(clip: Path) -> None:
-    (clip / "frame_13_endo_color_mask.png").unlink()
-
-
-def mask_of_another_size(clip: Path) -> None:
-    replace_frame(clip, "_color_mask", encode(np.zeros((50, 70, 3), np.uint8)))
-
-
-def zero_byte_mask(clip: Path) -> None:
-    replace_frame(clip, "_color_mask", b"")
-
-
-def all_zero_depth(clip: Path) -> None:
-    replace_frame(clip, "_depth", encode(np.zeros(SIZE[::-1], np.uint16)))
-
-
-def constant_depth(clip: Path) -> None:
-    replace_frame(clip, "_depth", encode(np.full(SIZE[::-1], 20000, np.uint16)))
-
-
-def missing_depth(clip: Path) -> None:
-    (clip / "frame_13_endo_depth.png").unlink()
-
-
-def tool_gone(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (0, 255, 170)).all(axis=2)] = 127
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-def tissue_gone(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-def tissue_of_three_pixels(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
-    mask[60, 80:83] = (165, 160, 255)
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-SPOILT = {
-    zero_byte_frame: "unreadable",
-    truncated_frame: "unreadable",
-    frame_of_another_size: "unreadable",
-    missing_mask: "no_mask",
-    mask_of_another_size: "no_mask",
-    zero_byte_mask: "no_mask",
-    all_zero_depth: "bad_depth",
-    constant_depth: "bad_depth",
-    missing_depth: "bad_depth",
-    tool_gone: "no_tool",
-    tissue_gone: "no_tissue",
-    tissue_of_three_pixels: "no_tissue",
+OTHER_SIZE = encode(np.zeros((50, 70, 3), np.uint8))
+SPOILT: dict[str, tuple[str, Change, str]] = {
+    "empty frame": ("", put(b""), "unreadable"),
+    "cut frame": ("", lambda content: content[:900], "unreadable"),
+    "frame of another size": ("", put(OTHER_SIZE), "unreadable"),
+    "no mask": ("_color_mask", put(None), "no_mask"),
+    "mask of another size": ("_color_mask", put(OTHER_SIZE), "no_mask"),
+    "empty mask": ("_color_mask", put(b""), "no_mask"),
+    "zero depth": ("_depth", put(encode(np.zeros(SIZE[::-1], np.uint16))), "bad_depth"),
+    "constant depth": ("_depth", put(encode(np.full(SIZE[::-1], 20000, np.uint16))), "bad_depth"),
+    "no depth": ("_depth", put(None), "bad_depth"),
+    "no tool": ("_color_mask", without(TOOL_COLOR), "no_tool"),
+    "no tissue": ("_color_mask", without(TISSUE_COLOR), "no_tissue"),
+    "three pixels of tissue": ("_color_mask", without(TISSUE_COLOR, 3), "no_tissue"),
 }
+"""What is changed of frame 13's files, and the frame's status then."""
 
 
 def test_unusable_frame_costs_only_its_own_row(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
-    for spoil in SPOILT:
-        spoil(write_clip(clips / spoil.__name__, FRAMES, 2))
+    for name, (suffix, change, _) in SPOILT.items():
+        path = write_clip(clips / name, FRAMES, 2) / f"frame_13_endo{suffix}.png"
+        content = change(path.read_bytes())
+        path.unlink() if content is None else path.write_bytes(content)
     assert call(clips) == 0
     told = capsys.readouterr().err
     assert is_plain(told)
-    for spoil, status in SPOILT.items():
-        name = spoil.__name__
+    for name, (_, _, status) in SPOILT.items():
         assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", status, "ok", "ok"], name
         row = rows(clips, name)[3]
         assert row["frame"] == "13"
@@ -415,143 +339,62 @@ def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: py
 # --- wrong usage: exit status 2 and one sentence, before anything is written ---
 
 
-def not_onnx(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"this is not a network")
-    return ["--model", str(folder / "bad.onnx")]
+def holding(content: str | bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def empty_onnx(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"")
-    return ["--model", str(folder / "bad.onnx")]
+def model_of(document: dict | None = None, **options: object) -> Callable[[Path], object]:
+    return lambda path: write_model(path, document, **options)
 
 
-def foreign_onnx(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx", {"input": {"window": 1, "height": 48, "width": 80}})
-    return ["--model", str(folder / "bad.onnx")]
+def linked_to_a_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
 
 
-def other_inputs(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx", inputs=("picture",))
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def other_input_size(folder: Path) -> list[str]:
-    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0] + 1, width=GRID[1]))
-    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def missing_model(folder: Path) -> list[str]:
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def bad_depth_model(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"no depth")
-    return ["--depth", str(folder / "bad.onnx"), "--depth-preset", "midas-small"]
-
-
-def depth_model_with_other_outputs(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx")
-    return ["--depth", "depthpro", "--depth-model", str(folder / "bad.onnx")]
-
-
-def bad_mask_model(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"no masks")
-    return ["--masks", str(folder / "bad.onnx")]
-
-
-def layout_with_unknown_key(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("imagee: x_{number}.png\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def layout_with_impossible_bound(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("fps: -1\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def camera_without_focal_length(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("cx: 1\ncy: 1\nwidth: 2\nheight: 2\n")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def layout_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.yaml")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def layout_of_a_huge_opening(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("mask_opening_px: 100000\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def camera_of_a_device(folder: Path) -> list[str]:
-    (folder / "bad.yaml").symlink_to("/dev/zero")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def camera_that_names_itself(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("fx: &a [*a]\n")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def preset_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.yaml")
-    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
-
-
-def preset_of_huge_pictures(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("kind: metric\nsize: [100000, 100000]\n")
-    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
-
-
-def model_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.onnx")
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def model_of_a_huge_grid(folder: Path) -> list[str]:
-    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | {"height": 100_000}
-    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def output_is_a_file(folder: Path) -> list[str]:
-    (folder / "bad.txt").write_text("")
-    return ["--output", str(folder / "bad.txt")]
+def grid_of(**size: int) -> dict:
+    return metadata() | {"geometry": dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | size}
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("options", "make"),
     [
-        not_onnx,
-        empty_onnx,
-        foreign_onnx,
-        other_inputs,
-        other_input_size,
-        missing_model,
-        bad_depth_model,
-        depth_model_with_other_outputs,
-        bad_mask_model,
-        layout_with_unknown_key,
-        layout_with_impossible_bound,
-        camera_without_focal_length,
-        layout_of_a_pipe,
-        layout_of_a_huge_opening,
-        camera_of_a_device,
-        camera_that_names_itself,
-        preset_of_a_pipe,
-        preset_of_huge_pictures,
-        model_of_a_pipe,
-        model_of_a_huge_grid,
-        output_is_a_file,
+        *(
+            ("--model bad.onnx", make)
+            for make in (
+                holding("this is not a network"),
+                holding(""),
+                os.mkfifo,
+                lambda path: None,
+                model_of({"input": {"window": 1, "height": 48, "width": 80}}),
+                model_of(inputs=("picture",)),
+                model_of(grid_of(height=GRID[0] + 1)),
+                model_of(grid_of(height=100_000)),
+            )
+        ),
+        ("--depth bad.onnx --depth-preset midas-small", holding("no depth")),
+        ("--depth depthpro --depth-model bad.onnx", model_of()),
+        ("--masks bad.onnx", holding("no masks")),
+        *(("--layout bad.yaml", holding(text)) for text in ("imagee: x_{number}.png\n", "fps: -1\n")),
+        ("--layout bad.yaml", holding("mask_opening_px: 100000\n")),
+        ("--layout bad.yaml", os.mkfifo),
+        *(("--camera bad.yaml", holding(text)) for text in ("cx: 1\ncy: 1\nwidth: 2\nheight: 2\n", "fx: &a [*a]\n")),
+        ("--camera bad.yaml", linked_to_a_device),
+        ("--depth parameters.onnx --depth-preset bad.yaml", os.mkfifo),
+        ("--depth parameters.onnx --depth-preset bad.yaml", holding("kind: metric\nsize: [100000, 100000]\n")),
+        ("--output bad.txt", holding("")),
     ],
-    ids=lambda make: make.__name__,
 )
 def test_wrong_usage_is_one_sentence_with_the_file(
-    make: Callable[[Path], list[str]], clips: Path, model: Path, capsys: pytest.CaptureFixture
+    options: str,
+    make: Callable[[Path], object],
+    clips: Path,
+    model: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
 ) -> None:
-    assert call(clips, *make(clips.parent)) == 2
+    monkeypatch.chdir(clips.parent)
+    make(clips.parent / next(part for part in options.split() if part.startswith("bad.")))
+    assert call(clips, *options.split()) == 2
     told = capsys.readouterr().err.strip()
     assert len(told.splitlines()) == 1
     assert "bad." in told
@@ -631,9 +474,7 @@ def test_empty_input_is_not_the_working_folder(model: Path, capsys: pytest.Captu
 
 
 def test_covered_lens_gives_rows_without_a_tool(clips: Path, model: Path) -> None:
-    (clips / "black").mkdir()
-    for index in range(3):
-        (clips / "black" / f"{index}.png").write_bytes(encode(np.zeros((96, 160, 3), np.uint8)))
+    write_pictures(clips / "black", encode(np.zeros((96, 160, 3), np.uint8)))
     assert call(clips) == 0
     assert statuses(clips, "black") == ["no_tool"] * 3
 

@@ -19,7 +19,7 @@ import yaml
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
 
-from palpate.command import train
+from palpate.command import infer, train
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
@@ -108,13 +108,6 @@ def told(config: Path) -> Path:
 
 def command(*arguments: object) -> list[str]:
     return [sys.executable, str(CHECKOUT / "train.py"), *map(str, arguments)]
-
-
-def run(*arguments: object, timeout: float = 240) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        command(*arguments), capture_output=True, text=True, env=environment, timeout=timeout, check=False
-    )
 
 
 def last(folder: Path) -> dict:
@@ -209,36 +202,24 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_recommended_system_from_training_to_an_estimate(tmp_path: Path):
     """fit, export and infer.py as a user runs them, from the shipped weights, which a few steps hardly change."""
     clips, root = tmp_path / "clips", tmp_path / "run"
     arguments = "--clips 3 --frames 24 --seed 2 --size 214x120"
     assert not synthetic.main(["--output", str(clips), *arguments.split()])
-    smaller = [
-        "--model.width",
-        "4",
-        "--model.residual_blocks",
-        "1",
-        "--tracking",
-        "false",
-        "--trainer.accelerator",
-        "cpu",
-    ]
-    places = f"--data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}".split()
-    options = ["-c", CHECKOUT / "configs" / "recommended.yaml", *places, *smaller, "--data.loading.fractions"]
-    options.append("[0.34,0.33,0.33]")
-    few = ["--trainer.max_epochs", "1", "--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1"]
-    done = run("fit", *options, *few)
-    assert done.returncode == 0, done.stderr
-    done = run("export", *options, "--ckpt_path", "last", "--output", tmp_path / "gan.onnx")
-    assert done.returncode == 0, done.stderr
+    smaller = "--model.width 4 --model.residual_blocks 1 --tracking false --trainer.accelerator cpu"
+    smaller += f" --data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}"
+    options = ["-c", str(CHECKOUT / "configs" / "recommended.yaml"), *smaller.split()]
+    options.append("--data.loading.fractions=[0.34,0.33,0.33]")
+    few = "--trainer.max_epochs 1 --trainer.limit_train_batches 2 --trainer.limit_val_batches 1"
+    assert train.main(["fit", *options, *few.split()]) == 0
+    assert train.main(["export", *options, "--ckpt_path", "last", "--output", str(tmp_path / "gan.onnx")]) == 0
     assert PosteriorModel(tmp_path / "gan.onnx").takes_depth
     rows = []
     for number, model in enumerate((["--model", str(tmp_path / "gan.onnx")], [])):
         output = tmp_path / f"results{number}"
-        program = [sys.executable, str(CHECKOUT / "infer.py"), str(clips / "video01" / "video01_00000"), *model]
-        told = subprocess.run([*program, "--output", str(output)], capture_output=True, text=True, check=False)
-        assert told.returncode == 0, told.stderr
+        assert infer.main([str(clips / "video01" / "video01_00000"), *model, "--output", str(output)]) == 0
         with (output / "video01_00000" / "interactions.csv").open(newline="") as file:
             rows.append(next(csv.DictReader(file)))
     trained, shipped = rows
@@ -503,9 +484,9 @@ def test_a_run_folder_that_can_t_be_made_gets_a_sentence(config: Path, tmp_path:
 
 @pytest.mark.slow
 def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config: Path, tmp_path: Path):
-    arguments = ("fit", "-c", config, "--trainer.max_epochs", 12, "--ckpt_path", "last", "--trainer.default_root_dir")
+    arguments = f"fit -c {config} --trainer.max_epochs 4 --ckpt_path last --trainer.default_root_dir".split()
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    assert run(*arguments, whole).returncode == 0
+    assert train.main([*arguments, str(whole)]) == 0
     with subprocess.Popen(
         command(*arguments, killed),
         stdout=subprocess.DEVNULL,
@@ -517,11 +498,11 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
             time.sleep(0.05)
         process.send_signal(signal.SIGKILL)
     interrupted = last(killed)
-    assert interrupted["epoch"] < 11
+    assert interrupted["epoch"] < 3
     assert len(interrupted["optimizer_states"]) == 3
-    assert run(*arguments, killed).returncode == 0
+    assert train.main([*arguments, str(killed)]) == 0
     expected, resumed = last(whole), last(killed)
-    assert resumed["epoch"] == expected["epoch"] == 11
+    assert resumed["epoch"] == expected["epoch"] == 3
     assert resumed["global_step"] == expected["global_step"]
     for name, weights in expected["state_dict"].items():
         torch.testing.assert_close(resumed["state_dict"][name], weights, rtol=1e-5, atol=1e-6)
@@ -531,15 +512,16 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
 
 
 @pytest.mark.slow
-def test_two_cpu_processes_train_together(config: Path, tmp_path: Path):
-    arguments = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.accelerator", "cpu")
-    done = run("fit", "-c", config, *arguments, "--trainer.default_root_dir", tmp_path / "run")
+def test_two_cpu_processes_train_together(config: Path, trained: Path, tmp_path: Path):
+    more = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command("fit", "-c", config, *more), capture_output=True, text=True, env=environment, timeout=240, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "Starting with 2 processes" in done.stderr + done.stdout
     steps = last(tmp_path / "run")["global_step"]
-    # Half of the samples each: half the steps of one process.
-    assert run("fit", "-c", config, "--trainer.default_root_dir", tmp_path / "one").returncode == 0
-    assert 2 * steps == last(tmp_path / "one")["global_step"]
+    assert 2 * steps == last(trained)["global_step"]  # half of the samples each: half the steps of one process
 
 
 @pytest.mark.slow
@@ -584,8 +566,8 @@ def test_what_an_interruption_leads_to_is_one(config: Path, monkeypatch, stop: B
 
 @pytest.mark.slow
 def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(config: Path, tmp_path: Path):
-    done = run("fit", "-c", config, "--tracking", "true", "--trainer.default_root_dir", tmp_path / "größe")
-    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "größe"
+    assert train.main(["fit", "-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}"]) == 0
     with sqlite3.connect(tmp_path / "mlflow.db") as database:
         metrics = {row[0] for row in database.execute("select key from metrics")}
         parameters = dict(database.execute("select key, value from params"))

@@ -123,7 +123,7 @@ UNUSABLE: tuple[Callable[[Path], object], ...] = (
 """What makes the one clip of a folder, which can't be opened."""
 
 
-def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_unusable_clips_are_named_and_the_rest_goes_on(clips, model, capsys):
     bad = []
     for index, make in enumerate(UNUSABLE):
         (clips / str(index)).mkdir()
@@ -185,7 +185,7 @@ SPOILT: dict[str, tuple[str, Change, str]] = {
 """What is changed of frame 13's files, and the frame's status then."""
 
 
-def test_unusable_frame_costs_only_its_own_row(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
     for name, (suffix, change, _) in SPOILT.items():
         path = write_clip(clips / name, FRAMES, 2) / f"frame_13_endo{suffix}.png"
         content = change(path.read_bytes())
@@ -204,7 +204,7 @@ def test_unusable_frame_costs_only_its_own_row(clips: Path, model: Path, capsys:
         assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
 
 
-def test_stored_depth_that_is_no_depth(clips: Path, model: Path, tmp_path: Path) -> None:
+def test_stored_depth_that_is_no_depth(clips, model, tmp_path):
     values = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0}
     for name, value in values.items():
         clip = write_clip(clips / name, FRAMES, 2)
@@ -219,7 +219,7 @@ def test_stored_depth_that_is_no_depth(clips: Path, model: Path, tmp_path: Path)
         assert rows(clips, name)[3]["detail"]
 
 
-def test_rgba_and_grey_masks_are_read(clips: Path, model: Path) -> None:
+def test_rgba_and_grey_masks_are_read(clips, model):
     rgba, grey = write_clip(clips / "rgba", FRAMES, 2), write_clip(clips / "grey", FRAMES, 2)
     for path in rgba.glob("*_color_mask.png"):
         path.write_bytes(encode(cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2BGRA)))
@@ -233,9 +233,7 @@ def test_rgba_and_grey_masks_are_read(clips: Path, model: Path) -> None:
     assert statuses(clips, "rgba") == statuses(clips, "grey") == statuses(clips, "good")
 
 
-def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, capsys):
     clip = write_clip(clips / "gap", FRAMES, 2)
     for path in clip.glob("frame_13_*"):
         path.unlink()
@@ -248,9 +246,7 @@ def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(
     assert "gap: 1 frame numbers are missing between 10 and 15" in capsys.readouterr().err
 
 
-def test_truncated_video_keeps_a_row_for_every_announced_frame(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_truncated_video_keeps_a_row_for_every_announced_frame(clips, model, capsys):
     av = pytest.importorskip("av")
     path = clips / "cut.mp4"
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
@@ -269,9 +265,7 @@ def test_truncated_video_keeps_a_row_for_every_announced_frame(
     assert "cut: truncated: " in capsys.readouterr().err
 
 
-def test_folders_nest_and_links_lead_in_circles(
-    clips: Path, model: Path, nested: Callable, capsys: pytest.CaptureFixture
-) -> None:
+def test_folders_nest_and_links_lead_in_circles(clips, model, nested, capsys):
     """In a clip and beside one; where a path gets too long to be opened, that folder fails alone."""
     for folder in (clips, clips / "good"):
         (folder / "round").symlink_to(clips)
@@ -289,7 +283,7 @@ def test_folders_nest_and_links_lead_in_circles(
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
 
 
-def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
+def test_names_of_any_script_and_length(clips, model):
     long = "é" * 100
     write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
     write_clip(clips / "sub" / long, FRAMES, 2)
@@ -300,7 +294,7 @@ def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
     assert len(made[0].name.encode()) <= 120
 
 
-def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_name_that_is_not_utf8(clips, model, capsys):
     clip = clips / os.fsdecode(b"clip\xff")
     try:
         write_clip(clips / "plain", FRAMES, 2).rename(clip)
@@ -315,7 +309,7 @@ def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureF
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["clip_", "good"]
 
 
-def test_names_do_nothing_to_the_terminal(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_names_do_nothing_to_the_terminal(clips, model, capsys):
     evil = "\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]"
     write_clip(clips / f"good{evil}", FRAMES, 2)
     (clips / f"good{evil}" / "frame_13_endo.png").write_bytes(b"")  # warned of
@@ -329,7 +323,7 @@ def test_names_do_nothing_to_the_terminal(clips: Path, model: Path, capsys: pyte
         assert r"good\x1b]0;title\x07" in told.out
 
 
-def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_missing_annotation_of_a_whole_clip(clips, model, capsys):
     write_video(clips / "film.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
     assert "film.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
@@ -384,14 +378,7 @@ def grid_of(**size: int) -> dict:
         ("--output bad.txt", holding("")),
     ],
 )
-def test_wrong_usage_is_one_sentence_with_the_file(
-    options: str,
-    make: Callable[[Path], object],
-    clips: Path,
-    model: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
+def test_wrong_usage_is_one_sentence_with_the_file(options, make, clips, model, monkeypatch, capsys):
     monkeypatch.chdir(clips.parent)
     make(clips.parent / next(part for part in options.split() if part.startswith("bad.")))
     assert call(clips, *options.split()) == 2
@@ -406,18 +393,14 @@ def test_wrong_usage_is_one_sentence_with_the_file(
 
 
 @pytest.mark.parametrize("threads", ["100000", "-1", "1e5", "9" * 5000])
-def test_threads_that_no_machine_has_are_wrong_usage(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture, threads: str
-) -> None:
+def test_threads_that_no_machine_has_are_wrong_usage(clips, model, capsys, threads):
     with pytest.raises(SystemExit) as ended:
         call(clips, f"--threads={threads}")
     assert ended.value.code == 2
     assert "error: argument --threads: " in capsys.readouterr().err
 
 
-def test_depth_preset_without_its_file_says_which_option(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_preset_without_its_file_says_which_option(clips, model, capsys):
     assert call(clips, "--depth", "depthpro") == 2
     assert "--depth-model" in capsys.readouterr().err
     assert call(clips, "--depth", "wishful") == 2
@@ -425,9 +408,7 @@ def test_depth_preset_without_its_file_says_which_option(
 
 
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "photometric")])
-def test_depth_preset_that_nothing_reads_is_refused(
-    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_preset_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
     told = (
         f"infer.py: --depth-preset is 'banana' and says how to read an .onnx file, while --depth is {source}; give "
@@ -441,9 +422,7 @@ def test_depth_preset_that_nothing_reads_is_refused(
 
 
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "network.onnx")])
-def test_depth_model_that_nothing_reads_is_refused(
-    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_model_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
     told = (
         f"infer.py: --depth-model is 'banana.onnx' and belongs to a preset, while --depth is {source}; "
@@ -453,7 +432,7 @@ def test_depth_model_that_nothing_reads_is_refused(
     assert capsys.readouterr().err == told
 
 
-def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
     (clips / "nothing").mkdir()
     assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2
     assert call(clips / "nothing", "--model", str(model)) == 2
@@ -466,20 +445,20 @@ def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, caps
     assert statuses(clips, "good")[-1] == "ok"
 
 
-def test_empty_input_is_not_the_working_folder(model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_empty_input_is_not_the_working_folder(model, capsys):
     with pytest.raises(SystemExit) as ended:
         infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
     assert ended.value.code == 2
     assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
 
 
-def test_covered_lens_gives_rows_without_a_tool(clips: Path, model: Path) -> None:
+def test_covered_lens_gives_rows_without_a_tool(clips, model):
     write_pictures(clips / "black", encode(np.zeros((96, 160, 3), np.uint8)))
     assert call(clips) == 0
     assert statuses(clips, "black") == ["no_tool"] * 3
 
 
-def test_decoders_say_nothing_of_their_own(tmp_path: Path, model: Path) -> None:
+def test_decoders_say_nothing_of_their_own(tmp_path, model):
     write_clip(tmp_path / "clips" / "cut", FRAMES, 2)
     image = tmp_path / "clips" / "cut" / "frame_12_endo.png"
     image.write_bytes(image.read_bytes()[:500])
@@ -493,7 +472,7 @@ def test_decoders_say_nothing_of_their_own(tmp_path: Path, model: Path) -> None:
     assert "libpng" not in done.stderr
 
 
-def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_live_camera_is_refused(clips, model, capsys):
     assert infer.main(["camera:0", "--output", str(clips.parent / "out"), "--model", str(model)]) == 2
     assert "record it to a video file" in capsys.readouterr().err
 
@@ -501,9 +480,7 @@ def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.Capture
 # --- the output folder ---
 
 
-def test_full_output_folder(
-    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_full_output_folder(clips, model, monkeypatch, capsys):
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -517,7 +494,7 @@ def test_full_output_folder(
     assert call(clips) == 0
 
 
-def test_files_that_may_not_grow(clips: Path, model: Path) -> None:
+def test_files_that_may_not_grow(clips, model):
     """The real thing, in a process whose files may not exceed 8 kB: overlay and summary can't be written."""
     command = [sys.executable, "infer.py", str(clips), "--output", str(clips.parent / "out"), "--model", str(model)]
     limit = "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))"
@@ -530,16 +507,14 @@ def test_files_that_may_not_grow(clips: Path, model: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_output_folder(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_read_only_output_folder(clips, model, capsys):
     output = clips.parent / "out"
     output.mkdir(mode=0o500)
     assert call(clips) == 2
     assert "can't be written; change its permissions or choose another --output." in capsys.readouterr().err
 
 
-def test_read_only_file_system(
-    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_read_only_file_system(clips, model, monkeypatch, capsys):
     def refuse(*_: object, **__: object) -> None:
         raise OSError(30, "Read-only file system")
 
@@ -553,7 +528,7 @@ def test_read_only_file_system(
 # --- Ctrl-C, as a user does it ---
 
 
-def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path: Path, model: Path) -> None:
+def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path, model):
     write_clip(tmp_path / "clips" / "a", 4, 2)
     write_clip(tmp_path / "clips" / "b", 200, 2)
     output = tmp_path / "out"

@@ -51,9 +51,7 @@ def strict(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_example_s_stiffness_is_found_and_drawn(
-    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_s_stiffness_is_found_and_drawn(example_scene, tmp_path, capsys):
     assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["young_pa"] == pytest.approx(example.YOUNG, rel=0.1)
@@ -71,9 +69,7 @@ def test_the_example_s_stiffness_is_found_and_drawn(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "gradient"])
-def test_a_reversed_force_is_a_sentence(
-    example_scene: Path, optimizer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_reversed_force_is_a_sentence(example_scene, optimizer, tmp_path, capsys):
     scene = yaml.safe_load(example_scene.read_text())
     right = scene["palpations"][0]
     scene["palpations"] = [right, right | {"force": [-component for component in right["force"]]}]
@@ -86,9 +82,7 @@ def test_a_reversed_force_is_a_sentence(
     assert not list(tmp_path.iterdir())
 
 
-def test_where_nothing_is_determined_no_number_is_given(
-    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_nothing_is_determined_no_number_is_given(example_scene, tmp_path, capsys, monkeypatch):
     """As a reversed force gave once: 4.6 GPa, from nothing to infinity."""
 
     def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
@@ -115,7 +109,7 @@ def write_use(folder: Path) -> Path:
     return folder / "known.yaml"
 
 
-def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
+def test_curves_say_what_their_numbers_are(tmp_path):
     write_probes(tmp_path / "probes.csv")
     write_hold(tmp_path / "hold.csv")
     files = [str(tmp_path / "probes.csv"), str(tmp_path / "hold.csv")]
@@ -144,9 +138,7 @@ def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
         ({"extra": 1}, "unknown key 'extra'"),
     ],
 )
-def test_bad_scenes_are_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, object], says: str
-) -> None:
+def test_bad_scenes_are_a_sentence(tmp_path, capsys, changed, says):
     scene = write_scene(tmp_path, **changed)
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     assert says in capsys.readouterr().err
@@ -154,7 +146,7 @@ def test_bad_scenes_are_a_sentence(
 
 
 @pytest.mark.parametrize("rows", ["", "0,0,0\n" * 11, "nan,0,0\n" * 50])
-def test_a_surface_of_no_points_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str], rows: str) -> None:
+def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows):
     scene = write_scene(tmp_path)
     (tmp_path / "seen.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
@@ -162,6 +154,6 @@ def test_a_surface_of_no_points_is_a_sentence(tmp_path: Path, capsys: pytest.Cap
     assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in told
 
 
-def test_an_indenter_needs_its_size(tmp_path: Path) -> None:
+def test_an_indenter_needs_its_size(tmp_path):
     with pytest.raises(SystemExit, match="2"):
         calibrate.main(["curves", "a.csv", "--indenter", "sphere", "--output", str(tmp_path)])

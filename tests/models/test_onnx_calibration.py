@@ -38,6 +38,13 @@ def plain(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def calibrated(plain: Path) -> Path:
+    """The same, calibrated by the observation's noise."""
+    calibrate(plain, plain.with_name("calibrated.onnx"), Calibration(WHOLE, noise_features=(8,)))
+    return plain.with_name("calibrated.onnx")
+
+
 def deviations(covariances: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
 
@@ -108,10 +115,9 @@ def test_a_generators_posterior_is_calibrated_as_well(tmp_path: Path) -> None:
     np.testing.assert_allclose(covariance, own * np.outer([2, 3, 4], [2, 3, 4]), rtol=1e-4)
 
 
-def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, tmp_path: Path) -> None:
-    calibrate(plain, tmp_path / "contact.onnx", Calibration(WHOLE, noise_features=(8,)))
+def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, calibrated: Path) -> None:
     posteriors = [ContactPosterior(10, torch.tensor(BOUNDS.log_box)) for _ in range(2)]
-    for posterior, path in zip(posteriors, (plain, tmp_path / "contact.onnx"), strict=True):
+    for posterior, path in zip(posteriors, (plain, calibrated), strict=True):
         load_posterior(posterior, path)
     first, second = (posterior.state_dict() for posterior in posteriors)
     assert all(torch.equal(value, second[name]) for name, value in first.items())
@@ -119,11 +125,10 @@ def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path
         load_posterior(ContactPosterior(9, torch.tensor(BOUNDS.log_box)), plain)
 
 
-def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain: Path, tmp_path: Path, monkeypatch) -> None:
-    once, twice = tmp_path / "once.onnx", tmp_path / "twice.onnx"
-    calibrate(plain, once, Calibration(WHOLE))
-    with pytest.raises(ValueError, match=r"once\.onnx is calibrated already"):
-        calibrate(once, twice, Calibration(WHOLE))
+def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain, calibrated, tmp_path, monkeypatch) -> None:
+    twice = tmp_path / "twice.onnx"
+    with pytest.raises(ValueError, match=r"calibrated\.onnx is calibrated already"):
+        calibrate(calibrated, twice, Calibration(WHOLE))
     export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
     with pytest.raises(ModelFileError, match="takes depth"):
         calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))

@@ -1,4 +1,4 @@
-"""What code a result was made with: one digest of the project's sources, from a checkout and installed alike."""
+"""What code a result was made with: one digest of the project's sources, the same from a checkout and installed."""
 
 from __future__ import annotations
 

@@ -64,8 +64,8 @@ def statuses(clips: Path, name: str) -> list[str]:
     return [row["status"] for row in rows(clips, name)]
 
 
-def is_plain(told: str) -> bool:
-    return "Traceback" not in told and "Error:" not in told
+def is_plain(said: str) -> bool:
+    return "Traceback" not in said and "Error:" not in said
 
 
 # --- clips that can't be opened: the clip fails by name, the others complete ---
@@ -130,16 +130,16 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips, model, capsys):
         make(clips / str(index))
         bad += (clips / str(index)).iterdir()
     assert call(clips) == 1
-    told = capsys.readouterr()
-    failures = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    said = capsys.readouterr()
+    failures = [line for line in said.err.splitlines() if line.startswith("failed: ")]
     for path in bad:
         named = [line for line in failures if str(path) in line]
         assert len(named) == 1
         assert named[0].endswith(".")
         assert len(named[0]) < 2 * len(str(path)) + 300
     assert len(failures) == len(UNUSABLE)
-    assert is_plain(told.err + told.out)
-    assert "unexpected" not in told.err
+    assert is_plain(said.err + said.out)
+    assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["good"]
 
@@ -191,16 +191,16 @@ def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
         content = change(path.read_bytes())
         path.unlink() if content is None else path.write_bytes(content)
     assert call(clips) == 0
-    told = capsys.readouterr().err
-    assert is_plain(told)
+    said = capsys.readouterr().err
+    assert is_plain(said)
     for name, (_, _, status) in SPOILT.items():
         assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", status, "ok", "ok"], name
         row = rows(clips, name)[3]
         assert row["frame"] == "13"
         assert row["stiffness"] == row["damping"] == row["force"] == row["simulated_displacement"] == ""
         assert row["detail"], name
-        # Broken files are told on the screen too; an empty scene is no fault.
-        warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in told
+        # Broken files are reported on the screen too; an empty scene is no fault.
+        warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in said
         assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
 
 
@@ -274,12 +274,12 @@ def test_folders_nest_and_links_lead_in_circles(clips, model, nested, capsys):
     assert call(clips) == 0
     nested(clips, "long")
     assert call(clips) == 1
-    told = capsys.readouterr()
-    [failure] = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    said = capsys.readouterr()
+    [failure] = [line for line in said.err.splitlines() if line.startswith("failed: ")]
     assert f"{clips}/long/long/" in failure
     assert len(failure) < 1000
-    assert is_plain(told.err)
-    assert "unexpected" not in told.err
+    assert is_plain(said.err)
+    assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
 
 
@@ -316,17 +316,17 @@ def test_names_do_nothing_to_the_terminal(clips, model, capsys):
     (clips / f"bad{evil}.mp4").write_bytes(b"no video")
     for status in (1, 1):  # done, then up to date
         assert call(clips) == status
-        told = capsys.readouterr()
-        assert not {letter for letter in told.out + told.err if not letter.isprintable()} - {"\n"}
+        said = capsys.readouterr()
+        assert not {letter for letter in said.out + said.err if not letter.isprintable()} - {"\n"}
         for name in ("good", "bad"):
-            assert name + r"\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]" in told.err
-        assert r"good\x1b]0;title\x07" in told.out
+            assert name + r"\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]" in said.err
+        assert r"good\x1b]0;title\x07" in said.out
 
 
 def test_missing_annotation_of_a_whole_clip(clips, model, capsys):
-    write_video(clips / "film.mp4", FRAMES)
+    write_video(clips / "video.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
-    assert "film.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
+    assert "video.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
     assert statuses(clips, "good")[-1] == "ok"
 
 
@@ -382,13 +382,13 @@ def test_wrong_usage_is_one_sentence_with_the_file(options, make, clips, model, 
     monkeypatch.chdir(clips.parent)
     make(clips.parent / next(part for part in options.split() if part.startswith("bad.")))
     assert call(clips, *options.split()) == 2
-    told = capsys.readouterr().err.strip()
-    assert len(told.splitlines()) == 1
-    assert "bad." in told
-    assert told.endswith(".")
-    assert is_plain(told)
-    assert "depth.model" not in told
-    assert "depth.preset" not in told
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1
+    assert "bad." in said
+    assert said.endswith(".")
+    assert is_plain(said)
+    assert "depth.model" not in said
+    assert "depth.preset" not in said
     assert not (clips.parent / "out").exists()
 
 
@@ -410,35 +410,35 @@ def test_depth_preset_without_its_file_says_which_option(clips, model, capsys):
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "photometric")])
 def test_depth_preset_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
-    told = (
+    said = (
         f"infer.py: --depth-preset is 'banana' and says how to read an .onnx file, while --depth is {source}; give "
         "that file as --depth, or leave --depth-preset out.\n"
     )
     assert call(clips, *depth, "--depth-preset", "banana") == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
     output = ["--output", str(clips.parent / "out"), "--estimator", "direct"]
     assert infer.main([str(clips), *output, *depth, "--depth-preset", "banana"]) == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
 
 
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "network.onnx")])
 def test_depth_model_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
-    told = (
+    said = (
         f"infer.py: --depth-model is 'banana.onnx' and belongs to a preset, while --depth is {source}; "
         "give that preset as --depth, or leave --depth-model out.\n"
     )
     assert call(clips, *depth, "--depth-model", "banana.onnx") == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
 
 
 def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
     (clips / "nothing").mkdir()
     assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2
     assert call(clips / "nothing", "--model", str(model)) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert "nowhere.mp4" in told[0]
-    assert "holds neither a video nor a folder of frames" in told[1]
+    said = capsys.readouterr().err.splitlines()
+    assert "nowhere.mp4" in said[0]
+    assert "holds neither a video nor a folder of frames" in said[1]
     # Beside a usable input it is a failure of its own.
     output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
     assert infer.main([str(clips / "nowhere"), str(clips / "good"), *output]) == 1
@@ -487,9 +487,9 @@ def test_full_output_folder(clips, model, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr("palpate.results.writer.write_figure", full)
         assert call(clips) == 1
-    told = capsys.readouterr().err
-    assert "the output folder is full; free some space or choose another --output." in told
-    assert is_plain(told)
+    said = capsys.readouterr().err
+    assert "the output folder is full; free some space or choose another --output." in said
+    assert is_plain(said)
     assert list((clips.parent / "out").iterdir()) == []
     assert call(clips) == 0
 
@@ -520,9 +520,9 @@ def test_read_only_file_system(clips, model, monkeypatch, capsys):
 
     monkeypatch.setattr(result_store.Path, "mkdir", refuse)
     assert call(clips) == 2
-    told = capsys.readouterr().err
-    assert "can't be written; change its permissions or choose another --output." in told
-    assert is_plain(told)
+    said = capsys.readouterr().err
+    assert "can't be written; change its permissions or choose another --output." in said
+    assert is_plain(said)
 
 
 # --- Ctrl-C, as a user does it ---
@@ -539,10 +539,10 @@ def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path, model)
         time.sleep(0.02)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-    told = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, told
-    assert is_plain(told)
-    assert "run the same command to continue" in told
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert is_plain(said)
+    assert "run the same command to continue" in said
     assert [path.name for path in output.iterdir()] == ["a"]
     before = (output / "a" / "run.json").stat().st_mtime_ns
     short = [part if part != str(tmp_path / "clips") else str(tmp_path / "clips" / "a") for part in command]

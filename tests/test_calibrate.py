@@ -77,8 +77,8 @@ def test_a_reversed_force_is_a_sentence(example_scene, optimizer, tmp_path, caps
     path.write_text(yaml.safe_dump(scene))
     options = ["--optimizer", optimizer, "--output", str(tmp_path)]
     assert calibrate.main(["palpation", str(path), *options]) == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "reversed.yaml: the surface moved against the force of palpation 2; give what the tool does to" in told
+    said = " ".join(capsys.readouterr().err.split())
+    assert "reversed.yaml: the surface moved against the force of palpation 2; give what the tool does to" in said
     assert not list(tmp_path.iterdir())
 
 
@@ -98,8 +98,8 @@ def test_where_nothing_is_determined_no_number_is_given(example_scene, tmp_path,
     assert record["verdict"] == "nothing determined"
     assert (record["young_pa"], record["poisson"]) == (None, None)
     assert "young_low_pa" not in record
-    told = capsys.readouterr().out
-    assert told.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
+    said = capsys.readouterr().out
+    assert said.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
     with pytest.raises(InputError, match=r"calibration.json says that nothing is determined; press harder"):
         read_calibration(write_use(tmp_path))
 
@@ -150,8 +150,8 @@ def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows):
     scene = write_scene(tmp_path)
     (tmp_path / "seen.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in told
+    said = capsys.readouterr().err
+    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
 
 
 def test_an_indenter_needs_its_size(tmp_path):

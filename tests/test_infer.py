@@ -43,7 +43,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     write_model(folder / "parameters.onnx")
     write_clip(folder / "clips" / "folder", 8, 4)
-    write_video(folder / "clips" / "film.mp4", 8, 4)
+    write_video(folder / "clips" / "video.mp4", 8, 4)
     return folder
 
 
@@ -72,17 +72,17 @@ def flat(text: str) -> str:
 def test_closing_table_is_readable_on_a_narrow_terminal(inputs, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    told = capsys.readouterr().out
+    said = capsys.readouterr().out
     assert all(
-        text in told for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
+        text in said for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
     )
-    assert "…" not in told
+    assert "…" not in said
 
 
 def test_folder_and_video_give_complete_results(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    for name in ("film", "folder"):
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["video", "folder"]
+    for name in ("video", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
         assert len(table) == 8
@@ -130,11 +130,11 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     capsys.readouterr()
     # The other clip of the batch is done all the same.
     assert call(inputs, tmp_path, "--depth", "photometric") == 1
-    told = capsys.readouterr()
-    assert f"{tmp_path / 'folder'}: holds results of other settings" in told.err
-    assert "--overwrite replaces them" in told.err
+    said = capsys.readouterr()
+    assert f"{tmp_path / 'folder'}: holds results of other settings" in said.err
+    assert "--overwrite replaces them" in said.err
     assert contents(tmp_path / "folder") == before
-    assert len(rows(tmp_path / "film")) == 8
+    assert len(rows(tmp_path / "video")) == 8
     assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
@@ -212,7 +212,7 @@ def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
     for _ in range(2):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["film", "folder"]
+    assert made == ["video", "folder"]
 
 
 def test_clip_beside_its_results_is_never_replaced(inputs, tmp_path):
@@ -228,34 +228,34 @@ def test_clip_beside_its_results_is_never_replaced(inputs, tmp_path):
 def test_interruption_keeps_finished_clips_and_continues(within, inputs, tmp_path, monkeypatch, capsys):
     write = ClipResults.write
 
-    def interrupt(self: ClipResults, *told: object) -> None:
+    def interrupt(self: ClipResults, *estimate: object) -> None:
         if self.folder.name == "folder" and len(self.estimates) == 3:
             try:
                 raise KeyboardInterrupt
             finally:
                 if within == "compiled code":
                     raise SystemError("a kernel returned a result with an exception set")
-        write(self, *told)
+        write(self, *estimate)
 
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["film"]
+    assert [path.name for path in tmp_path.iterdir()] == ["video"]
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    before = (tmp_path / "film" / "run.json").stat().st_mtime_ns
+    before = (tmp_path / "video" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    assert (tmp_path / "film" / "run.json").stat().st_mtime_ns == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["video", "folder"]
+    assert (tmp_path / "video" / "run.json").stat().st_mtime_ns == before
 
 
 def test_one_failing_clip_does_not_stop_the_others(inputs, tmp_path, capsys):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
     assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["film", "folder"]
-    told = capsys.readouterr()
-    assert "broken.mp4" in told.err
-    assert "failed" in told.out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["video", "folder"]
+    said = capsys.readouterr()
+    assert "broken.mp4" in said.err
+    assert "failed" in said.out
 
 
 def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, monkeypatch, capsys):
@@ -263,12 +263,12 @@ def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, mon
         raise RuntimeError("two\nlines")
 
     monkeypatch.setattr("palpate.results.run.open_source", fail)
-    assert call(inputs, tmp_path, clips="clips/film.mp4") == 1
-    told = capsys.readouterr().err.strip()
-    assert told.startswith("failed: ")
-    assert "film.mp4: unexpected RuntimeError (two lines); run with --debug" in told.splitlines()[0]
+    assert call(inputs, tmp_path, clips="clips/video.mp4") == 1
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("failed: ")
+    assert "video.mp4: unexpected RuntimeError (two lines); run with --debug" in said.splitlines()[0]
     with pytest.raises(RuntimeError):
-        call(inputs, tmp_path, "--debug", clips="clips/film.mp4")
+        call(inputs, tmp_path, "--debug", clips="clips/video.mp4")
 
 
 def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
@@ -289,8 +289,8 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
 
 def test_an_onset_is_refused_by_networks_that_know_none(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path / "out", "--onset", "between") == 2
-    told = flat(capsys.readouterr().err)
-    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in told
+    said = flat(capsys.readouterr().err)
+    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in said
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
@@ -376,7 +376,7 @@ def test_every_estimator_writes_the_same_files(estimator, inputs, synthetic, don
 
 
 def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
-    """Unless told otherwise; an estimate is less certain then."""
+    """By default; an estimate is less certain then."""
     assert infer.main([str(synthetic), "--output", str(tmp_path), "--estimator", "direct", "--no-overlay"]) == 0
     ((exact,), (between,)) = runs(done), runs(tmp_path / "video01_00000")
     for name in ("stiffness", "damping", "force"):
@@ -385,8 +385,8 @@ def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
     assert exact["delay_s"] == ""
     assert abs(float(between["delay_s"])) < 0.01  # it began at the stamp, and the fit finds that
     assert between["verdict"] == "determined"
-    told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
-    assert told == ["stamp", "between"]
+    onsets = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
+    assert onsets == ["stamp", "between"]
 
 
 def test_record_says_what_was_done(done):
@@ -414,9 +414,9 @@ def test_the_picture_shows_observation_and_fit(done):
 def test_a_finished_fit_is_not_computed_again(done, synthetic, capsys):
     before = (done / "run.json").stat().st_mtime_ns
     assert direct(synthetic, done.parent) == 0
-    told = capsys.readouterr()
-    assert "up to date" in told.err
-    assert "1 contacts determined" in told.out
+    said = capsys.readouterr()
+    assert "up to date" in said.err
+    assert "1 contacts determined" in said.out
     assert (done / "run.json").stat().st_mtime_ns == before
 
 
@@ -520,8 +520,8 @@ def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
     under = [item for item in rows(folder) if item["contact"] == "1"]
     assert len(under) == round(float(row["load_s"]) * 25)
     assert {item["contact_distance"] for item in under} == {""}
-    told = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
-    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *told]) == 0
+    options = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
+    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *options]) == 0
     (other,) = runs(tmp_path / "network" / "video01_00000")
     assert [other[name] for name in ("onset_frame", "load_s")] == [row[name] for name in ("onset_frame", "load_s")]
     assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
@@ -529,7 +529,7 @@ def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
 
 def test_wrong_usage(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
-    for options, told in (
+    for options, said in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset"),
         (
             ["--model", "parameters.onnx"],
@@ -537,8 +537,8 @@ def test_wrong_usage(tmp_path, capsys):
         ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
-        assert told in flat(capsys.readouterr().err)
-    for options, told in (
+        assert said in flat(capsys.readouterr().err)
+    for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
@@ -549,7 +549,7 @@ def test_wrong_usage(tmp_path, capsys):
         ),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
-        assert told in flat(capsys.readouterr().err)
+        assert said in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
     for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--thickness", "0"]):
         with pytest.raises(SystemExit) as ended:
@@ -567,9 +567,9 @@ def test_a_noise_below_the_simulators_own_error_is_wrong_usage(noise, tmp_path, 
     with pytest.raises(SystemExit) as ended:
         direct(tmp_path, tmp_path / "out", f"--noise={noise}")
     assert ended.value.code == 2
-    told = flat(capsys.readouterr().err)
-    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in told
-    assert "Traceback" not in told
+    said = flat(capsys.readouterr().err)
+    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in said
+    assert "Traceback" not in said
 
 
 def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(tmp_path, monkeypatch, capsys):
@@ -638,7 +638,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("known", "options", "told"),
+    ("known", "options", "said"),
     [
         ("force_N: 2.0", (), "known.yaml can't be used: force_N and force_time_s belong together"),
         ("force_N: 2.0\nforce_time_s: 1.0", (), "tells of a force in one clip, and there are 2; name that as clip."),
@@ -650,8 +650,8 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
         ("stiffness: 2.0", ("--estimator", "online"), "--estimator online knows none, leave it out."),
     ],
 )
-def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, told, inputs, tmp_path, capsys):
+def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text(known)
     given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
-    assert told in flat(capsys.readouterr().err)
+    assert said in flat(capsys.readouterr().err)

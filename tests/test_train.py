@@ -90,7 +90,7 @@ def trained(config: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(config: Path) -> Path:
+def known(config: Path) -> Path:
     """What to add to `config` for head posterior."""
     change = {
         "trainer": {"default_root_dir": str(config.parent / "posterior")},
@@ -101,7 +101,7 @@ def told(config: Path) -> Path:
         },
         "data": {"samples": {"onset_within": 26}, "geometry": {"height": 40, "width": 56, "smoothing": 3.0}},
     }
-    path = config.parent / "told.yaml"
+    path = config.parent / "known.yaml"
     path.write_text(yaml.safe_dump(change))
     return path
 
@@ -180,13 +180,13 @@ def refused(capsys, *arguments: object) -> str:
 
 @pytest.mark.slow
 def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
-    config: Path, told: Path, tmp_path: Path, capsys
+    config: Path, known: Path, tmp_path: Path, capsys
 ):
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
     torch.manual_seed(3)
     pretrained = ContactPosterior(FEATURES, torch.from_numpy(bounds.log_box))
     torch.save(pretrained.state_dict(), tmp_path / "posterior.pt")
-    arguments = ["fit", "-c", str(config), "-c", str(told), "--model.learning_rate", "1e-12", "--model.pretrained"]
+    arguments = ["fit", "-c", str(config), "-c", str(known), "--model.learning_rate", "1e-12", "--model.pretrained"]
     assert train.main([*arguments, str(tmp_path / "posterior.pt")]) == 0
     weights = last(config.parent / "posterior")["state_dict"]
     for generator in ("generator_ab", "generator_ba"):
@@ -197,7 +197,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
     assert "nothing.pt does not exist; give a file that train.py fit" in said
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
-    assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0
+    assert train.main(["test", "-c", str(config), "-c", str(known), "--ckpt_path", "last"]) == 0
     assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
 
 
@@ -298,7 +298,7 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "expected"),
     [
         (bytes(range(128, 256)), "is not a configuration"),
         (b"\x7fELF\x02\x01\x00\x00", "is not a configuration"),
@@ -316,17 +316,19 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
         (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
     ],
 )
-def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, capsys, content: bytes | None, told: str):
+def test_a_configuration_that_is_none_is_named(
+    config: Path, tmp_path: Path, capsys, content: bytes | None, expected: str
+):
     path = tmp_path / "broken.yaml"
     path.write_bytes(content) if content is not None else os.mkfifo(path)
     said = refused(capsys, "fit", "-c", config, "-c", path)
     assert f"{path} " in said
-    assert told in said
+    assert expected in said
     assert len(said) < len(str(path)) + 300
 
 
 @pytest.mark.parametrize(
-    ("option", "told"),
+    ("option", "expected"),
     [
         ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
         ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
@@ -338,12 +340,12 @@ def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, cap
         ("trainer.devices", "trainer.devices is 100000; give 1 to at most"),
     ],
 )
-def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, told: str):
-    assert told in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
+def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, expected: str):
+    assert expected in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "told"),
+    ("option", "value", "expected"),
     [
         ("seed_everything", -1, "seed_everything is -1; give 0 to 4294967295"),
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
@@ -355,9 +357,9 @@ def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, cap
     ],
 )
 def test_a_value_that_lightning_would_trip_over_gets_a_sentence(
-    config: Path, capsys, option: str, value: object, told: str
+    config: Path, capsys, option: str, value: object, expected: str
 ):
-    assert told in refused(capsys, "fit", "-c", config, f"--{option}={value}")
+    assert expected in refused(capsys, "fit", "-c", config, f"--{option}={value}")
 
 
 def no_database(path: Path) -> None:
@@ -410,8 +412,8 @@ def test_tracking_that_fails_in_the_middle_gets_a_sentence(config: Path, tmp_pat
 
     monkeypatch.setattr(train.RunRecord, "on_save_checkpoint", fail)
     assert train.main(["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 1
-    told = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with "
-    assert told in capsys.readouterr().err
+    expected = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with "
+    assert expected in capsys.readouterr().err
 
 
 def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
@@ -450,9 +452,9 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
         ({"loops": None}, "fit", "holds no state of a training to go on from"),
     ]
-    for change, command, told in cases:
+    for change, command, expected in cases:
         torch.save(whole | change, path)
-        assert told in refused(capsys, command, "-c", config, "--ckpt_path", path)
+        assert expected in refused(capsys, command, "-c", config, "--ckpt_path", path)
     for data in ({}, {"trained_on": 3}, {"trained_on": {"depth": "stored"}}):
         torch.save(whole | {"ClipDataModule": data}, path)
         output = tmp_path / "out.onnx"

@@ -266,7 +266,7 @@ def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
         real_one = getattr(os, name)
         # Before it and after it.
         monkeypatch.setattr(
-            os, name, lambda *paths, move=real_one, **told: (next(steps, 0), move(*paths, **told), next(steps, 0))
+            os, name, lambda *paths, move=real_one, **named: (next(steps, 0), move(*paths, **named), next(steps, 0))
         )
     for _ in range(EVENTS):
         kind = chance.choice([door] * 6 + [chance.choice([*doors])] * 2 + ["put"] * 3 + ["edit"] * 2)

@@ -26,19 +26,19 @@ from palpate.common.provenance import ROOT, code_digest
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.results.record import depends_on, fingerprint_of
 
-def told():
+def found():
     code_digest.cache_clear()
     causes = depends_on(Path(sys.executable), PrepareSettings(), open_estimator(EstimatorOptions("direct")))
     return fingerprint_of(causes), *map(code_digest, ("preparation", "kernels"))
 
-print(ROOT, *told())
+print(ROOT, *found())
 for name in sys.stdin.read().splitlines():
     path, changed = Path(name), Path(name + ".changed")
     kept = path.read_bytes()
     path.write_bytes(changed.read_bytes())
-    print(name, *told())
+    print(name, *found())
     path.write_bytes(kept)
-print(ROOT, *told())
+print(ROOT, *found())
 """
 """Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
 

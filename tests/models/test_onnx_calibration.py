@@ -26,7 +26,7 @@ BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Path:
-    """An exported posterior that is told ten numbers."""
+    """An exported posterior that takes ten numbers."""
     torch.manual_seed(0)
     posterior = ContactPosterior(10, torch.tensor(BOUNDS.log_box))
     with torch.no_grad():  # the exporter keeps equal weights once
@@ -110,8 +110,8 @@ def test_a_generators_posterior_is_calibrated_as_well(tmp_path: Path) -> None:
     export(generator, tmp_path / "both.onnx", {"input": {"window": 2, "height": 24, "width": 32}})
     calibrate(tmp_path / "both.onnx", tmp_path / "out.onnx", Calibration(Widths((2.0, 3.0, 4.0))))
     random = np.random.default_rng(0)
-    told = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
-    own, covariance = (PosteriorModel(tmp_path / name)(*told)[1] for name in ("both.onnx", "out.onnx"))
+    inputs = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
+    own, covariance = (PosteriorModel(tmp_path / name)(*inputs)[1] for name in ("both.onnx", "out.onnx"))
     np.testing.assert_allclose(covariance, own * np.outer([2, 3, 4], [2, 3, 4]), rtol=1e-4)
 
 

@@ -170,6 +170,6 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     assert exported < 1e-5
     plain = PosteriorModel.run
     monkeypatch.setattr(
-        PosteriorModel, "run", lambda *told: [*plain(*told)[:2], plain(*told)[2] * 1.001]
+        PosteriorModel, "run", lambda *given: [*plain(*given)[:2], plain(*given)[2] * 1.001]
     )  # a thousandth off
     assert parity(_Posterior(posterior), model, (1, 24, 40)) > PARITY_TOLERANCE

@@ -127,10 +127,10 @@ def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, val
     path = write_model(tmp_path / "m.onnx", METADATA | {name: value})
     with pytest.raises(ModelFileError, match=r"m\.onnx has unusable metadata, .*; export it again") as caught:
         open_model(path)
-    told = str(caught.value)
-    assert told.isprintable()
-    assert name[:10] in told or name == "anything"
-    assert len(told) < len(str(path)) + 300
+    said = str(caught.value)
+    assert said.isprintable()
+    assert name[:10] in said or name == "anything"
+    assert len(said) < len(str(path)) + 300
 
 
 def test_infinite_by_its_exponent(tmp_path):

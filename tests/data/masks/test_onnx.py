@@ -105,7 +105,7 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
 @pytest.mark.parametrize(
     ("metadata", "message"),
     [
-        (None, r"has no settings; write m\.yaml beside it"),
+        (None, r"has no settings; write m\.yaml next to it"),
         ({}, r"lacks 'tool'; give \[a whole number, …\]"),
         ({"tool": [1], "tissu": [2]}, "unknown key 'tissu'; known are tool"),
         ({"tool": []}, "at least one output channel"),

@@ -220,8 +220,8 @@ def test_a_real_data_set_is_never_overwritten(tmp_path: Path, capsys: pytest.Cap
     (real / "frame_80_endo.png").write_bytes(b"precious")
     options = ["--output", str(tmp_path), "--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
     assert main([*options, "--overwrite"]) == 1
-    told = "".join(capsys.readouterr().err.split())
-    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in told
+    said = "".join(capsys.readouterr().err.split())
+    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in said
     assert main(options) == 1
     assert [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()] == [b"precious"]
 

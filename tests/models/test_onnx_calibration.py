@@ -18,6 +18,7 @@ from palpate.models.onnx_export import ParityError, export
 from palpate.models.onnx_session import ModelFileError, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
+from tests.inference_inputs import write_model
 
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
 WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (0.0, 0.3, -0.2))
@@ -129,7 +130,7 @@ def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain, calibrate
     twice = tmp_path / "twice.onnx"
     with pytest.raises(ValueError, match=r"calibrated\.onnx is calibrated already"):
         calibrate(calibrated, twice, Calibration(WHOLE))
-    export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
+    write_model(tmp_path / "parameters.onnx")
     with pytest.raises(ModelFileError, match="takes depth"):
         calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))
     monkeypatch.setattr("palpate.models.onnx_export.PARITY_TOLERANCE", -1.0)

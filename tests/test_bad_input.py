@@ -204,35 +204,6 @@ def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
         assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
 
 
-def test_stored_depth_that_is_no_depth(clips, model, tmp_path):
-    values = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0}
-    for name, value in values.items():
-        clip = write_clip(clips / name, FRAMES, 2)
-        for number in range(10, 10 + FRAMES):
-            depth = cv2.imread(str(clip / f"frame_{number}_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
-            np.save(clip / f"depth_{number}.npy", np.full_like(depth, value) if number == 13 else depth)
-    (tmp_path / "layout.yaml").write_text("depth: 'depth_{number}.npy'\n")
-    # The good clip has no such files, and that is its failure.
-    assert call(clips, "--layout", str(tmp_path / "layout.yaml"), "--depth", "stored") == 1
-    for name in values:
-        assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", "bad_depth", "ok", "ok"], name
-        assert rows(clips, name)[3]["detail"]
-
-
-def test_rgba_and_grey_masks_are_read(clips, model):
-    rgba, grey = write_clip(clips / "rgba", FRAMES, 2), write_clip(clips / "grey", FRAMES, 2)
-    for path in rgba.glob("*_color_mask.png"):
-        path.write_bytes(encode(cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2BGRA)))
-    for path in grey.glob("*_color_mask.png"):
-        mask = cv2.imread(str(path))
-        values = np.full(SIZE[::-1], 50, np.uint8)
-        values[(mask == (165, 160, 255)).all(axis=2)] = 22
-        values[(mask == (0, 255, 170)).all(axis=2)] = 31
-        path.write_bytes(encode(values))
-    assert call(clips) == 0
-    assert statuses(clips, "rgba") == statuses(clips, "grey") == statuses(clips, "good")
-
-
 def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, capsys):
     clip = write_clip(clips / "gap", FRAMES, 2)
     for path in clip.glob("frame_13_*"):
@@ -244,25 +215,6 @@ def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, ca
     # Nothing is compared across the gap.
     assert found[2]["observed_displacement"] == ""
     assert "gap: 1 frame numbers are missing between 10 and 15" in capsys.readouterr().err
-
-
-def test_truncated_video_keeps_a_row_for_every_announced_frame(clips, model, capsys):
-    av = pytest.importorskip("av")
-    path = clips / "cut.mp4"
-    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
-        stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})
-        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
-        noise = np.random.default_rng(0)
-        for _ in range(16):
-            picture = noise.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
-    assert call(clips) == 0
-    found = statuses(clips, "cut")
-    assert len(found) == 16
-    assert 2 < found.count("unreadable") < 14
-    assert "cut: truncated: " in capsys.readouterr().err
 
 
 def test_folders_nest_and_links_lead_in_circles(clips, model, nested, capsys):
@@ -450,12 +402,6 @@ def test_empty_input_is_not_the_working_folder(model, capsys):
         infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
     assert ended.value.code == 2
     assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
-
-
-def test_covered_lens_gives_rows_without_a_tool(clips, model):
-    write_pictures(clips / "black", encode(np.zeros((96, 160, 3), np.uint8)))
-    assert call(clips) == 0
-    assert statuses(clips, "black") == ["no_tool"] * 3
 
 
 def test_decoders_say_nothing_of_their_own(clips, model, capfd):

@@ -174,32 +174,31 @@ def test_an_empty_path_is_refused(inputs, tmp_path, monkeypatch, capsys, option)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_changed_clip_is_not_up_to_date(inputs, tmp_path, capsys):
-    shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
-    arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--model", str(inputs / "parameters.onnx")]
-    assert infer.main(arguments) == 0
-    (tmp_path / "clip" / "frame_17_endo.png").unlink()
-    assert infer.main(arguments) == 1
-    assert "of frames that have changed since" in capsys.readouterr().err
-    assert infer.main([*arguments, "--overwrite"]) == 0
-    assert len(rows(tmp_path / "out" / "clip")) == 7
+def repaint_last(clip: Path) -> None:
+    (clip / "frame_17_endo.png").write_bytes((clip / "frame_10_endo.png").read_bytes())
 
 
-@pytest.mark.parametrize("output", ["clip", "."])
-def test_changed_frames_are_seen_with_the_output_in_or_above_the_input(inputs, tmp_path, capsys, output):
+def remove_last(clip: Path) -> None:
+    (clip / "frame_17_endo.png").unlink()
+
+
+@pytest.mark.parametrize(("output", "change"), [("clip", repaint_last), (".", repaint_last), ("out", remove_last)])
+def test_changed_frames_are_seen_wherever_the_output_is(inputs, tmp_path, capsys, output, change):
+    """Also in the input, and above it."""
     shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
     model = str(inputs / "parameters.onnx")
     arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / output), "--model", model, "--no-overlay"]
     assert infer.main(arguments) == 0
     assert infer.main(arguments) == 0
     assert "up to date" in capsys.readouterr().err
-    frame = tmp_path / "clip" / "frame_17_endo.png"
-    frame.write_bytes((tmp_path / "clip" / "frame_10_endo.png").read_bytes())
+    change(tmp_path / "clip")
     assert infer.main(arguments) == 1
     assert "of frames that have changed since" in capsys.readouterr().err
     assert infer.main([*arguments, "--overwrite"]) == 0
     assert infer.main(arguments) == 0
     assert "up to date" in capsys.readouterr().err
+    (table,) = (tmp_path / output).glob("clip*/parameters.csv")
+    assert len(rows(table.parent)) == len(list((tmp_path / "clip").glob("*_endo.png")))
 
 
 def test_no_overlay_leaves_the_video_out(inputs, tmp_path):

@@ -102,7 +102,9 @@ def test_unusable_files(checkpoint: Path, tmp_path: Path):
     with pytest.raises(CheckpointError, match="does not exist"):
         read_checkpoint(tmp_path / "nothing.ckpt")
     broken = tmp_path / "broken.ckpt"
-    for content in (b"", b"not a checkpoint", checkpoint.read_bytes()[:-1000]):
+    whole = checkpoint.read_bytes()
+    flipped = bytes(byte ^ 255 for byte in whole)
+    for content in (b"", b"not a checkpoint", whole[:-1000], whole[: len(whole) // 2], os.urandom(3000), flipped):
         broken.write_bytes(content)
         with pytest.raises(CheckpointError, match="not a readable checkpoint"):
             read_checkpoint(broken)

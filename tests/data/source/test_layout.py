@@ -223,6 +223,13 @@ def test_references_that_unfold_without_end_are_refused(tmp_path, content):
         read_mapping(tmp_path / "a.yaml", "a file")
 
 
+@pytest.mark.parametrize("content", [b"\x7fELF\x02\x01\x00\x00", b"\x00" * 100, "width: 4".encode("utf-16")])
+def test_what_is_no_text_is_refused(tmp_path, content):
+    (tmp_path / "a.yaml").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.yaml is not a file"):
+        read_mapping(tmp_path / "a.yaml", "a file")
+
+
 def test_merges_that_unfold_without_end_are_refused_or_not_unfolded(tmp_path):
     """With PyYAML up to 6.0.3 the one, from 6.0.4 on the other."""
     path = tmp_path / "a.yaml"

@@ -325,13 +325,13 @@ def test_a_configuration_that_is_none_is_named(
 @pytest.mark.parametrize(
     ("option", "expected"),
     [
-        ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
-        ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
+        ("data.depth.threads", "depth.threads is 100000; give 0 to 1024"),
+        ("data.loading.num_workers", "num_workers 100000; give 1 to 65536 and 0 to 1024"),
         ("data.loading.batch_size", "batch_size is 100000 and"),
         ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
         ("data.samples.window", "window is 100000; give at least 1 frame and at most 256"),
-        ("model.width", "width is 100000 and residual_blocks 1; give at most 256 and 64"),
-        ("model.residual_blocks", "give at most 256 and 64"),
+        ("model.width", "width 100000 and residual_blocks 1; give 1 channel or more, a width of 1 to 256"),
+        ("model.residual_blocks", "and 0 to 64 blocks"),
         ("trainer.devices", "trainer.devices is 100000; give 1 to at most"),
     ],
 )

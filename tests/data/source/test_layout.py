@@ -71,7 +71,7 @@ def test_companion_of_a_plain_image_lies_beside_it():
         ({"fps": 0.0}, "positive number"),
         ({"depth_factor": float("nan")}, "positive number"),
         ({"label_mask": "m/{number}.png"}, "needs layout.tool_values"),
-        ({"mask_opening_px": -1}, "give 0 or more"),
+        ({"mask_opening_px": -1}, "give 0 to 1001"),
     ],
 )
 def test_impossible_values_are_refused(values, message):
@@ -105,7 +105,7 @@ def test_impossible_values_are_refused(values, message):
         ("fps: !!timestamp x", "is not a clip layout"),
         ("tool_values: [0x" + "f" * 5000 + "]", "gives tool_values .a number beyond"),
         ("depth_factor: 1.0e+308", "gives depth_factor 1e\\+308; give a number"),
-        ("mask_opening_px: 100000", "layout.mask_opening_px is 100000; give at most 1001"),
+        ("mask_opening_px: 100000", "layout.mask_opening_px is 100000; give 0 to 1001"),
         ("? 0x" + "f" * 5000 + "\n: 1", "has the unknown key a number beyond"),
         ("fps: [" + "1," * 2**16 + "1]", "larger than 128 kB"),
     ],

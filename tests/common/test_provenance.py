@@ -150,7 +150,7 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     assert "data/contact/motion.py" in ours
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
-    # The helpers load modules, name sources, show names, read files and refuse settings; no array depends on them.
-    names = ("__init__", "lazy", "provenance", "doors", "settings", "files")
+    # The helpers load modules, name sources, show names, read and list files and refuse settings, not arrays.
+    names = ("__init__", "lazy", "provenance", "doors", "settings", "files", "output")
     helpers = {f"common/{name}.py" for name in names}
     assert others - helpers == {"physics/__init__.py", *PREPARATION}

@@ -386,6 +386,21 @@ def test_threads_do_not_change_the_result(tmp_path):
 # The published architectures, tiny and random, exported as their presets expect
 
 
+def giving(network, outputs):
+    """A network that gives what `outputs` makes of another one's result."""
+    import torch
+
+    class Giving(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network = network
+
+        def forward(self, pixel_values):
+            return outputs(self.network(pixel_values))
+
+    return Giving()
+
+
 def export(module, example, path, outputs):
     """Write a torch module as ONNX with the input `pixel_values`."""
     import torch
@@ -465,28 +480,21 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
     with torch.no_grad():
         network.fov_model.head.layers[-1].bias.fill_(70.0)
 
-    class Both(torch.nn.Module):
+    def outputs(result):
         """Canonical inverse depth with its field of view, and what the published files give instead."""
-
-        def __init__(self):
-            super().__init__()
-            self.network = network
-
-        def forward(self, pixel_values):
-            result = self.network(pixel_values)
-            focal = 0.5 * 1536 / torch.tan(0.5 * torch.deg2rad(result.field_of_view))
-            metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
-            return result.predicted_depth, result.field_of_view, metres, focal
+        focal = 0.5 * 1536 / torch.tan(0.5 * torch.deg2rad(result.field_of_view))
+        metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
+        return result.predicted_depth, result.field_of_view, metres, focal
 
     image = picture_854()
     preset = load_preset("depthpro-canonical")
     tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
-    export(Both(), tensor, tmp_path / "both.onnx", ["canonical", "fov", "metres", "focal"])
-    both = tmp_path / "both.onnx"
+    both, module = tmp_path / "both.onnx", giving(network, outputs)
+    export(module, tensor, both, ["canonical", "fov", "metres", "focal"])
     rename_outputs(both, tmp_path / "a.onnx", {"canonical": "predicted_depth", "fov": "field_of_view"})
     rename_outputs(both, tmp_path / "b.onnx", {"metres": "predicted_depth", "focal": "focallength_px"})
     with torch.no_grad():
-        canonical, fov, metres, _ = Both()(tensor)
+        canonical, fov, metres, _ = module(tensor)
     assert 0 < float(fov) < 180
     focal = 0.5 * 854 / math.tan(math.radians(float(fov)) / 2)
     source = Pictures([image])
@@ -545,24 +553,15 @@ def test_depth_anything(tmp_path, kind):
     with torch.no_grad():
         network.head.conv3.bias.fill_(0.5)
 
-    class Depth(torch.nn.Module):
-        """The network's depth alone."""
-
-        def __init__(self):
-            super().__init__()
-            self.network = network
-
-        def forward(self, pixel_values):
-            return self.network(pixel_values).predicted_depth
-
+    module = giving(network, lambda result: result.predicted_depth)
     name = "depth-anything-v2" if kind == "relative" else "depth-anything-v2-metric"
     preset = load_preset(name)
     image = picture_854()
     tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
     assert tensor.shape == (1, 3, 518, 924)
-    export(Depth(), tensor, tmp_path / "x.onnx", ["predicted_depth"])
+    export(module, tensor, tmp_path / "x.onnx", ["predicted_depth"])
     with torch.no_grad():
-        expected = enlarged(Depth()(tensor))
+        expected = enlarged(module(tensor))
     source = Pictures([image])
     settings = DepthSettings(name, str(tmp_path / "x.onnx"), near=0.05, far=0.2)
     depth = open_depth(settings, ClipLayout(), source)

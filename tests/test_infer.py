@@ -43,7 +43,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     write_model(folder / "parameters.onnx")
     write_clip(folder / "clips" / "folder", 8, 4)
-    write_video(folder / "clips" / "video.mp4", 8, 4)
+    write_video(folder / "clips" / "drawn.mp4", 8, 4)
     return folder
 
 
@@ -81,8 +81,8 @@ def test_closing_table_is_readable_on_a_narrow_terminal(inputs, tmp_path, capsys
 
 def test_folder_and_video_give_complete_results(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["video", "folder"]
-    for name in ("video", "folder"):
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    for name in ("drawn", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
         assert len(table) == 8
@@ -134,7 +134,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     assert f"{tmp_path / 'folder'}: holds results of other settings" in said.err
     assert "--overwrite replaces them" in said.err
     assert contents(tmp_path / "folder") == before
-    assert len(rows(tmp_path / "video")) == 8
+    assert len(rows(tmp_path / "drawn")) == 8
     assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
@@ -211,7 +211,7 @@ def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
     for _ in range(2):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["video", "folder"]
+    assert made == ["drawn", "folder"]
 
 
 def test_clip_beside_its_results_is_never_replaced(inputs, tmp_path):
@@ -239,19 +239,19 @@ def test_interruption_keeps_finished_clips_and_continues(within, inputs, tmp_pat
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["video"]
+    assert [path.name for path in tmp_path.iterdir()] == ["drawn"]
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    before = (tmp_path / "video" / "run.json").stat().st_mtime_ns
+    before = (tmp_path / "drawn" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["video", "folder"]
-    assert (tmp_path / "video" / "run.json").stat().st_mtime_ns == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    assert (tmp_path / "drawn" / "run.json").stat().st_mtime_ns == before
 
 
 def test_one_failing_clip_does_not_stop_the_others(inputs, tmp_path, capsys):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
     assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["video", "folder"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["drawn", "folder"]
     said = capsys.readouterr()
     assert "broken.mp4" in said.err
     assert "failed" in said.out
@@ -262,12 +262,12 @@ def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, mon
         raise RuntimeError("two\nlines")
 
     monkeypatch.setattr("palpate.results.run.open_source", fail)
-    assert call(inputs, tmp_path, clips="clips/video.mp4") == 1
+    assert call(inputs, tmp_path, clips="clips/drawn.mp4") == 1
     said = capsys.readouterr().err.strip()
     assert said.startswith("failed: ")
-    assert "video.mp4: unexpected RuntimeError (two lines); run with --debug" in said.splitlines()[0]
+    assert "drawn.mp4: unexpected RuntimeError (two lines); run with --debug" in said.splitlines()[0]
     with pytest.raises(RuntimeError):
-        call(inputs, tmp_path, "--debug", clips="clips/video.mp4")
+        call(inputs, tmp_path, "--debug", clips="clips/drawn.mp4")
 
 
 def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):

@@ -62,7 +62,7 @@ def test_an_annotation_in_words(kind: object, words: str):
         (
             SampleSettings,
             {"observation": "all"},
-            "samples.observation is 'all'; give one of final, release, trajectory.",
+            "samples.observation is 'all'; give one of final, trajectory.",
         ),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
         (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),

@@ -97,7 +97,7 @@ def all_below(folder: Path) -> list[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """A name beside a file to write its content under; it takes the file's place when all went well.
+    """A name next to a file to write its content under; it takes the file's place when all went well.
 
     Whatever goes wrong, an earlier file stays as it was and nothing of the new one remains.
     """

@@ -1,4 +1,4 @@
-"""What code a result was made with: one digest of the project's sources, from a checkout and installed alike."""
+"""What code a result was made with: one digest of the project's sources, the same from a checkout and installed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
 PREPARATION = ("common/robust.py", "physics/mesh.py")
 """What it depends on outside data/."""
-KINDS = ("*.py", "*.yaml", "*.onnx")
+KINDS = (".py", ".yaml", ".onnx")
 Part = Literal["all", "preparation", "kernels"]
 
 
@@ -27,7 +27,7 @@ def code_digest(part: Part = "all") -> str:
     """
     digest = hashlib.sha256()
     for package in PACKAGES:
-        for path in sorted(path for kind in KINDS for path in (ROOT / package).rglob(kind)):
+        for path in sorted(path for path in (ROOT / package).rglob("*") if path.suffix in KINDS):
             name = path.relative_to(ROOT).as_posix()
             if _belongs(name, part):
                 digest.update(name.encode() + b"\0" + path.read_bytes())

@@ -66,7 +66,7 @@ def affine_motion(points: np.ndarray, motion: np.ndarray, used: np.ndarray, plac
     Args:
         points: shape [N, 2].
         motion: of them, shape [N, A]; of those that aren't used it may be not a number.
-        used: which points tell, shape [N], bool.
+        used: which points count, shape [N], bool.
         places: where it is asked for, shape [M, 2].
     """
     terms, there = (np.column_stack([where, np.ones(len(where))]).astype(np.float64) for where in (points, places))

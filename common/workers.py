@@ -22,7 +22,7 @@ LIMITS = (
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
-"""Variables by which libraries, when they are loaded, are told how many native threads to use."""
+"""Variables that say how many native threads libraries use, which read them when they are loaded."""
 
 
 class WorkerLost(RuntimeError):

@@ -14,7 +14,6 @@ import re
 import shutil
 import tempfile
 import time
-import zipfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from palpate.common.files import all_below, as_json, digest_of, file_sha256
+from palpate.common.output import LIST, list_folder, require_own_folder
 from palpate.common.provenance import code_digest
 from palpate.data.depth.preset import resolve_model
 from palpate.data.masks.sources import mask_model
@@ -40,7 +40,7 @@ STALE_SECONDS = 86400.0
 """Age of an unfinished folder from which on it is left over from a killed process [s]."""
 MARKER = ".unfinished-clip"
 """File that distinguishes an unfinished folder of this module from a user's hidden folder."""
-ENTRY_FILE = re.compile(r"(clip|\d+)\.npz")
+ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
 """Settings on which a prepared clip does not depend: where a model runs, and the force's direction of samples."""
@@ -185,16 +185,13 @@ class CacheEntry:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
         if not isdir(self.folder):  # no entry, or a name that is too long for any folder
             return None
-        with contextlib.suppress(Exception):  # readers of zip files or arrays raise, depending on the damage
-            _require_whole(self.folder / "clip.npz", "sources")
+        with contextlib.suppress(OSError):  # a file is missing, or not as it was written
+            require_own_folder(self.folder)
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)
-            sources = dict(json.loads(str(columns.pop("sources"))))
-            width, height = columns.pop("size").tolist()
+            sources, (width, height) = json.loads(str(columns.pop("sources"))), columns.pop("size").tolist()
             clip = PreparedClip(self.folder, path, self.name, sources, (width, height), **columns)
-            for index in range(len(clip)):
-                _require_whole(_frame_file(self.folder, index), "labels")
-            if {len(column) for column in columns.values()} == {len(clip)}:
+            if all(isfile(_frame_file(self.folder, index)) for index in range(len(clip))):
                 return clip
         _remove(self.folder)
         return None
@@ -223,6 +220,7 @@ class CacheEntry:
                     for name, value in _row(prepared).items():
                         columns[name].append(value)
                 np.savez(folder / "clip.npz", sources=as_json(sources), size=size, **columns)
+                list_folder(folder)
                 try:
                     os.rename(folder, self.folder)
                 except OSError as error:
@@ -251,19 +249,6 @@ def _remove(folder: Path) -> None:
 def _frame_file(folder: Path, index: int) -> Path:
     """Path of a frame's file in an entry."""
     return folder / f"{index}.npz"
-
-
-def _require_whole(path: Path, name: str) -> None:
-    """Raise an exception where a file is not as `numpy.savez` wrote it, with this array in it.
-
-    A compressed file is not one of this module's, and may unpack to far more than its size.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    with zipfile.ZipFile(path) as file:
-        packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in file.infolist())
-        if packed or f"{name}.npy" not in file.namelist() or file.testzip() is not None:
-            raise zipfile.BadZipFile(path)
 
 
 def _row(prepared: PreparedFrame) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS
 from palpate.physics.msd.simulation import simulate
 
-OBSERVATIONS = ("final", "release", "trajectory")
+OBSERVATIONS = ("final", "trajectory")
 MIN_MAGNITUDE = 1e-12
 """Smaller magnitudes of parameters count as this before their logarithm is taken."""
 
@@ -149,15 +149,13 @@ class GanSession(RunSession):
     ) -> tuple[float | None, float | None]:
         """Lengths of the simulated and of the observed displacement at the instant that the model was trained on.
 
-        `final`: the contact after T steps, and its motion to the next frame. `release`: the same after the load's last
-        step. `trajectory`: the contact of the frame of onset, under load since then, at the time of the next frame, and
-        where its tissue point is then; None where the onset was not observed or lies further back than the horizon.
+        `final`: the contact after T steps, and its motion to the next frame. `trajectory`: the contact of the frame of
+        onset, under load since then, at the time of the next frame, and where its tissue point is then; None where the
+        onset was not observed or lies further back than the horizon.
         """
         mechanics, observation = self.estimator.mechanics, self.estimator.observation
         steps, load_steps = mechanics.steps, mechanics.load_steps
         start, observed = current, current.displacement
-        if observation == "release":
-            steps = max(load_steps, 1)
         if observation == "trajectory":
             if onset is None:
                 return None, None

@@ -24,7 +24,7 @@ class Widths:
     scale: Triple = (1.0, 1.0, 1.0)
     power: Triple = (1.0, 1.0, 1.0)
     noise: Triple = (0.0, 0.0, 0.0)
-    """Exponents of the observation's σ, in the unit in which the contact's features tell it."""
+    """Exponents of the observation's σ, in the unit in which the contact's features hold it."""
     damping: Triple = (0.0, 0.0, 0.0)
     """Exponents of the damping ratio as the network estimates it, but for its constant factor: tissue that creeps has
     posteriors unlike a normal distribution."""
@@ -37,19 +37,19 @@ class Widths:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Widths by what was seen of a contact, and where its features tell that."""
+    """Widths by what was observed of a contact, and which of its features say what was."""
 
     whole: Widths = Widths()
-    """Of contacts seen through their release."""
+    """Of contacts observed through their release."""
     pressed: Widths = Widths()
-    """Of contacts whose release has not been seen; used where `known_features` are given."""
+    """Of contacts whose release has not been observed; used where `known_features` are given."""
     between: Widths = Widths()
     """Of presses whose instants are not known, where they make it wider; used where `within_features` are given."""
     noise_features: tuple[int, ...] = ()
     """Features whose sum is log σ."""
     known_features: tuple[int, ...] = ()
-    """Features that are 1 for instants that were seen."""
+    """Features that are 1 for instants that were observed."""
     loaded_features: tuple[int, ...] = ()
-    """Features that are 1 for instants that were seen under load."""
+    """Features that are 1 for instants that were observed under load."""
     within_features: tuple[int, ...] = ()
     """Features that are above 0 where the instants of a press are not known."""

@@ -1,10 +1,11 @@
 """Which widths make a posterior's intervals hold, from its errors on clips whose truth is known.
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
-σ the observation's as it is told it, and the damping ratio as it estimates it, and a factor that is quadratic in log σ
-(`models.calibration.Widths`). The coefficients are the likeliest ones for normal errors; the scale is then set so that
-the 90 % intervals hold the truth in 90 % of the results (conformal prediction, Vovk's quantile, with a normalised
-score). Both come from the same results and several suites observe the same clips, so the guarantee is not exact.
+σ the observation's as the network is given it, and the damping ratio as it estimates it, and a factor that is quadratic
+in log σ (`models.calibration.Widths`). The coefficients are the likeliest ones for normal errors; the scale is then set
+so that the 90 % intervals hold the truth in 90 % of the results (conformal prediction, Vovk's quantile, with a
+normalised score). Both come from the same results and several suites observe the same clips, so the guarantee is not
+exact.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray
     Args:
         estimates, truths: log |θ|, shape [n, 3].
         deviations: the network's standard deviations of them, shape [n, 3].
-        log_noise: of the observations as the network is told it, shape [n].
+        log_noise: of the observations as the network is given it, shape [n].
 
     Raises:
         ValueError: too few results.

@@ -31,10 +31,6 @@ OPTIMIZER_KEYS = {"state", "param_groups"}
 """Keys of an optimiser's state in a checkpoint."""
 EXPORTED_PREFIX = "network."
 """Prefix of a weight's name in an exported posterior."""
-EXPECTED_BOUND = ".expected_bound."
-"""Part of the names of the weights behind the expected bound, by which verdicts are given."""
-EARLIER_DEFAULTS = {"head": "parameters", "picture": True}
-"""Values of the settings that checkpoints of earlier versions don't name."""
 
 
 class CheckpointError(ValueError):
@@ -64,7 +60,7 @@ def load_generator(path: Path) -> tuple[Generator, Mechanics, int]:
         CheckpointError: the file can't be read, or its weights don't fit its settings.
     """
     checkpoint = read_checkpoint(path)
-    settings = EARLIER_DEFAULTS | checkpoint["hyper_parameters"]
+    settings = checkpoint["hyper_parameters"]
     try:
         generator = Generator(
             settings["window"],
@@ -95,8 +91,7 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: the checkpoint can't be read, or one of `FIXED` differs; the message names it.
     """
-    checkpoint = read_checkpoint(path)
-    trained = EARLIER_DEFAULTS | checkpoint["hyper_parameters"]
+    trained = read_checkpoint(path)["hyper_parameters"]
     for name in FIXED:
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
@@ -104,8 +99,6 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
                 f"{path} was trained with model.{name} = {was} and the configuration says {now}; "
                 "give the configuration it was trained with."
             )
-    if trained["head"] == "posterior" and not any(EXPECTED_BOUND in name for name in checkpoint["state_dict"]):
-        raise CheckpointError(f"{path} knows no expected bounds, as earlier versions did not; train it again.")
 
 
 def require_same_weights(path: Path, own: Mapping[str, torch.Tensor], *, resume: bool) -> None:

@@ -174,14 +174,10 @@ class Generator(nn.Module):
                 raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
         if not picture and head != "posterior":
             raise ValueError(f"picture is false and head {head}, which has no other input; choose head posterior.")
-        if channels < 1 or width < 1 or residual_blocks < 0:
+        if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
             raise ValueError(
-                f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; "
-                "give at least 1 channel, a width of at least 1 and no negative number of blocks."
-            )
-        if width > MAX_WIDTH or residual_blocks > MAX_BLOCKS:
-            raise ValueError(
-                f"width is {width} and residual_blocks {residual_blocks}; give at most {MAX_WIDTH} and {MAX_BLOCKS}."
+                f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "
+                f"a width of 1 to {MAX_WIDTH} and 0 to {MAX_BLOCKS} blocks."
             )
         self.channels = channels
         self.encoder = nn.Sequential(

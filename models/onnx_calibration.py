@@ -13,10 +13,9 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from palpate.common.files import as_json, replacing
 from palpate.models.calibration import LOG_DAMPING, Calibration, Widths
-from palpate.models.onnx_export import PARITY_TOLERANCE, ParityError, require_own_model, to_onnx
-from palpate.models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, METADATA_KEY, PosteriorModel
+from palpate.models.onnx_export import to_onnx, write
+from palpate.models.onnx_session import CONTACT, INPUT, LOG_COVARIANCE, LOG_MEAN, PosteriorModel
 
 NAME_PREFIX = "calibration/"
 """Prefix of the names of nodes that calibration adds to a file."""
@@ -74,20 +73,12 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
     model = onnx.load(source)
     _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, "own": own}, (LOG_COVARIANCE,)))
-    document = plain.metadata | {"calibration": asdict(calibration)}
-    onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
-    require_own_model(output)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(output) as partial:
-        onnx.save(model, partial, format="protobuf")
-        found = torch.from_numpy(PosteriorModel(partial)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
-        difference = float((found - widening(contact, mean, own)).abs().max())
-        if difference > PARITY_TOLERANCE:
-            raise ParityError(
-                f"the calibrated covariances differ from torch by {difference:.2g}, more than {PARITY_TOLERANCE:g}; "
-                f"nothing was written to {output}."
-            )
-    return difference
+
+    def difference_of(path: Path) -> float:
+        found = torch.from_numpy(PosteriorModel(path)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
+        return float((found - widening(contact, mean, own)).abs().max())
+
+    return write(model, plain.metadata | {"calibration": asdict(calibration)}, output, difference_of)
 
 
 def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:

@@ -11,7 +11,7 @@ import logging
 import os
 import platform
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -139,13 +139,26 @@ def export(
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
     model = to_onnx(exported, exported.examples(2, window), exported.kind.outputs)
-    text = as_json(document | metadata, ensure_ascii=False, sort_keys=True)
-    onnx.helper.set_model_props(model, {METADATA_KEY: text})
+    return write(model, document | metadata, output, lambda partial: parity(exported, exported.kind(partial), window))
+
+
+def write(
+    model: onnx.ModelProto, document: dict[str, Any], output: Path, difference_of: Callable[[Path], float]
+) -> float:
+    """Write a graph with its metadata to a file that appears only when it is complete and agrees with torch.
+
+    Args:
+        difference_of: the file's largest difference from torch, which is returned.
+
+    Raises:
+        ForeignFile, ParityError: as of `export`.
+    """
+    onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
     require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")
-        difference = parity(exported, exported.kind(partial), window)
+        difference = difference_of(partial)
         if difference > PARITY_TOLERANCE:
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "

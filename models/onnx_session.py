@@ -156,10 +156,6 @@ class PosteriorModel(ExportedModel):
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
         self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth)
         whole = self.metadata.get("calibration", {}).get("whole", {})
-        if "decisive" in whole:
-            raise ModelFileError(
-                f"{self.path} gives its verdicts by standard deviations, as an earlier version did; export it again."
-            )
         plain = json.loads(as_json(asdict(Widths())))
         self.calibrated = plain | whole != plain
         """Whether its standard deviations are calibrated."""

@@ -9,8 +9,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
@@ -18,6 +16,7 @@ from palpate.data.masks.sources import MaskClasses
 from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR
 from palpate.physics.mechanics import Bounds, Mechanics
+from tests.networks import write_network
 
 THETA = (0.5, 0.09, -0.4)
 """θ that `write_model` gives for a window of zero depth."""
@@ -29,6 +28,8 @@ SIZE = (160, 96)
 """Width and height of the drawn frames [px]."""
 GRID = (48, 80)
 """Height and width of the network's input."""
+MEAN = {"axes": np.array([1, 2, 3]), "flat": np.array([-1, 1])}
+"""Constants by which a batch of windows becomes a column of their means."""
 TISSUE_COLOR, TOOL_COLOR, OTHER_COLOR = (255, 160, 165), (170, 255, 0), (127, 127, 127)
 
 
@@ -61,73 +62,51 @@ def write_model(
 ) -> Path:
     """Write a network that gives θ = theta + slope · (mean depth of the window)."""
     document = metadata() if document is None else document
-    size = document["input"]
-    shape = (size["window"], size["height"], size["width"])
-    constants = {
-        "slope": np.array([slope], np.float32),
-        "offset": np.array([theta], np.float32),
-        "axes": np.array([1, 2, 3]),
-        "flat": np.array([-1, 1]),
-    }
-    nodes = [
-        helper.make_node("ReduceMean", [inputs[0], "axes"], ["mean"]),
-        helper.make_node("Reshape", ["mean", "flat"], ["column"]),
-        helper.make_node("MatMul", ["column", "slope"], ["scaled"]),
-        helper.make_node("Add", ["scaled", "offset"], ["theta"]),
-    ]
-    return _write(path, nodes, dict.fromkeys(inputs, shape), {"theta": (3,)}, constants, document)
+    graph = f"""network ({", ".join(f"{_window(document)} {name}" for name in inputs)}) => (float[batch, 3] theta) {{
+        mean = ReduceMean({inputs[0]}, axes)
+        column = Reshape(mean, flat)
+        scaled = MatMul(column, slope)
+        theta = Add(scaled, offset)
+    }}"""
+    constants = {"slope": np.array([slope], np.float32), "offset": np.array([theta], np.float32)}
+    return write_network(path, graph, _held(document), **constants, **MEAN)
 
 
 def write_posterior(path: Path, document: dict[str, Any], features: int) -> Path:
     """Write a posterior whose mean depends on the depth window's mean and a little on the contact's vector."""
-    size = document["input"]
-    constants = {
-        "of_depth": np.array([[-0.2, 0.1, 0.3]], np.float32),
-        "of_contact": np.random.default_rng(0).normal(0, 0.02, (features, 3)).astype(np.float32),
-        "offset": np.log([[0.4, 0.08, 0.1]]).astype(np.float32),
-        "nothing": np.zeros((1, 9), np.float32),
-        "spread": np.array([[0.2, 0.1, 0.1, 0.1, 0.3, 0.1, 0.1, 0.1, 0.4]], np.float32),
-        "axes": np.array([1, 2, 3]),
-        "flat": np.array([-1, 1]),
-        "square": np.array([-1, 3, 3]),
-    }
-    nodes = [
-        helper.make_node("ReduceMean", ["depth", "axes"], ["mean"]),
-        helper.make_node("Reshape", ["mean", "flat"], ["column"]),
-        helper.make_node("MatMul", ["column", "of_depth"], ["looked"]),
-        helper.make_node("MatMul", ["contact", "of_contact"], ["felt"]),
-        helper.make_node("Sum", ["looked", "felt", "offset"], ["log_mean"]),
-        helper.make_node("MatMul", ["column", "nothing"], ["empty"]),
-        helper.make_node("Add", ["empty", "spread"], ["row"]),
-        helper.make_node("Reshape", ["row", "square"], ["log_covariance"]),
-        helper.make_node("Identity", ["log_covariance"], [EXPECTED_BOUND]),
-    ]
-    inputs = {"contact": (features,), "depth": (size["window"], size["height"], size["width"])}
-    outputs = {"log_mean": (3,), "log_covariance": (3, 3), EXPECTED_BOUND: (3, 3)}
-    return _write(path, nodes, inputs, outputs, constants, document | {"head": POSTERIOR})
-
-
-def _write(
-    path: Path,
-    nodes: list[onnx.NodeProto],
-    inputs: dict[str, tuple[int, ...]],
-    outputs: dict[str, tuple[int, ...]],
-    constants: dict[str, np.ndarray],
-    document: dict[str, Any],
-) -> Path:
-    """Write a graph; shapes of inputs and outputs are those without the batch."""
-    ends = (
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape]) for name, shape in end.items()]
-        for end in (inputs, outputs)
+    graph = f"""network (float[batch, {features}] contact, {_window(document)} depth) =>
+        (float[batch, 3] log_mean, float[batch, 3, 3] log_covariance, float[batch, 3, 3] {EXPECTED_BOUND}) {{
+        mean = ReduceMean(depth, axes)
+        column = Reshape(mean, flat)
+        looked = MatMul(column, of_depth)
+        felt = MatMul(contact, of_contact)
+        log_mean = Sum(looked, felt, offset)
+        empty = MatMul(column, nothing)
+        row = Add(empty, spread)
+        log_covariance = Reshape(row, square)
+        {EXPECTED_BOUND} = Identity(log_covariance)
+    }}"""
+    return write_network(
+        path,
+        graph,
+        _held(document | {"head": POSTERIOR}),
+        of_depth=np.array([[-0.2, 0.1, 0.3]], np.float32),
+        of_contact=np.random.default_rng(0).normal(0, 0.02, (features, 3)).astype(np.float32),
+        offset=np.log([[0.4, 0.08, 0.1]]).astype(np.float32),
+        nothing=np.zeros((1, 9), np.float32),
+        spread=np.array([[0.2, 0.1, 0.1, 0.1, 0.3, 0.1, 0.1, 0.1, 0.4]], np.float32),
+        square=np.array([-1, 3, 3]),
+        **MEAN,
     )
-    values = [numpy_helper.from_array(value, name) for name, value in constants.items()]
-    graph = helper.make_graph(nodes, "network", *ends, values)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
-    if document:
-        helper.set_model_props(model, {METADATA_KEY: json.dumps(document)})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    onnx.save(model, path)
-    return path
+
+
+def _window(document: dict[str, Any]) -> str:
+    """Type of a batch of depth windows."""
+    return f"float[batch, {', '.join(str(document['input'][name]) for name in ('window', 'height', 'width'))}]"
+
+
+def _held(document: dict[str, Any]) -> dict[str, str]:
+    return {METADATA_KEY: json.dumps(document)} if document else {}
 
 
 def draw_frame(index: int, onset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

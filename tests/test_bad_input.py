@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,17 @@ import pytest
 from palpate.command import infer
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.results import store as result_store
-from tests.inference_inputs import GRID, SIZE, encode, metadata, write_clip, write_model, write_video
+from tests.inference_inputs import (
+    GRID,
+    SIZE,
+    TISSUE_COLOR,
+    TOOL_COLOR,
+    encode,
+    metadata,
+    write_clip,
+    write_model,
+    write_video,
+)
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,132 +64,82 @@ def statuses(clips: Path, name: str) -> list[str]:
     return [row["status"] for row in rows(clips, name)]
 
 
-def is_plain(told: str) -> bool:
-    return "Traceback" not in told and "Error:" not in told
+def is_plain(said: str) -> bool:
+    return "Traceback" not in said and "Error:" not in said
 
 
 # --- clips that can't be opened: the clip fails by name, the others complete ---
 
 
-def empty_video(clips: Path) -> Path:
-    (clips / "bad.mp4").write_bytes(b"")
-    return clips / "bad.mp4"
+def frames_of(folder: Path) -> Path:
+    return write_clip(folder / "bad", FRAMES, 2)
 
 
-def no_video(clips: Path) -> Path:
-    (clips / "bad.mp4").write_bytes(os.urandom(4000))
-    return clips / "bad.mp4"
+def headless_video(folder: Path) -> None:
+    whole = write_video(folder / "bad.mp4", 30).read_bytes()
+    (folder / "bad.mp4").write_bytes(whole[: len(whole) // 2])
 
 
-def headless_video(clips: Path) -> Path:
-    whole = write_video(clips / "bad.mp4", 30).read_bytes()
-    (clips / "bad.mp4").write_bytes(whole[: len(whole) // 2])
-    return clips / "bad.mp4"
-
-
-def folder_of_broken_images(clips: Path) -> Path:
-    write_clip(clips / "bad", FRAMES, 2)
-    for path in (clips / "bad").glob("*_endo.png"):
+def broken_images(folder: Path) -> None:
+    for path in frames_of(folder).glob("*_endo.png"):
         path.write_bytes(b"")
-    return clips / "bad"
 
 
-def broken_clip_file(clips: Path) -> Path:
-    (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text("{")
-    return clips / "bad"
+def strip(folder: Path) -> None:
+    write_pictures(folder / "bad", encode(np.full((40, 400, 3), 90, np.uint8)))
 
 
-def two_images_of_one_number(clips: Path) -> Path:
-    folder = write_clip(clips / "bad", FRAMES, 2)
-    (folder / "frame_012_endo.png").write_bytes((folder / "frame_12_endo.png").read_bytes())
-    return folder
-
-
-def strip(clips: Path) -> Path:
-    (clips / "bad").mkdir()
-    for index in range(3):
-        (clips / "bad" / f"{index}.png").write_bytes(encode(np.full((40, 400, 3), 90, np.uint8)))
-    return clips / "bad"
-
-
-def video_of_a_device(clips: Path) -> Path:
-    (clips / "bad.mp4").symlink_to("/dev/zero")
-    return clips / "bad.mp4"
-
-
-def video_of_a_pipe(clips: Path) -> Path:
-    os.mkfifo(clips / "bad.mp4")
-    return clips / "bad.mp4"
-
-
-def video_of_a_loop(clips: Path) -> Path:
-    (clips / "bad.mp4").symlink_to("bad.mp4")
-    return clips / "bad.mp4"
-
-
-def clip_file_of_a_pipe(clips: Path) -> Path:
-    os.mkfifo(write_clip(clips / "bad", FRAMES, 2) / "clip.json")
-    return clips / "bad"
-
-
-def clip_file_of_camera(text: str) -> Callable[[Path], Path]:
-    def make(clips: Path) -> Path:
-        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"camera": {{"fx": {text}}}}}')
-        return clips / "bad"
-
-    return make
-
-
-def clip_file_of_rate(text: str) -> Callable[[Path], Path]:
-    def make(clips: Path) -> Path:
-        (write_clip(clips / "bad", FRAMES, 2) / "clip.json").write_text(f'{{"fps": {text}}}')
-        return clips / "bad"
-
-    return make
-
-
-def pictures_that_unpack_to_gigabytes(clips: Path) -> Path:
+def pictures_that_unpack_to_gigabytes(folder: Path) -> None:
     content = encode(np.zeros((40, 40), np.uint8))
-    (clips / "bad").mkdir()
+    write_pictures(folder / "bad", content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
+
+
+def write_pictures(folder: Path, content: bytes) -> None:
+    folder.mkdir()
     for index in range(3):
-        (clips / "bad" / f"{index}.png").write_bytes(content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
-    return clips / "bad"
+        (folder / f"{index}.png").write_bytes(content)
 
 
-UNUSABLE = (
-    empty_video,
-    no_video,
-    headless_video,
-    folder_of_broken_images,
-    broken_clip_file,
-    two_images_of_one_number,
-    strip,
-    video_of_a_device,
-    video_of_a_pipe,
-    video_of_a_loop,
-    clip_file_of_a_pipe,
-    *(clip_file_of_camera(text) for text in ("[" * 900 + "]" * 900, "9" * 400, "1e308", "-1", "NaN")),
-    *(clip_file_of_rate(text) for text in ("1e308", "1e-320", "9" * 400, "[" * 5000)),
-    pictures_that_unpack_to_gigabytes,
+def clip_file(text: str) -> Callable[[Path], object]:
+    return lambda folder: (frames_of(folder) / "clip.json").write_text(text)
+
+
+UNUSABLE: tuple[Callable[[Path], object], ...] = (
+    lambda folder: (folder / "bad.mp4").write_bytes(b""),
+    lambda folder: (folder / "bad.mp4").write_bytes(os.urandom(4000)),
+    lambda folder: (folder / "bad.mp4").symlink_to("/dev/zero"),
+    lambda folder: (folder / "bad.mp4").symlink_to("bad.mp4"),
+    lambda folder: os.mkfifo(folder / "bad.mp4"),
+    lambda folder: os.mkfifo(frames_of(folder) / "clip.json"),
+    lambda folder: shutil.copy(frames_of(folder) / "frame_12_endo.png", folder / "bad" / "frame_012_endo.png"),
+    *(headless_video, broken_images, strip, pictures_that_unpack_to_gigabytes),
+    clip_file("{"),
+    *(
+        clip_file(f'{{"camera": {{"fx": {text}}}}}')
+        for text in ("[" * 900 + "]" * 900, "9" * 400, "1e308", "-1", "NaN")
+    ),
+    *(clip_file(f'{{"fps": {text}}}') for text in ("1e308", "1e-320", "9" * 400, "[" * 5000)),
 )
+"""What makes the one clip of a folder, which can't be opened."""
 
 
-def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_unusable_clips_are_named_and_the_rest_goes_on(clips, model, capsys):
     bad = []
     for index, make in enumerate(UNUSABLE):
-        (clips / f"{index} {make.__name__}").mkdir()
-        bad.append(make(clips / f"{index} {make.__name__}"))
+        (clips / str(index)).mkdir()
+        make(clips / str(index))
+        bad += (clips / str(index)).iterdir()
     assert call(clips) == 1
-    told = capsys.readouterr()
-    failures = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    said = capsys.readouterr()
+    failures = [line for line in said.err.splitlines() if line.startswith("failed: ")]
     for path in bad:
         named = [line for line in failures if str(path) in line]
         assert len(named) == 1
         assert named[0].endswith(".")
         assert len(named[0]) < 2 * len(str(path)) + 300
     assert len(failures) == len(UNUSABLE)
-    assert is_plain(told.err + told.out)
-    assert "unexpected" not in told.err
+    assert is_plain(said.err + said.out)
+    assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["good"]
 
@@ -186,132 +147,64 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips: Path, model: Path,
 # --- frames that can't be used: their rows say why, the clip's other frames are estimated ---
 
 
-def replace_frame(clip: Path, suffix: str, content: bytes, number: int = 13) -> None:
-    (clip / f"frame_{number}_endo{suffix}.png").write_bytes(content)
+Change = Callable[[bytes], bytes | None]
+"""From a file's content to another; None where the file is to be gone."""
 
 
-def zero_byte_frame(clip: Path) -> None:
-    replace_frame(clip, "", b"")
+def put(content: bytes | None) -> Change:
+    return lambda _: content
 
 
-def truncated_frame(clip: Path) -> None:
-    path = clip / "frame_13_endo.png"
-    path.write_bytes(path.read_bytes()[:900])
+def without(color: tuple[int, int, int], left: int = 0) -> Change:
+    """A mask without a class, but for some pixels of it."""
+
+    def change(content: bytes) -> bytes:
+        mask = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB)
+        mask[(mask == color).all(axis=2)] = 127
+        mask[60, 80 : 80 + left] = color
+        return encode(mask[..., ::-1])
+
+    return change
 
 
-def frame_of_another_size(clip: Path) -> None:
-    replace_frame(clip, "", encode(np.zeros((50, 70, 3), np.uint8)))
-
-
-def missing_mask(clip: Path) -> None:
-    (clip / "frame_13_endo_color_mask.png").unlink()
-
-
-def mask_of_another_size(clip: Path) -> None:
-    replace_frame(clip, "_color_mask", encode(np.zeros((50, 70, 3), np.uint8)))
-
-
-def zero_byte_mask(clip: Path) -> None:
-    replace_frame(clip, "_color_mask", b"")
-
-
-def all_zero_depth(clip: Path) -> None:
-    replace_frame(clip, "_depth", encode(np.zeros(SIZE[::-1], np.uint16)))
-
-
-def constant_depth(clip: Path) -> None:
-    replace_frame(clip, "_depth", encode(np.full(SIZE[::-1], 20000, np.uint16)))
-
-
-def missing_depth(clip: Path) -> None:
-    (clip / "frame_13_endo_depth.png").unlink()
-
-
-def tool_gone(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (0, 255, 170)).all(axis=2)] = 127
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-def tissue_gone(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-def tissue_of_three_pixels(clip: Path) -> None:
-    mask = cv2.imread(str(clip / "frame_13_endo_color_mask.png"))
-    mask[(mask == (165, 160, 255)).all(axis=2)] = 127
-    mask[60, 80:83] = (165, 160, 255)
-    replace_frame(clip, "_color_mask", encode(mask))
-
-
-SPOILT = {
-    zero_byte_frame: "unreadable",
-    truncated_frame: "unreadable",
-    frame_of_another_size: "unreadable",
-    missing_mask: "no_mask",
-    mask_of_another_size: "no_mask",
-    zero_byte_mask: "no_mask",
-    all_zero_depth: "bad_depth",
-    constant_depth: "bad_depth",
-    missing_depth: "bad_depth",
-    tool_gone: "no_tool",
-    tissue_gone: "no_tissue",
-    tissue_of_three_pixels: "no_tissue",
+OTHER_SIZE = encode(np.zeros((50, 70, 3), np.uint8))
+SPOILT: dict[str, tuple[str, Change, str]] = {
+    "empty frame": ("", put(b""), "unreadable"),
+    "cut frame": ("", lambda content: content[:900], "unreadable"),
+    "frame of another size": ("", put(OTHER_SIZE), "unreadable"),
+    "no mask": ("_color_mask", put(None), "no_mask"),
+    "mask of another size": ("_color_mask", put(OTHER_SIZE), "no_mask"),
+    "empty mask": ("_color_mask", put(b""), "no_mask"),
+    "zero depth": ("_depth", put(encode(np.zeros(SIZE[::-1], np.uint16))), "bad_depth"),
+    "constant depth": ("_depth", put(encode(np.full(SIZE[::-1], 20000, np.uint16))), "bad_depth"),
+    "no depth": ("_depth", put(None), "bad_depth"),
+    "no tool": ("_color_mask", without(TOOL_COLOR), "no_tool"),
+    "no tissue": ("_color_mask", without(TISSUE_COLOR), "no_tissue"),
+    "three pixels of tissue": ("_color_mask", without(TISSUE_COLOR, 3), "no_tissue"),
 }
+"""What is changed of frame 13's files, and the frame's status then."""
 
 
-def test_unusable_frame_costs_only_its_own_row(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
-    for spoil in SPOILT:
-        spoil(write_clip(clips / spoil.__name__, FRAMES, 2))
+def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
+    for name, (suffix, change, _) in SPOILT.items():
+        path = write_clip(clips / name, FRAMES, 2) / f"frame_13_endo{suffix}.png"
+        content = change(path.read_bytes())
+        path.unlink() if content is None else path.write_bytes(content)
     assert call(clips) == 0
-    told = capsys.readouterr().err
-    assert is_plain(told)
-    for spoil, status in SPOILT.items():
-        name = spoil.__name__
+    said = capsys.readouterr().err
+    assert is_plain(said)
+    for name, (_, _, status) in SPOILT.items():
         assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", status, "ok", "ok"], name
         row = rows(clips, name)[3]
         assert row["frame"] == "13"
         assert row["stiffness"] == row["damping"] == row["force"] == row["simulated_displacement"] == ""
         assert row["detail"], name
-        # Broken files are told on the screen too; an empty scene is no fault.
-        warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in told
+        # Broken files are reported on the screen too; an empty scene is no fault.
+        warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in said
         assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
 
 
-def test_stored_depth_that_is_no_depth(clips: Path, model: Path, tmp_path: Path) -> None:
-    values = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0}
-    for name, value in values.items():
-        clip = write_clip(clips / name, FRAMES, 2)
-        for number in range(10, 10 + FRAMES):
-            depth = cv2.imread(str(clip / f"frame_{number}_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
-            np.save(clip / f"depth_{number}.npy", np.full_like(depth, value) if number == 13 else depth)
-    (tmp_path / "layout.yaml").write_text("depth: 'depth_{number}.npy'\n")
-    # The good clip has no such files, and that is its failure.
-    assert call(clips, "--layout", str(tmp_path / "layout.yaml"), "--depth", "stored") == 1
-    for name in values:
-        assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", "bad_depth", "ok", "ok"], name
-        assert rows(clips, name)[3]["detail"]
-
-
-def test_rgba_and_grey_masks_are_read(clips: Path, model: Path) -> None:
-    rgba, grey = write_clip(clips / "rgba", FRAMES, 2), write_clip(clips / "grey", FRAMES, 2)
-    for path in rgba.glob("*_color_mask.png"):
-        path.write_bytes(encode(cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2BGRA)))
-    for path in grey.glob("*_color_mask.png"):
-        mask = cv2.imread(str(path))
-        values = np.full(SIZE[::-1], 50, np.uint8)
-        values[(mask == (165, 160, 255)).all(axis=2)] = 22
-        values[(mask == (0, 255, 170)).all(axis=2)] = 31
-        path.write_bytes(encode(values))
-    assert call(clips) == 0
-    assert statuses(clips, "rgba") == statuses(clips, "grey") == statuses(clips, "good")
-
-
-def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, capsys):
     clip = write_clip(clips / "gap", FRAMES, 2)
     for path in clip.glob("frame_13_*"):
         path.unlink()
@@ -324,30 +217,7 @@ def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(
     assert "gap: 1 frame numbers are missing between 10 and 15" in capsys.readouterr().err
 
 
-def test_truncated_video_keeps_a_row_for_every_announced_frame(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
-    av = pytest.importorskip("av")
-    path = clips / "cut.mp4"
-    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
-        stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})
-        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
-        noise = np.random.default_rng(0)
-        for _ in range(16):
-            picture = noise.integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
-    assert call(clips) == 0
-    found = statuses(clips, "cut")
-    assert len(found) == 16
-    assert 2 < found.count("unreadable") < 14
-    assert "cut: truncated: " in capsys.readouterr().err
-
-
-def test_folders_nest_and_links_lead_in_circles(
-    clips: Path, model: Path, nested: Callable, capsys: pytest.CaptureFixture
-) -> None:
+def test_folders_nest_and_links_lead_in_circles(clips, model, nested, capsys):
     """In a clip and beside one; where a path gets too long to be opened, that folder fails alone."""
     for folder in (clips, clips / "good"):
         (folder / "round").symlink_to(clips)
@@ -356,16 +226,16 @@ def test_folders_nest_and_links_lead_in_circles(
     assert call(clips) == 0
     nested(clips, "long")
     assert call(clips) == 1
-    told = capsys.readouterr()
-    [failure] = [line for line in told.err.splitlines() if line.startswith("failed: ")]
+    said = capsys.readouterr()
+    [failure] = [line for line in said.err.splitlines() if line.startswith("failed: ")]
     assert f"{clips}/long/long/" in failure
     assert len(failure) < 1000
-    assert is_plain(told.err)
-    assert "unexpected" not in told.err
+    assert is_plain(said.err)
+    assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
 
 
-def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
+def test_names_of_any_script_and_length(clips, model):
     long = "é" * 100
     write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
     write_clip(clips / "sub" / long, FRAMES, 2)
@@ -376,7 +246,7 @@ def test_names_of_any_script_and_length(clips: Path, model: Path) -> None:
     assert len(made[0].name.encode()) <= 120
 
 
-def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_name_that_is_not_utf8(clips, model, capsys):
     clip = clips / os.fsdecode(b"clip\xff")
     try:
         write_clip(clips / "plain", FRAMES, 2).rename(clip)
@@ -391,190 +261,98 @@ def test_name_that_is_not_utf8(clips: Path, model: Path, capsys: pytest.CaptureF
     assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["clip_", "good"]
 
 
-def test_names_do_nothing_to_the_terminal(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_names_do_nothing_to_the_terminal(clips, model, capsys):
     evil = "\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]"
     write_clip(clips / f"good{evil}", FRAMES, 2)
     (clips / f"good{evil}" / "frame_13_endo.png").write_bytes(b"")  # warned of
     (clips / f"bad{evil}.mp4").write_bytes(b"no video")
     for status in (1, 1):  # done, then up to date
         assert call(clips) == status
-        told = capsys.readouterr()
-        assert not {letter for letter in told.out + told.err if not letter.isprintable()} - {"\n"}
+        said = capsys.readouterr()
+        assert not {letter for letter in said.out + said.err if not letter.isprintable()} - {"\n"}
         for name in ("good", "bad"):
-            assert name + r"\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]" in told.err
-        assert r"good\x1b]0;title\x07" in told.out
+            assert name + r"\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]" in said.err
+        assert r"good\x1b]0;title\x07" in said.out
 
 
-def test_missing_annotation_of_a_whole_clip(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
-    write_video(clips / "film.mp4", FRAMES)
+def test_missing_annotation_of_a_whole_clip(clips, model, capsys):
+    write_video(clips / "video.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
-    assert "film.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
+    assert "video.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
     assert statuses(clips, "good")[-1] == "ok"
 
 
 # --- wrong usage: exit status 2 and one sentence, before anything is written ---
 
 
-def not_onnx(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"this is not a network")
-    return ["--model", str(folder / "bad.onnx")]
+def holding(content: str | bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
-def empty_onnx(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"")
-    return ["--model", str(folder / "bad.onnx")]
+def model_of(document: dict | None = None, **options: object) -> Callable[[Path], object]:
+    return lambda path: write_model(path, document, **options)
 
 
-def foreign_onnx(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx", {"input": {"window": 1, "height": 48, "width": 80}})
-    return ["--model", str(folder / "bad.onnx")]
+def linked_to_a_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
 
 
-def other_inputs(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx", inputs=("picture",))
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def other_input_size(folder: Path) -> list[str]:
-    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0] + 1, width=GRID[1]))
-    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def missing_model(folder: Path) -> list[str]:
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def bad_depth_model(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"no depth")
-    return ["--depth", str(folder / "bad.onnx"), "--depth-preset", "midas-small"]
-
-
-def depth_model_with_other_outputs(folder: Path) -> list[str]:
-    write_model(folder / "bad.onnx")
-    return ["--depth", "depthpro", "--depth-model", str(folder / "bad.onnx")]
-
-
-def bad_mask_model(folder: Path) -> list[str]:
-    (folder / "bad.onnx").write_bytes(b"no masks")
-    return ["--masks", str(folder / "bad.onnx")]
-
-
-def layout_with_unknown_key(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("imagee: x_{number}.png\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def layout_with_impossible_bound(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("fps: -1\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def camera_without_focal_length(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("cx: 1\ncy: 1\nwidth: 2\nheight: 2\n")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def layout_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.yaml")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def layout_of_a_huge_opening(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("mask_opening_px: 100000\n")
-    return ["--layout", str(folder / "bad.yaml")]
-
-
-def camera_of_a_device(folder: Path) -> list[str]:
-    (folder / "bad.yaml").symlink_to("/dev/zero")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def camera_that_names_itself(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("fx: &a [*a]\n")
-    return ["--camera", str(folder / "bad.yaml")]
-
-
-def preset_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.yaml")
-    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
-
-
-def preset_of_huge_pictures(folder: Path) -> list[str]:
-    (folder / "bad.yaml").write_text("kind: metric\nsize: [100000, 100000]\n")
-    return ["--depth", str(write_model(folder / "depth.onnx")), "--depth-preset", str(folder / "bad.yaml")]
-
-
-def model_of_a_pipe(folder: Path) -> list[str]:
-    os.mkfifo(folder / "bad.onnx")
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def model_of_a_huge_grid(folder: Path) -> list[str]:
-    geometry = dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | {"height": 100_000}
-    write_model(folder / "bad.onnx", metadata() | {"geometry": geometry})
-    return ["--model", str(folder / "bad.onnx")]
-
-
-def output_is_a_file(folder: Path) -> list[str]:
-    (folder / "bad.txt").write_text("")
-    return ["--output", str(folder / "bad.txt")]
+def grid_of(**size: int) -> dict:
+    return metadata() | {"geometry": dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | size}
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("options", "make"),
     [
-        not_onnx,
-        empty_onnx,
-        foreign_onnx,
-        other_inputs,
-        other_input_size,
-        missing_model,
-        bad_depth_model,
-        depth_model_with_other_outputs,
-        bad_mask_model,
-        layout_with_unknown_key,
-        layout_with_impossible_bound,
-        camera_without_focal_length,
-        layout_of_a_pipe,
-        layout_of_a_huge_opening,
-        camera_of_a_device,
-        camera_that_names_itself,
-        preset_of_a_pipe,
-        preset_of_huge_pictures,
-        model_of_a_pipe,
-        model_of_a_huge_grid,
-        output_is_a_file,
+        *(
+            ("--model bad.onnx", make)
+            for make in (
+                holding("this is not a network"),
+                holding(""),
+                os.mkfifo,
+                lambda path: None,
+                model_of({"input": {"window": 1, "height": 48, "width": 80}}),
+                model_of(inputs=("picture",)),
+                model_of(grid_of(height=GRID[0] + 1)),
+                model_of(grid_of(height=100_000)),
+            )
+        ),
+        ("--depth bad.onnx --depth-preset midas-small", holding("no depth")),
+        ("--depth depthpro --depth-model bad.onnx", model_of()),
+        ("--masks bad.onnx", holding("no masks")),
+        *(("--layout bad.yaml", holding(text)) for text in ("imagee: x_{number}.png\n", "fps: -1\n")),
+        ("--layout bad.yaml", holding("mask_opening_px: 100000\n")),
+        ("--layout bad.yaml", os.mkfifo),
+        *(("--camera bad.yaml", holding(text)) for text in ("cx: 1\ncy: 1\nwidth: 2\nheight: 2\n", "fx: &a [*a]\n")),
+        ("--camera bad.yaml", linked_to_a_device),
+        ("--depth parameters.onnx --depth-preset bad.yaml", os.mkfifo),
+        ("--depth parameters.onnx --depth-preset bad.yaml", holding("kind: metric\nsize: [100000, 100000]\n")),
+        ("--output bad.txt", holding("")),
     ],
-    ids=lambda make: make.__name__,
 )
-def test_wrong_usage_is_one_sentence_with_the_file(
-    make: Callable[[Path], list[str]], clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
-    assert call(clips, *make(clips.parent)) == 2
-    told = capsys.readouterr().err.strip()
-    assert len(told.splitlines()) == 1
-    assert "bad." in told
-    assert told.endswith(".")
-    assert is_plain(told)
-    assert "depth.model" not in told
-    assert "depth.preset" not in told
+def test_wrong_usage_is_one_sentence_with_the_file(options, make, clips, model, monkeypatch, capsys):
+    monkeypatch.chdir(clips.parent)
+    make(clips.parent / next(part for part in options.split() if part.startswith("bad.")))
+    assert call(clips, *options.split()) == 2
+    said = capsys.readouterr().err.strip()
+    assert len(said.splitlines()) == 1
+    assert "bad." in said
+    assert said.endswith(".")
+    assert is_plain(said)
+    assert "depth.model" not in said
+    assert "depth.preset" not in said
     assert not (clips.parent / "out").exists()
 
 
 @pytest.mark.parametrize("threads", ["100000", "-1", "1e5", "9" * 5000])
-def test_threads_that_no_machine_has_are_wrong_usage(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture, threads: str
-) -> None:
+def test_threads_that_no_machine_has_are_wrong_usage(clips, model, capsys, threads):
     with pytest.raises(SystemExit) as ended:
         call(clips, f"--threads={threads}")
     assert ended.value.code == 2
     assert "error: argument --threads: " in capsys.readouterr().err
 
 
-def test_depth_preset_without_its_file_says_which_option(
-    clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_preset_without_its_file_says_which_option(clips, model, capsys):
     assert call(clips, "--depth", "depthpro") == 2
     assert "--depth-model" in capsys.readouterr().err
     assert call(clips, "--depth", "wishful") == 2
@@ -582,77 +360,62 @@ def test_depth_preset_without_its_file_says_which_option(
 
 
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "photometric")])
-def test_depth_preset_that_nothing_reads_is_refused(
-    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_preset_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
-    told = (
+    said = (
         f"infer.py: --depth-preset is 'banana' and says how to read an .onnx file, while --depth is {source}; give "
         "that file as --depth, or leave --depth-preset out.\n"
     )
     assert call(clips, *depth, "--depth-preset", "banana") == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
     output = ["--output", str(clips.parent / "out"), "--estimator", "direct"]
     assert infer.main([str(clips), *output, *depth, "--depth-preset", "banana"]) == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
 
 
 @pytest.mark.parametrize("depth", [(), ("--depth", "stored"), ("--depth", "network.onnx")])
-def test_depth_model_that_nothing_reads_is_refused(
-    depth: tuple[str, ...], clips: Path, model: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_depth_model_that_nothing_reads_is_refused(depth, clips, model, capsys):
     source = depth[1] if depth else "auto"
-    told = (
+    said = (
         f"infer.py: --depth-model is 'banana.onnx' and belongs to a preset, while --depth is {source}; "
         "give that preset as --depth, or leave --depth-model out.\n"
     )
     assert call(clips, *depth, "--depth-model", "banana.onnx") == 2
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == said
 
 
-def test_input_that_is_not_there_or_holds_nothing(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
     (clips / "nothing").mkdir()
     assert call(clips.parent / "nowhere.mp4", "--output", str(clips.parent / "out")) == 2
     assert call(clips / "nothing", "--model", str(model)) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert "nowhere.mp4" in told[0]
-    assert "holds neither a video nor a folder of frames" in told[1]
+    said = capsys.readouterr().err.splitlines()
+    assert "nowhere.mp4" in said[0]
+    assert "holds neither a video nor a folder of frames" in said[1]
     # Beside a usable input it is a failure of its own.
     output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
     assert infer.main([str(clips / "nowhere"), str(clips / "good"), *output]) == 1
     assert statuses(clips, "good")[-1] == "ok"
 
 
-def test_empty_input_is_not_the_working_folder(model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_empty_input_is_not_the_working_folder(model, capsys):
     with pytest.raises(SystemExit) as ended:
         infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
     assert ended.value.code == 2
     assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
 
 
-def test_covered_lens_gives_rows_without_a_tool(clips: Path, model: Path) -> None:
-    (clips / "black").mkdir()
-    for index in range(3):
-        (clips / "black" / f"{index}.png").write_bytes(encode(np.zeros((96, 160, 3), np.uint8)))
-    assert call(clips) == 0
-    assert statuses(clips, "black") == ["no_tool"] * 3
-
-
-def test_decoders_say_nothing_of_their_own(tmp_path: Path, model: Path) -> None:
-    write_clip(tmp_path / "clips" / "cut", FRAMES, 2)
-    image = tmp_path / "clips" / "cut" / "frame_12_endo.png"
+def test_decoders_say_nothing_of_their_own(clips, model, capfd):
+    image = clips / "good" / "frame_12_endo.png"
     image.write_bytes(image.read_bytes()[:500])
-    (tmp_path / "clips" / "bad.mp4").write_bytes(b"no video")
-    command = [sys.executable, "infer.py", str(tmp_path / "clips"), "--output", str(tmp_path / "out"), "--no-overlay"]
-    done = subprocess.run(
-        [*command, "--model", str(model)], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 1
-    assert "WARN" not in done.stderr
-    assert "libpng" not in done.stderr
+    (clips / "bad.mp4").write_bytes(b"no video")
+    assert call(clips) == 1
+    said = capfd.readouterr().err
+    assert "bad.mp4" in said
+    assert "WARN" not in said
+    assert "libpng" not in said
 
 
-def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_live_camera_is_refused(clips, model, capsys):
     assert infer.main(["camera:0", "--output", str(clips.parent / "out"), "--model", str(model)]) == 2
     assert "record it to a video file" in capsys.readouterr().err
 
@@ -660,23 +423,21 @@ def test_live_camera_is_refused(clips: Path, model: Path, capsys: pytest.Capture
 # --- the output folder ---
 
 
-def test_full_output_folder(
-    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_full_output_folder(clips, model, monkeypatch, capsys):
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr("palpate.results.writer.write_figure", full)
         assert call(clips) == 1
-    told = capsys.readouterr().err
-    assert "the output folder is full; free some space or choose another --output." in told
-    assert is_plain(told)
+    said = capsys.readouterr().err
+    assert "the output folder is full; free some space or choose another --output." in said
+    assert is_plain(said)
     assert list((clips.parent / "out").iterdir()) == []
     assert call(clips) == 0
 
 
-def test_files_that_may_not_grow(clips: Path, model: Path) -> None:
+def test_files_that_may_not_grow(clips, model):
     """The real thing, in a process whose files may not exceed 8 kB: overlay and summary can't be written."""
     command = [sys.executable, "infer.py", str(clips), "--output", str(clips.parent / "out"), "--model", str(model)]
     limit = "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))"
@@ -689,30 +450,28 @@ def test_files_that_may_not_grow(clips: Path, model: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_output_folder(clips: Path, model: Path, capsys: pytest.CaptureFixture) -> None:
+def test_read_only_output_folder(clips, model, capsys):
     output = clips.parent / "out"
     output.mkdir(mode=0o500)
     assert call(clips) == 2
     assert "can't be written; change its permissions or choose another --output." in capsys.readouterr().err
 
 
-def test_read_only_file_system(
-    clips: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_read_only_file_system(clips, model, monkeypatch, capsys):
     def refuse(*_: object, **__: object) -> None:
         raise OSError(30, "Read-only file system")
 
     monkeypatch.setattr(result_store.Path, "mkdir", refuse)
     assert call(clips) == 2
-    told = capsys.readouterr().err
-    assert "can't be written; change its permissions or choose another --output." in told
-    assert is_plain(told)
+    said = capsys.readouterr().err
+    assert "can't be written; change its permissions or choose another --output." in said
+    assert is_plain(said)
 
 
 # --- Ctrl-C, as a user does it ---
 
 
-def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path: Path, model: Path) -> None:
+def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path, model):
     write_clip(tmp_path / "clips" / "a", 4, 2)
     write_clip(tmp_path / "clips" / "b", 200, 2)
     output = tmp_path / "out"
@@ -723,12 +482,11 @@ def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path: Path, 
         time.sleep(0.02)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-    told = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, told
-    assert is_plain(told)
-    assert "run the same command to continue" in told
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert is_plain(said)
+    assert "run the same command to continue" in said
     assert [path.name for path in output.iterdir()] == ["a"]
     before = (output / "a" / "run.json").stat().st_mtime_ns
-    short = [part if part != str(tmp_path / "clips") else str(tmp_path / "clips" / "a") for part in command]
-    assert subprocess.run(short, cwd=ROOT, capture_output=True, timeout=60).returncode == 0
+    assert infer.main([str(tmp_path / "clips" / "a"), "--output", str(output), "--model", str(model)]) == 0
     assert (output / "a" / "run.json").stat().st_mtime_ns == before

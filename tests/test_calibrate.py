@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -25,21 +26,18 @@ from palpate.physics.fem import Material, find_equilibrium
 from tests.evaluation.palpation.test_curves import write_hold, write_probes
 
 
-def write_scene(folder: Path, **changed: object) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
+@functools.cache
+def ball() -> tuple[dict[str, Any], str, str]:
+    """The files of a pressed ball: scene, surface and points."""
     truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 5, law="corotational")
-    seen = observe(*truth, "stereo", 0, count=600)
-    scene, surface, points = scene_files(BODIES["ball"].surface(0.0035), seen, 0.012, 5)
+    return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=600), 0.012, 5)
+
+
+def write_scene(folder: Path, **changed: object) -> Path:
+    scene, surface, points = ball()
     (folder / "rest.obj").write_text(surface)
     (folder / "seen.csv").write_text(points)
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene | changed))
-    return folder / "scene.yaml"
-
-
-@pytest.fixture(scope="module")
-def example_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("example")
-    assert example.main(["--output", str(folder)]) == 0
     return folder / "scene.yaml"
 
 
@@ -51,10 +49,10 @@ def strict(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_example_s_stiffness_is_found_and_drawn(
-    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
+def test_the_example_s_stiffness_is_found_and_drawn(tmp_path, capsys):
+    assert example.main(["--output", str(tmp_path / "example")]) == 0
+    capsys.readouterr()
+    assert calibrate.main(["palpation", str(tmp_path / "example" / "scene.yaml"), "--output", str(tmp_path)]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["young_pa"] == pytest.approx(example.YOUNG, rel=0.1)
     assert record["young_low_pa"] < example.YOUNG < record["young_high_pa"]
@@ -71,24 +69,18 @@ def test_the_example_s_stiffness_is_found_and_drawn(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["gauss-newton", "gradient"])
-def test_a_reversed_force_is_a_sentence(
-    example_scene: Path, optimizer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = yaml.safe_load(example_scene.read_text())
-    right = scene["palpations"][0]
-    scene["palpations"] = [right, right | {"force": [-component for component in right["force"]]}]
-    path = example_scene.with_name("reversed.yaml")
-    path.write_text(yaml.safe_dump(scene))
-    options = ["--optimizer", optimizer, "--output", str(tmp_path)]
-    assert calibrate.main(["palpation", str(path), *options]) == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "reversed.yaml: the surface moved against the force of palpation 2; give what the tool does to" in told
-    assert not list(tmp_path.iterdir())
+def test_a_reversed_force_is_a_sentence(optimizer, tmp_path, capsys):
+    right = ball()[0]["palpations"][0]
+    turned = right | {"force": [-component for component in right["force"]]}
+    scene = write_scene(tmp_path, palpations=[right, turned])
+    options = ["--optimizer", optimizer, "--output", str(tmp_path / "out")]
+    assert calibrate.main(["palpation", str(scene), *options]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "scene.yaml: the surface moved against the force of palpation 2; give what the tool does to" in said
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
-def test_where_nothing_is_determined_no_number_is_given(
-    example_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkeypatch):
     """As a reversed force gave once: 4.6 GPa, from nothing to infinity."""
 
     def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
@@ -99,13 +91,13 @@ def test_where_nothing_is_determined_no_number_is_given(
         return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, path)
 
     monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", fit)
-    assert calibrate.main(["palpation", str(example_scene), "--output", str(tmp_path)]) == 0
+    assert calibrate.main(["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path)]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["verdict"] == "nothing determined"
     assert (record["young_pa"], record["poisson"]) == (None, None)
     assert "young_low_pa" not in record
-    told = capsys.readouterr().out
-    assert told.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
+    said = capsys.readouterr().out
+    assert said.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
     with pytest.raises(InputError, match=r"calibration.json says that nothing is determined; press harder"):
         read_calibration(write_use(tmp_path))
 
@@ -115,7 +107,7 @@ def write_use(folder: Path) -> Path:
     return folder / "known.yaml"
 
 
-def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
+def test_curves_say_what_their_numbers_are(tmp_path):
     write_probes(tmp_path / "probes.csv")
     write_hold(tmp_path / "hold.csv")
     files = [str(tmp_path / "probes.csv"), str(tmp_path / "hold.csv")]
@@ -144,9 +136,7 @@ def test_curves_say_what_their_numbers_are(tmp_path: Path) -> None:
         ({"extra": 1}, "unknown key 'extra'"),
     ],
 )
-def test_bad_scenes_are_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, object], says: str
-) -> None:
+def test_bad_scenes_are_a_sentence(tmp_path, capsys, changed, says):
     scene = write_scene(tmp_path, **changed)
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     assert says in capsys.readouterr().err
@@ -154,14 +144,14 @@ def test_bad_scenes_are_a_sentence(
 
 
 @pytest.mark.parametrize("rows", ["", "0,0,0\n" * 11, "nan,0,0\n" * 50])
-def test_a_surface_of_no_points_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str], rows: str) -> None:
+def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows):
     scene = write_scene(tmp_path)
     (tmp_path / "seen.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().err
-    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in told
+    said = capsys.readouterr().err
+    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
 
 
-def test_an_indenter_needs_its_size(tmp_path: Path) -> None:
+def test_an_indenter_needs_its_size(tmp_path):
     with pytest.raises(SystemExit, match="2"):
         calibrate.main(["curves", "a.csv", "--indenter", "sphere", "--output", str(tmp_path)])

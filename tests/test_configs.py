@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 from pathlib import Path
 from typing import Any
@@ -27,18 +28,20 @@ CONTACT = CHECKOUT / "configs" / "contact.yaml"
 SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in (ONLINE, CONTACT)]
 
 
-@pytest.fixture
-def load(monkeypatch, tmp_path):
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
     """`load(path)`: the command line after everything is built, just before it would train."""
-    monkeypatch.chdir(tmp_path)  # run folders are relative
     built: list[train.TrainCLI] = []
-    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, subcommand: built.append(cli))
 
+    @functools.cache
     def load_configuration(path: Path) -> train.TrainCLI:
         assert train.main(["fit", "-c", str(path), "--tracking", "false", "--trainer.accelerator", "cpu"]) == 0
         return built[-1]
 
-    return load_configuration
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("runs"))  # run folders are relative
+        patch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, subcommand: built.append(cli))
+        yield load_configuration
 
 
 def test_the_three_configurations_are_shipped():

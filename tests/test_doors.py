@@ -1,4 +1,4 @@
-"""Every program of the project ends alike."""
+"""Every program of the project ends in the same way."""
 
 from __future__ import annotations
 

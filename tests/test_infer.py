@@ -43,7 +43,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     write_model(folder / "parameters.onnx")
     write_clip(folder / "clips" / "folder", 8, 4)
-    write_video(folder / "clips" / "film.mp4", 8, 4)
+    write_video(folder / "clips" / "drawn.mp4", 8, 4)
     return folder
 
 
@@ -69,22 +69,20 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def test_closing_table_is_readable_on_a_narrow_terminal(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_closing_table_is_readable_on_a_narrow_terminal(inputs, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    told = capsys.readouterr().out
+    said = capsys.readouterr().out
     assert all(
-        text in told for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
+        text in said for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
     )
-    assert "…" not in told
+    assert "…" not in said
 
 
-def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_folder_and_video_give_complete_results(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    for name in ("film", "folder"):
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    for name in ("drawn", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
         assert len(table) == 8
@@ -106,7 +104,7 @@ def test_folder_and_video_give_complete_results(inputs: Path, tmp_path: Path, ca
     assert "no_contact" in printed
 
 
-def test_finished_clips_are_not_computed_again(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_finished_clips_are_not_computed_again(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     before = (tmp_path / "folder" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path, clips="clips/folder") == 0
@@ -123,9 +121,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_other_settings_replace_only_our_results_and_only_when_asked(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     (tmp_path / "folder" / "notes.txt").write_text("mine")
     (tmp_path / "folder" / "figures").mkdir()
@@ -134,11 +130,11 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(
     capsys.readouterr()
     # The other clip of the batch is done all the same.
     assert call(inputs, tmp_path, "--depth", "photometric") == 1
-    told = capsys.readouterr()
-    assert f"{tmp_path / 'folder'}: holds results of other settings" in told.err
-    assert "--overwrite replaces them" in told.err
+    said = capsys.readouterr()
+    assert f"{tmp_path / 'folder'}: holds results of other settings" in said.err
+    assert "--overwrite replaces them" in said.err
     assert contents(tmp_path / "folder") == before
-    assert len(rows(tmp_path / "film")) == 8
+    assert len(rows(tmp_path / "drawn")) == 8
     assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
@@ -147,7 +143,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(
     assert [after[name] for name in theirs] == [before[name] for name in theirs] == [b"mine", b"mine too"]
 
 
-def test_an_edited_result_is_the_user_s(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_an_edited_result_is_the_user_s(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     (tmp_path / "folder" / "parameters.csv").write_text("edited")
     assert call(inputs, tmp_path, "--no-overlay", "--overwrite", clips="clips/folder") == 1
@@ -159,9 +155,7 @@ def test_an_edited_result_is_the_user_s(inputs: Path, tmp_path: Path, capsys: py
     assert len(rows(tmp_path / "folder")) == 8
 
 
-def test_a_record_of_odd_types_gets_no_unexpected_error(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_record_of_odd_types_gets_no_unexpected_error(inputs, tmp_path, capsys):
     for number, record in enumerate(({"program": "infer.py", "input": ["clip"]}, {"program": 3, "input": {}}, [1])):
         (tmp_path / str(number) / "folder").mkdir(parents=True)
         (tmp_path / str(number) / "folder" / "run.json").write_text(json.dumps(record))
@@ -171,9 +165,7 @@ def test_a_record_of_odd_types_gets_no_unexpected_error(
 
 
 @pytest.mark.parametrize("option", ["--output", "--layout", "--camera", "--model"])
-def test_an_empty_path_is_refused(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, option: str
-) -> None:
+def test_an_empty_path_is_refused(inputs, tmp_path, monkeypatch, capsys, option):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
         call(inputs, tmp_path / "out", option, "", clips="clips/folder")
@@ -182,50 +174,47 @@ def test_an_empty_path_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_changed_clip_is_not_up_to_date(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
-    arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--model", str(inputs / "parameters.onnx")]
-    assert infer.main(arguments) == 0
-    (tmp_path / "clip" / "frame_17_endo.png").unlink()
-    assert infer.main(arguments) == 1
-    assert "of frames that have changed since" in capsys.readouterr().err
-    assert infer.main([*arguments, "--overwrite"]) == 0
-    assert len(rows(tmp_path / "out" / "clip")) == 7
+def repaint_last(clip: Path) -> None:
+    (clip / "frame_17_endo.png").write_bytes((clip / "frame_10_endo.png").read_bytes())
 
 
-@pytest.mark.parametrize("output", ["clip", "."])
-def test_changed_frames_are_seen_with_the_output_in_or_above_the_input(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, output: str
-) -> None:
+def remove_last(clip: Path) -> None:
+    (clip / "frame_17_endo.png").unlink()
+
+
+@pytest.mark.parametrize(("output", "change"), [("clip", repaint_last), (".", repaint_last), ("out", remove_last)])
+def test_changed_frames_are_seen_wherever_the_output_is(inputs, tmp_path, capsys, output, change):
+    """Also in the input, and above it."""
     shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
     model = str(inputs / "parameters.onnx")
     arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / output), "--model", model, "--no-overlay"]
     assert infer.main(arguments) == 0
     assert infer.main(arguments) == 0
     assert "up to date" in capsys.readouterr().err
-    frame = tmp_path / "clip" / "frame_17_endo.png"
-    frame.write_bytes((tmp_path / "clip" / "frame_10_endo.png").read_bytes())
+    change(tmp_path / "clip")
     assert infer.main(arguments) == 1
     assert "of frames that have changed since" in capsys.readouterr().err
     assert infer.main([*arguments, "--overwrite"]) == 0
     assert infer.main(arguments) == 0
     assert "up to date" in capsys.readouterr().err
+    (table,) = (tmp_path / output).glob("clip*/parameters.csv")
+    assert len(rows(table.parent)) == len(list((tmp_path / "clip").glob("*_endo.png")))
 
 
-def test_no_overlay_leaves_the_video_out(inputs: Path, tmp_path: Path) -> None:
+def test_no_overlay_leaves_the_video_out(inputs, tmp_path):
     assert call(inputs, tmp_path, "--no-overlay", "--threads", "1", clips="clips/folder") == 0
     assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == [*FILES[:2], *FILES[3:]]
 
 
-def test_output_among_the_inputs_is_no_input(inputs: Path, tmp_path: Path) -> None:
+def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     for _ in range(2):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["film", "folder"]
+    assert made == ["drawn", "folder"]
 
 
-def test_clip_beside_its_results_is_never_replaced(inputs: Path, tmp_path: Path) -> None:
+def test_clip_beside_its_results_is_never_replaced(inputs, tmp_path):
     shutil.copytree(inputs / "clips" / "folder", tmp_path / "folder")
     options = ["--output", str(tmp_path), "--model", str(inputs / "parameters.onnx")]
     assert infer.main([str(tmp_path / "folder"), *options]) == 0
@@ -235,57 +224,53 @@ def test_clip_beside_its_results_is_never_replaced(inputs: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("within", ["python", "compiled code"])
-def test_interruption_keeps_finished_clips_and_continues(
-    within: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_interruption_keeps_finished_clips_and_continues(within, inputs, tmp_path, monkeypatch, capsys):
     write = ClipResults.write
 
-    def interrupt(self: ClipResults, *told: object) -> None:
+    def interrupt(self: ClipResults, *estimate: object) -> None:
         if self.folder.name == "folder" and len(self.estimates) == 3:
             try:
                 raise KeyboardInterrupt
             finally:
                 if within == "compiled code":
                     raise SystemError("a kernel returned a result with an exception set")
-        write(self, *told)
+        write(self, *estimate)
 
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["film"]
+    assert [path.name for path in tmp_path.iterdir()] == ["drawn"]
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    before = (tmp_path / "film" / "run.json").stat().st_mtime_ns
+    before = (tmp_path / "drawn" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film", "folder"]
-    assert (tmp_path / "film" / "run.json").stat().st_mtime_ns == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    assert (tmp_path / "drawn" / "run.json").stat().st_mtime_ns == before
 
 
-def test_one_failing_clip_does_not_stop_the_others(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_one_failing_clip_does_not_stop_the_others(inputs, tmp_path, capsys):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
     assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["film", "folder"]
-    told = capsys.readouterr()
-    assert "broken.mp4" in told.err
-    assert "failed" in told.out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["drawn", "folder"]
+    said = capsys.readouterr()
+    assert "broken.mp4" in said.err
+    assert "failed" in said.out
 
 
-def test_unexpected_error_is_one_sentence_unless_debugging(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, monkeypatch, capsys):
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
     monkeypatch.setattr("palpate.results.run.open_source", fail)
-    assert call(inputs, tmp_path, clips="clips/film.mp4") == 1
-    told = capsys.readouterr().err.strip()
-    assert told.startswith("failed: ")
-    assert "film.mp4: unexpected RuntimeError (two lines); run with --debug" in told.splitlines()[0]
+    assert call(inputs, tmp_path, clips="clips/drawn.mp4") == 1
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("failed: ")
+    assert "drawn.mp4: unexpected RuntimeError (two lines); run with --debug" in said.splitlines()[0]
     with pytest.raises(RuntimeError):
-        call(inputs, tmp_path, "--debug", clips="clips/film.mp4")
+        call(inputs, tmp_path, "--debug", clips="clips/drawn.mp4")
 
 
-def test_files_of_another_layout_and_a_camera_are_read(inputs: Path, tmp_path: Path) -> None:
+def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
     shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
     for path in sorted((tmp_path / "clip").glob("*_endo.png")):
         path.rename(path.with_name(path.name.replace("_endo", "")))
@@ -301,16 +286,14 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs: Path, tmp_path: P
     assert record(tmp_path / "out" / "clip")["camera"]["fx"] == 150.0
 
 
-def test_an_onset_is_refused_by_networks_that_know_none(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_onset_is_refused_by_networks_that_know_none(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path / "out", "--onset", "between") == 2
-    told = flat(capsys.readouterr().err)
-    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in told
+    said = flat(capsys.readouterr().err)
+    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in said
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
-def test_help_and_version(option: str, capsys: pytest.CaptureFixture) -> None:
+def test_help_and_version(option, capsys):
     with pytest.raises(SystemExit) as ended:
         infer.main([option])
     assert ended.value.code == 0
@@ -342,7 +325,7 @@ def direct(clips: Path, output: Path, *options: str) -> int:
     return infer.main(arguments)
 
 
-def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Path, synthetic: Path) -> None:
+def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done, synthetic):
     (row,) = runs(done)
     truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
     assert list(row) == list(INTERACTIONS)
@@ -365,7 +348,7 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done: Pa
     assert "determined" in row["explanation"]
 
 
-def test_every_frame_has_a_row_without_parameters_of_its_own(done: Path) -> None:
+def test_every_frame_has_a_row_without_parameters_of_its_own(done):
     found, (run,) = rows(done), runs(done)
     assert len(found) == 22
     assert {row["stiffness"] + row["damping"] + row["force"] for row in found} == {""}
@@ -375,9 +358,7 @@ def test_every_frame_has_a_row_without_parameters_of_its_own(done: Path) -> None
 
 
 @pytest.mark.parametrize("estimator", ["network", "gan", "direct"])
-def test_every_estimator_writes_the_same_files(
-    estimator: str, inputs: Path, synthetic: Path, done: Path, tmp_path: Path
-) -> None:
+def test_every_estimator_writes_the_same_files(estimator, inputs, synthetic, done, tmp_path):
     folder = done
     if estimator != "direct":
         model = ["--model", str(write_model(tmp_path / "gan.onnx"))] if estimator == "gan" else []
@@ -393,8 +374,8 @@ def test_every_estimator_writes_the_same_files(
     assert sum(found["statuses"].values()) == found["input"]["frames"] == 22
 
 
-def test_real_presses_begin_between_frames(done: Path, synthetic: Path, tmp_path: Path) -> None:
-    """Unless told otherwise; an estimate is less certain then."""
+def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
+    """By default; an estimate is less certain then."""
     assert infer.main([str(synthetic), "--output", str(tmp_path), "--estimator", "direct", "--no-overlay"]) == 0
     ((exact,), (between,)) = runs(done), runs(tmp_path / "video01_00000")
     for name in ("stiffness", "damping", "force"):
@@ -403,11 +384,11 @@ def test_real_presses_begin_between_frames(done: Path, synthetic: Path, tmp_path
     assert exact["delay_s"] == ""
     assert abs(float(between["delay_s"])) < 0.01  # it began at the stamp, and the fit finds that
     assert between["verdict"] == "determined"
-    told = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
-    assert told == ["stamp", "between"]
+    onsets = [record(folder)["estimator"]["onset"] for folder in (done, tmp_path / "video01_00000")]
+    assert onsets == ["stamp", "between"]
 
 
-def test_record_says_what_was_done(done: Path) -> None:
+def test_record_says_what_was_done(done):
     found = record(done)
     assert found["program"] == "infer.py"
     assert found["estimator"]["bounds"]["stiffness"] == [0.05, 1.0]
@@ -422,25 +403,23 @@ def test_record_says_what_was_done(done: Path) -> None:
     assert found["warnings"] == []
 
 
-def test_the_picture_shows_observation_and_fit(done: Path) -> None:
+def test_the_picture_shows_observation_and_fit(done):
     picture = cv2.imread(str(done / "fit.png"))[..., ::-1]
     assert picture.shape[1] == 1500
     for color in ((75, 85, 99), (124, 58, 237), (234, 88, 12)):
         assert (picture == color).all(axis=2).sum() > 100
 
 
-def test_a_finished_fit_is_not_computed_again(done: Path, synthetic: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_finished_fit_is_not_computed_again(done, synthetic, capsys):
     before = (done / "run.json").stat().st_mtime_ns
     assert direct(synthetic, done.parent) == 0
-    told = capsys.readouterr()
-    assert "up to date" in told.err
-    assert "1 contacts determined" in told.out
+    said = capsys.readouterr()
+    assert "up to date" in said.err
+    assert "1 contacts determined" in said.out
     assert (done / "run.json").stat().st_mtime_ns == before
 
 
-def test_results_of_another_estimator_are_left_alone(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_results_of_another_estimator_are_left_alone(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     before = contents(tmp_path / "folder")
     assert direct(inputs / "clips" / "folder", tmp_path, "--no-overlay") == 1
@@ -448,9 +427,7 @@ def test_results_of_another_estimator_are_left_alone(
     assert contents(tmp_path / "folder") == before
 
 
-def test_without_a_noise_level_the_options_that_give_one_are_named(
-    synthetic: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tmp_path, capsys):
     assert direct(synthetic, tmp_path, "--no-overlay", "--smoothing", "0") == 0
     (row,) = runs(tmp_path / "video01_00000")
     assert row["status"] == "no_estimate"
@@ -469,7 +446,7 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(
     assert (row["status"], row["noise"]) == ("ok", "0.002")
 
 
-def test_a_clip_without_contact_gets_an_empty_table_of_contacts(tmp_path: Path) -> None:
+def test_a_clip_without_contact_gets_an_empty_table_of_contacts(tmp_path):
     write_clip(tmp_path / "clip", 4, 9)
     assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
     assert runs(tmp_path / "out" / "clip") == []
@@ -477,7 +454,7 @@ def test_a_clip_without_contact_gets_an_empty_table_of_contacts(tmp_path: Path) 
     assert record(tmp_path / "out" / "clip")["contacts"] == {}
 
 
-def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None:
+def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path):
     write_clip(tmp_path / "clip", 4, 0)
     assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
     (row,) = runs(tmp_path / "out" / "clip")
@@ -495,8 +472,8 @@ def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path: Path) -> None
     ],
 )
 def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
-    seen: int, reason: str, synthetic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    seen, reason, synthetic, tmp_path, monkeypatch
+):
     """The clip ends `seen` frames after the onset, and its outlines disagree with its depth."""
     folder = shutil.copytree(synthetic / "video01_00000", tmp_path / "clip")
     onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
@@ -513,7 +490,7 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 
-def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path, capsys):
     (tmp_path / "clip").mkdir()
     given = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--known-force", str(tmp_path / "no.csv")]
     assert infer.main(given) == 2
@@ -521,7 +498,7 @@ def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path: Path, cap
     assert not (tmp_path / "out").exists()
 
 
-def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path: Path) -> None:
+def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
     """The same press is none for masks."""
     unseen = dataclasses.replace(SCENE, frames=30, onset_fraction=(0.25, 0.3), tool_in_view=False)
     clip = write_synthetic(tmp_path / "clips", 1, unseen, 5)
@@ -542,16 +519,16 @@ def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path: Pat
     under = [item for item in rows(folder) if item["contact"] == "1"]
     assert len(under) == round(float(row["load_s"]) * 25)
     assert {item["contact_distance"] for item in under} == {""}
-    told = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
-    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *told]) == 0
+    options = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
+    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *options]) == 0
     (other,) = runs(tmp_path / "network" / "video01_00000")
     assert [other[name] for name in ("onset_frame", "load_s")] == [row[name] for name in ("onset_frame", "load_s")]
     assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
 
 
-def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_wrong_usage(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
-    for options, told in (
+    for options, said in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset"),
         (
             ["--model", "parameters.onnx"],
@@ -559,8 +536,8 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
-        assert told in flat(capsys.readouterr().err)
-    for options, told in (
+        assert said in flat(capsys.readouterr().err)
+    for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
@@ -571,7 +548,7 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         ),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
-        assert told in flat(capsys.readouterr().err)
+        assert said in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
     for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--thickness", "0"]):
         with pytest.raises(SystemExit) as ended:
@@ -584,21 +561,17 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("noise", ["0", "1e-300", "1e-12", "2.9e-5", "-0.001", "nan", "inf"])
-def test_a_noise_below_the_simulators_own_error_is_wrong_usage(
-    noise: str, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_noise_below_the_simulators_own_error_is_wrong_usage(noise, tmp_path, capsys):
     """Smaller ones ended in numpy's complaint about infinite numbers, or in certainty of 1e-7."""
     with pytest.raises(SystemExit) as ended:
         direct(tmp_path, tmp_path / "out", f"--noise={noise}")
     assert ended.value.code == 2
-    told = flat(capsys.readouterr().err)
-    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in told
-    assert "Traceback" not in told
+    said = flat(capsys.readouterr().err)
+    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in said
+    assert "Traceback" not in said
 
 
-def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(tmp_path, monkeypatch, capsys):
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -610,7 +583,7 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(
 
 
 @pytest.mark.slow
-def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
+def test_real_clip_directly(real_data, tmp_path):
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
     No press explains how the tissue's light changes; the motion around the grip tells how the force changes. How firmly
@@ -627,7 +600,7 @@ def test_real_clip_directly(real_data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_real_clip(real_data: Path, tmp_path: Path) -> None:
+def test_real_clip(real_data, tmp_path):
     """Judged: 80 rows, no tool on frames 80–148, and at least 9 of 149–159 in contact."""
     geometry = {"height": 120, "width": 214}
     write_model(tmp_path / "parameters.onnx", metadata(geometry=geometry))
@@ -638,7 +611,7 @@ def test_real_clip(real_data: Path, tmp_path: Path) -> None:
     assert sum(status[number] == "ok" for number in range(149, 160)) >= 9
 
 
-def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic: Path, tmp_path: Path) -> None:
+def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     """Two copies of a clip whose press is known in the first: the second says the same, but is less sure."""
     for name in ("one", "other"):
         shutil.copytree(synthetic / "video01_00000", tmp_path / name)
@@ -664,7 +637,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("known", "options", "told"),
+    ("known", "options", "said"),
     [
         ("force_N: 2.0", (), "known.yaml can't be used: force_N and force_time_s belong together"),
         ("force_N: 2.0\nforce_time_s: 1.0", (), "tells of a force in one clip, and there are 2; name that as clip."),
@@ -676,10 +649,8 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic: Path, tmp_pat
         ("stiffness: 2.0", ("--estimator", "online"), "--estimator online knows none, leave it out."),
     ],
 )
-def test_a_calibration_that_can_t_be_used_is_wrong_usage(
-    known: str, options: tuple[str, ...], told: str, inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text(known)
     given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
-    assert told in flat(capsys.readouterr().err)
+    assert said in flat(capsys.readouterr().err)

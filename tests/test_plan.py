@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 import yaml
@@ -21,9 +20,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_plan_is_written_and_the_cache_used_by_another_scene(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_is_written_and_the_cache_used_by_another_scene(tmp_path, capsys):
     arguments = ["--cache", str(tmp_path / "presses")]
     assert plan.main([str(SHIPPED), "--output", str(tmp_path / "a"), *arguments]) == 0
     other = yaml.safe_load(SHIPPED.read_text()) | {"start": [0.03, -0.03]}
@@ -42,9 +39,7 @@ def test_a_plan_is_written_and_the_cache_used_by_another_scene(
 
 @pytest.mark.parametrize("option", ["--output", "--cache"])
 @pytest.mark.parametrize("name", ["file/x", "a" * 300])
-def test_what_can_t_be_written_is_told_before_presses_are_simulated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, option: str, name: str
-) -> None:
+def test_what_can_t_be_written_is_told_before_presses_are_simulated(tmp_path, capsys, monkeypatch, option, name):
     monkeypatch.setattr(cost_table, "simulate_press", lambda *_: pytest.fail("minutes are spent"))
     (tmp_path / "file").write_text("mine")
     places = {"--output": str(tmp_path / "out"), "--cache": str(tmp_path / "presses"), option: str(tmp_path / name)}
@@ -54,7 +49,7 @@ def test_what_can_t_be_written_is_told_before_presses_are_simulated(
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_blocked_goal_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_blocked_goal_is_a_sentence(tmp_path, capsys):
     blocked = yaml.safe_load(SHIPPED.read_text()) | {"goal": [0.03, 0.0]}
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(blocked))
     assert plan.main([str(tmp_path / "scene.yaml"), "--output", str(tmp_path / "out")]) == 1

@@ -33,11 +33,10 @@ def test_it_is_small_and_says_what_it_is() -> None:
     assert network.model.calibrated
     for widths in (calibration["whole"], calibration["pressed"]):
         assert min(widths["scale"]) > 0.5
-        assert "decisive" not in widths  # verdicts go by the expected bound
         assert max(widths["power"]) < 1.2
     whole, pressed = (calibration[name]["power"] for name in ("whole", "pressed"))
     assert min(*whole, pressed[0], pressed[2]) > 0.5
-    # A known weakness, told in the card: how wide the network is about k_d says little before the release.
+    # A known weakness, stated in the card: how wide the network is about k_d says little before the release.
     assert pressed[1] > 0.25
     assert "scene units" in network.model.metadata["units"]["force"]
 
@@ -84,7 +83,7 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
 
 
 def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
-    """Real presses begin between frames, which is what intervals allow for unless told otherwise."""
+    """Real presses begin between frames, which is what intervals allow for by default."""
     rows, record, clip = results
     assert record["estimator"] == {"name": "network", "onset": "between", "observation": "auto", "horizon": None}
     model = ["--model", record["model"]["path"]]

@@ -19,7 +19,7 @@ import yaml
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
 
-from palpate.command import train
+from palpate.command import infer, train
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
@@ -90,7 +90,7 @@ def trained(config: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(config: Path) -> Path:
+def known(config: Path) -> Path:
     """What to add to `config` for head posterior."""
     change = {
         "trainer": {"default_root_dir": str(config.parent / "posterior")},
@@ -101,20 +101,13 @@ def told(config: Path) -> Path:
         },
         "data": {"samples": {"onset_within": 26}, "geometry": {"height": 40, "width": 56, "smoothing": 3.0}},
     }
-    path = config.parent / "told.yaml"
+    path = config.parent / "known.yaml"
     path.write_text(yaml.safe_dump(change))
     return path
 
 
 def command(*arguments: object) -> list[str]:
     return [sys.executable, str(CHECKOUT / "train.py"), *map(str, arguments)]
-
-
-def run(*arguments: object, timeout: float = 240) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        command(*arguments), capture_output=True, text=True, env=environment, timeout=timeout, check=False
-    )
 
 
 def last(folder: Path) -> dict:
@@ -187,13 +180,13 @@ def refused(capsys, *arguments: object) -> str:
 
 @pytest.mark.slow
 def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
-    config: Path, told: Path, tmp_path: Path, capsys
+    config: Path, known: Path, tmp_path: Path, capsys
 ):
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
     torch.manual_seed(3)
     pretrained = ContactPosterior(FEATURES, torch.from_numpy(bounds.log_box))
     torch.save(pretrained.state_dict(), tmp_path / "posterior.pt")
-    arguments = ["fit", "-c", str(config), "-c", str(told), "--model.learning_rate", "1e-12", "--model.pretrained"]
+    arguments = ["fit", "-c", str(config), "-c", str(known), "--model.learning_rate", "1e-12", "--model.pretrained"]
     assert train.main([*arguments, str(tmp_path / "posterior.pt")]) == 0
     weights = last(config.parent / "posterior")["state_dict"]
     for generator in ("generator_ab", "generator_ba"):
@@ -204,41 +197,29 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(
     assert "nothing.pt does not exist; give a file that train.py fit" in said
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
-    assert train.main(["test", "-c", str(config), "-c", str(told), "--ckpt_path", "last"]) == 0
+    assert train.main(["test", "-c", str(config), "-c", str(known), "--ckpt_path", "last"]) == 0
     assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_recommended_system_from_training_to_an_estimate(tmp_path: Path):
     """fit, export and infer.py as a user runs them, from the shipped weights, which a few steps hardly change."""
     clips, root = tmp_path / "clips", tmp_path / "run"
     arguments = "--clips 3 --frames 24 --seed 2 --size 214x120"
     assert not synthetic.main(["--output", str(clips), *arguments.split()])
-    smaller = [
-        "--model.width",
-        "4",
-        "--model.residual_blocks",
-        "1",
-        "--tracking",
-        "false",
-        "--trainer.accelerator",
-        "cpu",
-    ]
-    places = f"--data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}".split()
-    options = ["-c", CHECKOUT / "configs" / "recommended.yaml", *places, *smaller, "--data.loading.fractions"]
-    options.append("[0.34,0.33,0.33]")
-    few = ["--trainer.max_epochs", "1", "--trainer.limit_train_batches", "2", "--trainer.limit_val_batches", "1"]
-    done = run("fit", *options, *few)
-    assert done.returncode == 0, done.stderr
-    done = run("export", *options, "--ckpt_path", "last", "--output", tmp_path / "gan.onnx")
-    assert done.returncode == 0, done.stderr
+    smaller = "--model.width 4 --model.residual_blocks 1 --tracking false --trainer.accelerator cpu"
+    smaller += f" --data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}"
+    options = ["-c", str(CHECKOUT / "configs" / "recommended.yaml"), *smaller.split()]
+    options.append("--data.loading.fractions=[0.34,0.33,0.33]")
+    few = "--trainer.max_epochs 1 --trainer.limit_train_batches 2 --trainer.limit_val_batches 1"
+    assert train.main(["fit", *options, *few.split()]) == 0
+    assert train.main(["export", *options, "--ckpt_path", "last", "--output", str(tmp_path / "gan.onnx")]) == 0
     assert PosteriorModel(tmp_path / "gan.onnx").takes_depth
     rows = []
     for number, model in enumerate((["--model", str(tmp_path / "gan.onnx")], [])):
         output = tmp_path / f"results{number}"
-        program = [sys.executable, str(CHECKOUT / "infer.py"), str(clips / "video01" / "video01_00000"), *model]
-        told = subprocess.run([*program, "--output", str(output)], capture_output=True, text=True, check=False)
-        assert told.returncode == 0, told.stderr
+        assert infer.main([str(clips / "video01" / "video01_00000"), *model, "--output", str(output)]) == 0
         with (output / "video01_00000" / "interactions.csv").open(newline="") as file:
             rows.append(next(csv.DictReader(file)))
     trained, shipped = rows
@@ -317,52 +298,49 @@ def test_a_bad_option_or_file_gets_a_sentence(config: Path, tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "expected"),
     [
         (bytes(range(128, 256)), "is not a configuration"),
-        (b"\x7fELF\x02\x01\x00\x00", "is not a configuration"),
-        (b"\x00" * 100, "is not a configuration"),
-        ("model: {width: 4}".encode("utf-16"), "is not a configuration"),
         (b"", "is not a configuration; write a mapping"),
         (b"model: " + b"[" * 5000, "nests too deeply"),
         (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number out of range"),
-        (b"model: {width: &a [*a]}", "is not a configuration (its references have no end); correct the file"),
         (BILLIONS, "is not a configuration (its references have no end); correct the file"),
         (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number out of range"),
-        (b"model: {width: !!timestamp x}", "is not a configuration"),
         (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
     ],
 )
-def test_a_configuration_that_is_none_is_named(config: Path, tmp_path: Path, capsys, content: bytes | None, told: str):
+def test_a_configuration_that_is_none_is_named(
+    config: Path, tmp_path: Path, capsys, content: bytes | None, expected: str
+):
     path = tmp_path / "broken.yaml"
     path.write_bytes(content) if content is not None else os.mkfifo(path)
     said = refused(capsys, "fit", "-c", config, "-c", path)
     assert f"{path} " in said
-    assert told in said
+    assert expected in said
     assert len(said) < len(str(path)) + 300
 
 
 @pytest.mark.parametrize(
-    ("option", "told"),
+    ("option", "expected"),
     [
-        ("data.depth.threads", "depth.threads is 100000; give at most 1024"),
-        ("data.loading.num_workers", "num_workers 100000; give at most 65536 and 1024"),
+        ("data.depth.threads", "depth.threads is 100000; give 0 to 1024"),
+        ("data.loading.num_workers", "num_workers 100000; give 1 to 65536 and 0 to 1024"),
         ("data.loading.batch_size", "batch_size is 100000 and"),
         ("data.geometry.height", "geometry.height is 100000; give at most 4096"),
         ("data.samples.window", "window is 100000; give at least 1 frame and at most 256"),
-        ("model.width", "width is 100000 and residual_blocks 1; give at most 256 and 64"),
-        ("model.residual_blocks", "give at most 256 and 64"),
+        ("model.width", "width 100000 and residual_blocks 1; give 1 channel or more, a width of 1 to 256"),
+        ("model.residual_blocks", "and 0 to 64 blocks"),
         ("trainer.devices", "trainer.devices is 100000; give 1 to at most"),
     ],
 )
-def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, told: str):
-    assert told in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
+def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, capsys, option: str, expected: str):
+    assert expected in refused(capsys, "fit", "-c", config, f"--{option}", 100_000)
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "told"),
+    ("option", "value", "expected"),
     [
         ("seed_everything", -1, "seed_everything is -1; give 0 to 4294967295"),
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
@@ -374,9 +352,9 @@ def test_a_number_that_no_machine_has_room_for_gets_a_sentence(config: Path, cap
     ],
 )
 def test_a_value_that_lightning_would_trip_over_gets_a_sentence(
-    config: Path, capsys, option: str, value: object, told: str
+    config: Path, capsys, option: str, value: object, expected: str
 ):
-    assert told in refused(capsys, "fit", "-c", config, f"--{option}={value}")
+    assert expected in refused(capsys, "fit", "-c", config, f"--{option}={value}")
 
 
 def no_database(path: Path) -> None:
@@ -429,8 +407,8 @@ def test_tracking_that_fails_in_the_middle_gets_a_sentence(config: Path, tmp_pat
 
     monkeypatch.setattr(train.RunRecord, "on_save_checkpoint", fail)
     assert train.main(["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}"]) == 1
-    told = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with "
-    assert told in capsys.readouterr().err
+    expected = "train.py: tracking failed ((sqlite3.OperationalError) database is locked [SQL: INSERT]); go on with "
+    assert expected in capsys.readouterr().err
 
 
 def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
@@ -438,19 +416,11 @@ def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path:
     assert "nothere.ckpt does not exist" in refused(
         capsys, "test", "-c", config, "--ckpt_path", tmp_path / "nothere.ckpt"
     )
-    text = tmp_path / "text.ckpt"
-    text.write_text("not a checkpoint")
-    assert "text.ckpt is not a readable checkpoint" in refused(capsys, "export", "-c", config, "--ckpt_path", text)
-    cut = tmp_path / "cut.ckpt"
-    cut.write_bytes((trained / "checkpoints" / "last.ckpt").read_bytes()[:-1000])
-    assert "cut.ckpt is not a readable checkpoint" in refused(capsys, "test", "-c", config, "--ckpt_path", cut)
     garbage = tmp_path / "garbage.ckpt"
-    whole = (trained / "checkpoints" / "last.ckpt").read_bytes()
-    for content in (b"", os.urandom(3000), whole[: len(whole) // 2], bytes(byte ^ 255 for byte in whole)):
-        garbage.write_bytes(content)
-        for command in ("fit", "test", "export"):
-            said = refused(capsys, command, "-c", config, "--ckpt_path", garbage)
-            assert "garbage.ckpt is not a readable checkpoint; give one that train.py fit wrote." in said
+    garbage.write_bytes((trained / "checkpoints" / "last.ckpt").read_bytes()[:-1000])
+    for command in ("fit", "test", "export"):
+        said = refused(capsys, command, "-c", config, "--ckpt_path", garbage)
+        assert "garbage.ckpt is not a readable checkpoint; give one that train.py fit wrote." in said
     foreign = tmp_path / "foreign.ckpt"
     torch.save({"weights": torch.zeros(2)}, foreign)
     assert "another program" in refused(capsys, "test", "-c", config, "--ckpt_path", foreign)
@@ -469,9 +439,9 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
         ({"loops": None}, "fit", "holds no state of a training to go on from"),
     ]
-    for change, command, told in cases:
+    for change, command, expected in cases:
         torch.save(whole | change, path)
-        assert told in refused(capsys, command, "-c", config, "--ckpt_path", path)
+        assert expected in refused(capsys, command, "-c", config, "--ckpt_path", path)
     for data in ({}, {"trained_on": 3}, {"trained_on": {"depth": "stored"}}):
         torch.save(whole | {"ClipDataModule": data}, path)
         output = tmp_path / "out.onnx"
@@ -503,9 +473,9 @@ def test_a_run_folder_that_can_t_be_made_gets_a_sentence(config: Path, tmp_path:
 
 @pytest.mark.slow
 def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config: Path, tmp_path: Path):
-    arguments = ("fit", "-c", config, "--trainer.max_epochs", 12, "--ckpt_path", "last", "--trainer.default_root_dir")
+    arguments = f"fit -c {config} --trainer.max_epochs 4 --ckpt_path last --trainer.default_root_dir".split()
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    assert run(*arguments, whole).returncode == 0
+    assert train.main([*arguments, str(whole)]) == 0
     with subprocess.Popen(
         command(*arguments, killed),
         stdout=subprocess.DEVNULL,
@@ -517,11 +487,11 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
             time.sleep(0.05)
         process.send_signal(signal.SIGKILL)
     interrupted = last(killed)
-    assert interrupted["epoch"] < 11
+    assert interrupted["epoch"] < 3
     assert len(interrupted["optimizer_states"]) == 3
-    assert run(*arguments, killed).returncode == 0
+    assert train.main([*arguments, str(killed)]) == 0
     expected, resumed = last(whole), last(killed)
-    assert resumed["epoch"] == expected["epoch"] == 11
+    assert resumed["epoch"] == expected["epoch"] == 3
     assert resumed["global_step"] == expected["global_step"]
     for name, weights in expected["state_dict"].items():
         torch.testing.assert_close(resumed["state_dict"][name], weights, rtol=1e-5, atol=1e-6)
@@ -531,15 +501,16 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
 
 
 @pytest.mark.slow
-def test_two_cpu_processes_train_together(config: Path, tmp_path: Path):
-    arguments = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.accelerator", "cpu")
-    done = run("fit", "-c", config, *arguments, "--trainer.default_root_dir", tmp_path / "run")
+def test_two_cpu_processes_train_together(config: Path, trained: Path, tmp_path: Path):
+    more = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command("fit", "-c", config, *more), capture_output=True, text=True, env=environment, timeout=240, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "Starting with 2 processes" in done.stderr + done.stdout
     steps = last(tmp_path / "run")["global_step"]
-    # Half of the samples each: half the steps of one process.
-    assert run("fit", "-c", config, "--trainer.default_root_dir", tmp_path / "one").returncode == 0
-    assert 2 * steps == last(tmp_path / "one")["global_step"]
+    assert 2 * steps == last(trained)["global_step"]  # half of the samples each: half the steps of one process
 
 
 @pytest.mark.slow
@@ -584,8 +555,8 @@ def test_what_an_interruption_leads_to_is_one(config: Path, monkeypatch, stop: B
 
 @pytest.mark.slow
 def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(config: Path, tmp_path: Path):
-    done = run("fit", "-c", config, "--tracking", "true", "--trainer.default_root_dir", tmp_path / "größe")
-    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "größe"
+    assert train.main(["fit", "-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}"]) == 0
     with sqlite3.connect(tmp_path / "mlflow.db") as database:
         metrics = {row[0] for row in database.execute("select key from metrics")}
         parameters = dict(database.execute("select key, value from params"))
@@ -600,12 +571,12 @@ def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(con
 
 @pytest.mark.slow
 def test_paper_yaml_trains_resumes_and_evaluates_a_root_in_the_real_layout(tmp_path: Path):
-    """Ten videos of two folders that follow on, split 7/2/1 by name: pairs across the folders, one clip a video."""
-    for number in range(1, 11):
+    """Four videos of two folders that follow on, split by name: pairs across the folders, one clip a video."""
+    for number in range(1, 5):
         for start in (80, 83):
             name = f"video{number:02d}"
             write_clip(tmp_path / "data" / name / f"{name}_{start:05d}", (0, 1, 2), 3, first=start)
-    names = [f"video{number:02d}" for number in range(1, 11)]
+    names = [f"video{number:02d}" for number in range(1, 5)]
     options = {
         "trainer.default_root_dir": tmp_path / "run",
         "trainer.accelerator": "cpu",
@@ -619,17 +590,17 @@ def test_paper_yaml_trains_resumes_and_evaluates_a_root_in_the_real_layout(tmp_p
         "data.depth.source": "stored",
         "data.geometry.height": 48,
         "data.geometry.width": 64,
-        "data.loading.videos.train": f"[{','.join(names[:7])}]",
-        "data.loading.videos.val": f"[{','.join(names[7:9])}]",
-        "data.loading.videos.test": f"[{names[9]}]",
+        "data.loading.videos.train": f"[{','.join(names[:2])}]",
+        "data.loading.videos.val": f"[{names[2]}]",
+        "data.loading.videos.test": f"[{names[3]}]",
     }
     given = ["-c", str(CHECKOUT / "configs" / "paper.yaml"), *(f"--{name}={value}" for name, value in options.items())]
     assert train.main(["fit", *given, "--trainer.max_epochs=1"]) == 0
     assert last(tmp_path / "run")["epoch"] == 0
     assert train.main(["fit", *given, "--trainer.max_epochs=2", "--ckpt_path=last"]) == 0
     checkpoint = last(tmp_path / "run")
-    assert (checkpoint["epoch"], checkpoint["global_step"]) == (1, 3 * 2 * 18)  # 35 pairs, two a step, three optimisers
+    assert (checkpoint["epoch"], checkpoint["global_step"]) == (1, 3 * 2 * 5)  # 10 pairs, two a step, three optimisers
     assert train.main(["test", *given, "--ckpt_path=best"]) == 0
     with (tmp_path / "run" / "evaluation" / "per_frame.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["clip"], row["frame"]) for row in rows] == [("video10_00080", str(frame)) for frame in range(5)]
+    assert [(row["clip"], row["frame"]) for row in rows] == [("video04_00080", str(frame)) for frame in range(5)]

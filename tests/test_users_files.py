@@ -7,7 +7,7 @@ import os
 import random
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +26,6 @@ from palpate.data.clip import prepare
 from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
-from palpate.data.synthetic import clip as synthetic_clips
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation import foreign
@@ -44,7 +43,7 @@ from palpate.planning import cost_table
 from palpate.results.store import OutputError
 from tests.data.clips import SETTINGS
 from tests.data.clips import write_clip as write_tiny
-from tests.data.synthetic.test_clip import quick_frames, quick_truth
+from tests.data.synthetic.test_clip import write_quickly
 from tests.evaluation.recovery_cases import recovery
 from tests.inference_inputs import write_clip, write_model
 from tests.planning.cases import quick_press
@@ -108,10 +107,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     """The doors decide and write as ever, but what takes long is not computed."""
     patch = monkeypatch.setattr
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
-    patch(synthetic_clips, "draw_truth", lambda settings, seed: (settings, 0))
-    patch(synthetic_clips, "observe", quick_frames)
-    patch(synthetic_clips, "write_truth", quick_truth)
-    patch(synthetic_clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
+    write_quickly(monkeypatch)
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
     patch(real, "draw_summary", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
@@ -202,17 +198,8 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return newtons.main(["--clips", str(inputs), *known, "--output", str(out)])
 
     def judge_online(chance: random.Random, out: Path) -> object:
-        asked = [
-            "--sequences",
-            "thin-shell-1",
-            "--starts",
-            "k1",
-            "--methods",
-            "PBD",
-            "--every",
-            str(chance.choice((5, 10))),
-        ]
-        return online.main([*asked, "--output", str(out)])
+        asked = f"--sequences thin-shell-1 --starts k1 --methods PBD --every {chance.choice((5, 10))}"
+        return online.main([*asked.split(), "--output", str(out)])
 
     def calibrate_curves(chance: random.Random, out: Path) -> object:
         size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
@@ -279,7 +266,7 @@ def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
         real_one = getattr(os, name)
         # Before it and after it.
         monkeypatch.setattr(
-            os, name, lambda *paths, move=real_one, **told: (next(steps, 0), move(*paths, **told), next(steps, 0))
+            os, name, lambda *paths, move=real_one, **named: (next(steps, 0), move(*paths, **named), next(steps, 0))
         )
     for _ in range(EVENTS):
         kind = chance.choice([door] * 6 + [chance.choice([*doors])] * 2 + ["put"] * 3 + ["edit"] * 2)

@@ -88,10 +88,8 @@ class DepthSettings:
             if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"depth.{name} is {getattr(self, name)}; give a positive number.")
         for name, least, most in (("scale_samples", 1, 10_000), ("threads", 0, MOST_THREADS)):
-            if getattr(self, name) < least:
-                raise ValueError(f"depth.{name} is {getattr(self, name)}; give at least {least}.")
-            if getattr(self, name) > most:
-                raise ValueError(f"depth.{name} is {getattr(self, name)}; give at most {most}.")
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"depth.{name} is {getattr(self, name)}; give {least} to {most}.")
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:

@@ -153,6 +153,6 @@ def resolve_model(source: str, model: str | None, preset: str | None) -> tuple[P
     if preset is None and not isfile(preset_file):
         raise InputError(
             f"Nothing says how to read the depth model {path}; give depth.preset ({', '.join(preset_names())}, or a "
-            f".yaml file), or put {preset_file.name} beside it."
+            f".yaml file), or put {preset_file.name} next to it."
         )
     return path, load_preset(preset if preset is not None else preset_file)

@@ -69,10 +69,8 @@ class SegmentationSettings:
         if not 0 < self.threshold < 1:
             raise ValueError(f"threshold is {self.threshold}; give a number between 0 and 1.")
         sides = [pixels for pixels in (self.multiple, self.height, self.width) if pixels is not None]
-        if min(sides) < 1:
-            raise ValueError("height, width and multiple must be positive.")
-        if max(sides) > MOST_SIDE:
-            raise ValueError(f"height, width and multiple are pixels; give at most {MOST_SIDE}.")
+        if not 1 <= min(sides) <= max(sides) <= MOST_SIDE:
+            raise ValueError(f"height, width and multiple are pixels; give 1 to {MOST_SIDE}.")
 
 
 class OnnxMasks:
@@ -166,8 +164,8 @@ def read_settings(path: Path, metadata: dict[str, str]) -> SegmentationSettings:
             values = json.loads(metadata[METADATA_KEY])
         except (ValueError, RecursionError) as error:
             raise InputError(
-                f"{where} is not JSON ({error}); write {settings_file.name} beside the model instead."
+                f"{where} is not JSON ({error}); write {settings_file.name} next to the model instead."
             ) from error
     else:
-        raise InputError(f"{path} has no settings; write {settings_file.name} beside it that names its tool channels.")
+        raise InputError(f"{path} has no settings; write {settings_file.name} next to it that names its tool channels.")
     return from_mapping(SegmentationSettings, values, where)

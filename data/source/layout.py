@@ -85,10 +85,8 @@ class ClipLayout:
                 raise ValueError(f"layout.{name} is {getattr(self, name)}; give a positive number.")
         if not FRAME_RATES[0] <= self.fps <= FRAME_RATES[1]:
             raise ValueError(f"layout.fps is {self.fps:g}; give frames a second.")
-        if self.mask_opening_px < 0:
-            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 or more.")
-        if self.mask_opening_px > LARGEST_OPENING_PX:
-            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give at most {LARGEST_OPENING_PX}.")
+        if not 0 <= self.mask_opening_px <= LARGEST_OPENING_PX:
+            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 to {LARGEST_OPENING_PX}.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
             raise ValueError("layout.label_mask needs layout.tool_values and layout.tissue_values; give both.")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal, get_type_hints
 
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import FRAME_RATES
@@ -18,119 +18,122 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Parameters drawn, geometry, time course, and errors of observation of a synthetic clip."""
+    """Parameters drawn, geometry, time course, and errors of observation of a synthetic clip.
 
-    width: int = 854
+    Numbers are annotated with the least and the largest that they, or both ends of a range, may be.
+    """
+
+    width: Annotated[int, 64, MOST_SIDE] = 854
     """Picture width [px]."""
-    height: int = 480
+    height: Annotated[int, 48, MOST_SIDE] = 480
     """Picture height [px]."""
-    frames: int = 40
+    frames: Annotated[int, 8, 1e6] = 40
     """Frames of a clip."""
-    fps: float = 25.0
+    fps: Annotated[float, *FRAME_RATES] = 25.0
     """Frames a second."""
-    grid_width: int = 214
+    grid_width: Annotated[int, 64, MOST_SIDE] = 214
     """Columns of the true mesh's grid, the network's input width."""
-    grid_height: int = 120
+    grid_height: Annotated[int, 48, MOST_SIDE] = 120
     """Rows of the true mesh's grid, the network's input height."""
-    field_of_view_deg: float = 60.0
+    field_of_view_deg: Annotated[float, 20, 110] = 60.0
     """Horizontal field of view [degrees]."""
-    stiffness: Range = (0.2, 1.0)
+    stiffness: Annotated[Range, 1e-6, 1e9] = (0.2, 1.0)
     """k_s is drawn log-uniformly from this range [normalised]."""
-    damping: Range = (0.01, 0.3)
+    damping: Annotated[Range, 1e-9, 1e9] = (0.01, 0.3)
     """k_d is drawn log-uniformly from this range [normalised]."""
-    force: Range = (-0.3, -0.03)
+    force: Annotated[Range, -1e9, -1e-9] = (-0.3, -0.03)
     """Signed F, its magnitude drawn log-uniformly [normalised]; negative presses into the tissue."""
     regime: Literal["any", "under-damped", "critical", "over-damped"] = "any"
     """Keep only draws with ζ = k_d/(2√(k_s m)) under 0.7, from 0.7 to 1.4, or over 1.4."""
-    mass: float = 0.001
+    mass: Annotated[float, 1e-12, 1e12] = 0.001
     """Mass of every vertex [kg by the paper's convention]."""
-    peak_displacement: Range = (0.01, 0.06)
+    peak_displacement: Annotated[Range, 0, 10] = (0.01, 0.06)
     """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
     action: Literal["press", "grip"] = "press"
     """What the tool does: press with a force, or hold tissue from its first frame in contact to the clip's last and
     move it across the line of sight, as far as peak_displacement states; force and regime have no effect then."""
-    spread: Range = (12.0, 30.0)
+    spread: Annotated[Range, 2, 1000] = (12.0, 30.0)
     """Distance over which the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
-    relaxation: Range = (0.002, 0.01)
+    relaxation: Annotated[Range, 1e-4, 10] = (0.002, 0.01)
     """Damping over foundation of gripped tissue, drawn log-uniformly [s]."""
-    regions: float = 1.0
+    regions: Annotated[float, 1, 100] = 1.0
     """Stiffness of gripped tissue on one side of a line near the grip, divided by that on the other."""
-    breathing: Range = (0.0, 0.0)
+    breathing: Annotated[Range, 0, 20] = (0.0, 0.0)
     """Distance over which breathing carries all tissue of a grip to and fro, drawn uniformly [grid px]."""
     tissue: Literal["sheet", "slab"] = "sheet"
     """Model of the tissue: a sheet of springs, which is what estimators fit, or a soft slab of finite elements, for
     which stiffness, damping, force, regime, delays, spread, relaxation, regions and breathing have no effect: its force
     is the one with which a linear slab would reach a displacement drawn from peak_displacement."""
-    slab_young: Range = (60.0, 600.0)
+    slab_young: Annotated[Range, 1e-6, 1e9] = (60.0, 600.0)
     """Young's modulus E of a slab, drawn log-uniformly [force/scene unit²]."""
-    slab_poisson: float = 0.45
+    slab_poisson: Annotated[float, 0, 0.49] = 0.45
     """Poisson's ratio ν of a slab."""
-    slab_density: float = 1500.0
+    slab_density: Annotated[float, 1e-9, 1e9] = 1500.0
     """Density of a slab [mass/scene unit³]."""
-    slab_thickness: Range = (0.05, 0.08)
+    slab_thickness: Annotated[Range, 0.005, 0.3] = (0.05, 0.08)
     """Thickness of a slab, drawn log-uniformly [scene units]."""
-    slab_damping: Range = (10.0, 300.0)
+    slab_damping: Annotated[Range, 0, 1e6] = (10.0, 300.0)
     """Force per momentum of a slab, proportional to mass, drawn log-uniformly; (0, 0) is none [1/s]."""
-    slab_branch: Range = (0.0, 0.0)
+    slab_branch: Annotated[Range, 0, 100] = (0.0, 0.0)
     """Stiffness of a relaxing branch over the slow one's (standard linear solid), drawn log-uniformly; (0, 0) is
     none."""
-    slab_branch_time: Range = (0.05, 0.3)
+    slab_branch_time: Annotated[Range, 1e-3, 100] = (0.05, 0.3)
     """Relaxation time of that branch, drawn log-uniformly [s]."""
-    slab_inclusion: float = 1.0
+    slab_inclusion: Annotated[float, 0.01, 100] = 1.0
     """E of a ball inside a slab, divided by E around it; 1 is none."""
-    patch_radius: Range = (0.0, 0.0)
+    patch_radius: Annotated[Range, 0, 20] = (0.0, 0.0)
     """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
     vertex alone."""
-    force_tilt_deg: Range = (0.0, 0.0)
+    force_tilt_deg: Annotated[Range, 0, 60] = (0.0, 0.0)
     """Angle between the force of a press and the normal of the tissue, drawn uniformly, to any side [degrees]."""
     profile: Literal["step", "ramp", "hold"] = "step"
     """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling."""
-    rise: Range = (1 / 3, 1 / 3)
+    rise: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
     """Share of the time in contact over which a force that holds rises, drawn uniformly."""
-    fall: Range = (1 / 3, 1 / 3)
+    fall: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
     """Share of the time in contact over which it falls, drawn uniformly; rise and fall sum to at most 1."""
-    press_seconds: Range = (0.25, 0.5)
+    press_seconds: Annotated[Range, 1e-6, 1e4] = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
-    onset_fraction: Range = (0.15, 0.25)
+    onset_fraction: Annotated[Range, 0, 1] = (0.15, 0.25)
     """The first frame in contact, as a share of the clip's frames; a tool that grips passes over the tissue before, and
     never touches it at 1."""
-    onset_delay: Range = (0.0, 0.0)
+    onset_delay: Annotated[Range, 0, 1] = (0.0, 0.0)
     """Share of a frame interval by which the force starts after the time stamp of the first frame in contact; drawn
     uniformly from this range. A real press, too, starts between two frames."""
-    release_delay: Range = (0.0, 0.0)
+    release_delay: Annotated[Range, 0, 1] = (0.0, 0.0)
     """Share of a frame interval by which the force ends after the time stamp of the first frame after contact."""
-    distance: Range = (0.45, 0.6)
+    distance: Annotated[Range, 0.3, 0.8] = (0.45, 0.6)
     """Depth z of the contact [scene units]."""
-    max_tilt_deg: float = 0.2
+    max_tilt_deg: Annotated[float, 0, 45] = 0.2
     """Largest angle between the contact normal and the line of sight [degrees]."""
-    curvature: Range = (0.4, 1.1)
+    curvature: Annotated[Range, 0, 1.5] = (0.4, 1.1)
     """Curvature of the surface around its contact: z grows by half of this times the squared slope of the ray."""
-    relief: float = 0.012
+    relief: Annotated[float, 0, 0.05] = 0.012
     """Amplitude of the tissue's random low-frequency waves, as a share of the depth."""
-    stiffness_variation: float = 0.0
+    stiffness_variation: Annotated[float, 0, 2] = 0.0
     """Standard deviation of log k_s over a smooth field of the springs; the fitted model is homogeneous."""
-    nonlinearity: float = 0.0
+    nonlinearity: Annotated[float, 0, 10] = 0.0
     """β of the spring law k_s·e·(1 + β(e/0.01)²), e the elongation [scene units]: stiffening springs, 0 is linear."""
-    depth_noise: float = 0.0
+    depth_noise: Annotated[float, 0, 0.2] = 0.0
     """Standard deviation of the depth noise of a pixel [scene units]."""
-    depth_noise_correlation: float = 0.0
+    depth_noise_correlation: Annotated[float, 0, 100] = 0.0
     """Standard deviation of the blur of the depth noise [px], which keeps the noise's size; 0 is white noise."""
-    depth_bias: float = 0.0
+    depth_bias: Annotated[float, 0, 0.5] = 0.0
     """Standard deviation of log of a smooth factor on the depth that stays through the clip: the systematic error of a
     network that estimates depth from one picture."""
     depth_bits: Literal[8, 16] = 16
     """Bits of the stored depth; 8 rounds to 1/255 scene units."""
-    scale_flicker: float = 0.0
+    scale_flicker: Annotated[float, 0, 0.5] = 0.0
     """Standard deviation of log of the factor on each frame's depth."""
-    mask_error: float = 0.0
+    mask_error: Annotated[float, 0, 20] = 0.0
     """Standard deviation of the masks' outlines along each axis [grid px], new in each frame."""
-    focal_error: float = 1.0
+    focal_error: Annotated[float, 0.2, 5] = 1.0
     """Reported focal length divided by the true one."""
-    occlusion: float = 0.0
+    occlusion: Annotated[float, 0, 0.8] = 0.0
     """Share of the tissue hidden by a drifting piece of fat."""
-    image_noise: float = 0.008
+    image_noise: Annotated[float, 0, 0.5] = 0.008
     """Standard deviation of the picture's noise, as a share of full scale."""
-    highlights: float = 0.5
+    highlights: Annotated[float, 0, 5] = 0.5
     """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
@@ -138,14 +141,14 @@ class SceneSettings:
     """How pictures are lit: matte tissue, its light at the lens, which is the law that estimators assume; or rough,
     wet, translucent tissue under a ring of lamps that throw shadows, with vignetting, an exposure that follows, smoke,
     and a camera's own response."""
-    turning_deg: float = 0.0
+    turning_deg: Annotated[float, 0, 10] = 0.0
     """How far the camera turns to and fro about its lens within a second or two [degrees]; what truth says of places
     holds before that."""
-    video_quality: int = 18
+    video_quality: Annotated[int, 0, 51] = 18
     """Constant rate factor of the video file (H.264): 18 is hardly to be told from the pictures, 23 usual, 28 poor."""
 
     def __post_init__(self) -> None:
-        for name, (lowest, highest) in _LIMITS.items():
+        for name, (lowest, highest) in LIMITS.items():
             value = getattr(self, name)
             ends = value if isinstance(value, tuple) else (value,)
             if not lowest <= ends[0] <= ends[-1] <= highest:
@@ -182,55 +185,9 @@ class SceneSettings:
 
 LARGEST_RATE = 1e4
 """Largest rate of a sheet, thirty times that of the defaults; it decides how short the integrator's steps are [1/s]."""
-_LIMITS = {
-    "width": (64, MOST_SIDE),
-    "height": (48, MOST_SIDE),
-    "grid_width": (64, MOST_SIDE),
-    "grid_height": (48, MOST_SIDE),
-    "frames": (8, 1e6),
-    "fps": FRAME_RATES,
-    "field_of_view_deg": (20, 110),
-    "stiffness": (1e-6, 1e9),
-    "damping": (1e-9, 1e9),
-    "force": (-1e9, -1e-9),
-    "mass": (1e-12, 1e12),
-    "peak_displacement": (0, 10),
-    "spread": (2, 1000),
-    "relaxation": (1e-4, 10),
-    "regions": (1, 100),
-    "breathing": (0, 20),
-    "slab_young": (1e-6, 1e9),
-    "slab_poisson": (0, 0.49),
-    "slab_density": (1e-9, 1e9),
-    "slab_thickness": (0.005, 0.3),
-    "slab_damping": (0, 1e6),
-    "slab_branch": (0, 100),
-    "slab_branch_time": (1e-3, 100),
-    "slab_inclusion": (0.01, 100),
-    "patch_radius": (0, 20),
-    "force_tilt_deg": (0, 60),
-    "rise": (0, 1),
-    "fall": (0, 1),
-    "press_seconds": (1e-6, 1e4),
-    "onset_fraction": (0, 1),
-    "onset_delay": (0, 1),
-    "release_delay": (0, 1),
-    "distance": (0.3, 0.8),
-    "max_tilt_deg": (0, 45),
-    "curvature": (0, 1.5),
-    "relief": (0, 0.05),
-    "stiffness_variation": (0, 2),
-    "nonlinearity": (0, 10),
-    "depth_noise": (0, 0.2),
-    "depth_noise_correlation": (0, 100),
-    "depth_bias": (0, 0.5),
-    "scale_flicker": (0, 0.5),
-    "mask_error": (0, 20),
-    "focal_error": (0.2, 5),
-    "occlusion": (0, 0.8),
-    "image_noise": (0, 0.5),
-    "highlights": (0, 5),
-    "turning_deg": (0, 10),
-    "video_quality": (0, 51),
+LIMITS = {
+    name: kind.__metadata__
+    for name, kind in get_type_hints(SceneSettings, include_extras=True).items()
+    if hasattr(kind, "__metadata__")
 }
 """Smallest and largest value of each number, and of both ends of each range."""

@@ -50,14 +50,10 @@ class LoadingSettings:
     """Seed of the split and of the order of the samples."""
 
     def __post_init__(self) -> None:
-        if self.batch_size < 1 or self.num_workers < 0:
+        if not (1 <= self.batch_size <= LARGEST_BATCH and 0 <= self.num_workers <= MOST_THREADS):
             raise ValueError(
-                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give at least 1 and 0."
-            )
-        if self.batch_size > LARGEST_BATCH or self.num_workers > MOST_THREADS:
-            raise ValueError(
-                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give at most {LARGEST_BATCH} and "
-                f"{MOST_THREADS}."
+                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give 1 to {LARGEST_BATCH} and 0 "
+                f"to {MOST_THREADS}."
             )
         if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
             raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")

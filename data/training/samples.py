@@ -32,10 +32,9 @@ class SampleSettings:
 
     window: int = 1
     """Frames in the network's input, K; 1 is the paper's."""
-    observation: Literal["final", "release", "trajectory"] = "final"
-    """final (paper): the motion to the next frame is compared with the end of the rollout. release: it is compared with
-    the rollout at the end of its load. trajectory: the contact's whole motion since its onset is compared, at the
-    frames' own time stamps."""
+    observation: Literal["final", "trajectory"] = "final"
+    """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: the contact's
+    whole motion since its onset is compared, at the frames' own time stamps."""
     horizon: int = 1
     """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
     noise. More need observation trajectory."""
@@ -125,7 +124,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     if settings.observation != "trajectory":
         forward = make_interaction(clip, frame, settings)
         backward = _pair(clip, frame + 1, clip.backward, settings)
-        onward = course = 0, _pair_steps(settings)
+        onward = course = 0, settings.mechanics.steps
     else:
         onset = int(clip.track_start[frame])
         run = builder_of(clip, onset, settings, sequence_until=frame if settings.sequence else None)
@@ -226,13 +225,7 @@ def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
 def _pair(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSettings) -> Interaction:
     """One frame's contact and its motion to a neighbouring frame (`motion`, shape [F, 3])."""
     mechanics, vertex = settings.mechanics, int(clip.vertex[frame])
-    steps = _pair_steps(settings)
     direction = force_direction(clip.normal[frame], motion[frame], settings.geometry)
     press = Press.at(vertex, direction, held(mechanics.load_steps, mechanics.steps))
-    moved = Observation.of_point(vertex, np.array([steps * mechanics.time_step]), motion[frame : frame + 1], math.nan)
+    moved = Observation.of_point(vertex, np.array([mechanics.seconds]), motion[frame : frame + 1], math.nan)
     return Interaction(clip.mesh(frame), press, moved, mechanics.time_step)
-
-
-def _pair_steps(settings: SampleSettings) -> int:
-    """Steps of the rollout after which a pair's motion is compared with it."""
-    return settings.mechanics.steps if settings.observation == "final" else max(settings.mechanics.load_steps, 1)

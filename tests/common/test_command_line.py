@@ -51,9 +51,9 @@ def test_without_a_terminal_progress_is_told_now_and_then(monkeypatch: pytest.Mo
         for _ in range(8):
             clock[0] += 10
             bars.advance(job)
-    told = [line for line in text.getvalue().splitlines() if " of 40, " in line]
-    assert [line.split(",")[0] for line in told] == [f"clips [of many]: {done} of 40" for done in (3, 6)]
-    assert all("it/s" in line and "left" in line for line in told)
+    message = [line for line in text.getvalue().splitlines() if " of 40, " in line]
+    assert [line.split(",")[0] for line in message] == [f"clips [of many]: {done} of 40" for done in (3, 6)]
+    assert all("it/s" in line and "left" in line for line in message)
 
 
 def test_what_one_step_does_not_tell_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

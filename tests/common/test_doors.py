@@ -51,7 +51,7 @@ def test_the_exit_status_is_the_programs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("program", "told"),
+    ("program", "said"),
     [
         ({"body": INTERRUPT}, b"Interrupted; nothing is lost.\n"),
         ({"body": "pass", "before": INTERRUPT.replace("    ", "")}, b""),
@@ -60,9 +60,9 @@ def test_the_exit_status_is_the_programs() -> None:
     ],
     ids=["while it works", "while it imports", "while it ends", "while compiled code turns it into its own error"],
 )
-def test_an_interrupted_program_ends_with_130(program: dict[str, str], told: bytes) -> None:
+def test_an_interrupted_program_ends_with_130(program: dict[str, str], said: bytes) -> None:
     done = run(**program)
-    assert (done.returncode, done.stdout, done.stderr) == (130, b"", told)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", said)
 
 
 def test_an_interrupt_that_lands_in_compiled_code_is_one() -> None:
@@ -112,10 +112,10 @@ def test_letters_that_a_terminal_lacks_are_escaped(environment: dict[str, str]) 
 
 def test_a_program_whose_output_was_lost_fails_in_one_sentence_when_all_else_is_done(tmp_path: Path) -> None:
     body = f"print('x' * 100_000, flush=True); open({str(tmp_path / 'done')!r}, 'w').close(); return {{}}"
-    told = b"Some output could not be written (No space left on device).\n"
+    said = b"Some output could not be written (No space left on device).\n"
     with Path("/dev/full").open("wb") as full:
         done = run(body.format(0), stdout=full)
-        assert (done.returncode, done.stderr) == (1, told)
+        assert (done.returncode, done.stderr) == (1, said)
         assert (tmp_path / "done").exists()
         assert run("print('x'); return 2", stdout=full).returncode == 2
         assert run("print('x'); print('y', file=sys.stderr)", stdout=full, stderr=full).returncode == 1

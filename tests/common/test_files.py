@@ -38,7 +38,7 @@ def test_what_fails_half_way_leaves_the_earlier_file_and_nothing_else(table, rea
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "said"),
     [
         (os.mkfifo, "no file but a pipe or a device"),
         (lambda path: path.symlink_to("/dev/zero"), "no file but a pipe or a device"),
@@ -48,9 +48,9 @@ def test_what_fails_half_way_leaves_the_earlier_file_and_nothing_else(table, rea
     ],
     ids=["pipe", "device", "loop", "folder", "large"],
 )
-def test_only_a_file_of_a_reasonable_size_is_read(tmp_path, make, told):
+def test_only_a_file_of_a_reasonable_size_is_read(tmp_path, make, said):
     make(tmp_path / "it")
-    with pytest.raises(OSError, match=told):
+    with pytest.raises(OSError, match=said):
         read_file(tmp_path / "it", 2048)
     (tmp_path / "file").write_bytes(b"x" * 2048)
     assert read_file(tmp_path / "file", 2048) == b"x" * 2048

@@ -26,19 +26,19 @@ from palpate.common.provenance import ROOT, code_digest
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.results.record import depends_on, fingerprint_of
 
-def told():
+def found():
     code_digest.cache_clear()
     causes = depends_on(Path(sys.executable), PrepareSettings(), open_estimator(EstimatorOptions("direct")))
     return fingerprint_of(causes), *map(code_digest, ("preparation", "kernels"))
 
-print(ROOT, *told())
+print(ROOT, *found())
 for name in sys.stdin.read().splitlines():
     path, changed = Path(name), Path(name + ".changed")
     kept = path.read_bytes()
     path.write_bytes(changed.read_bytes())
-    print(name, *told())
+    print(name, *found())
     path.write_bytes(kept)
-print(ROOT, *told())
+print(ROOT, *found())
 """
 """Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
 
@@ -150,7 +150,7 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     assert "data/contact/motion.py" in ours
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
-    # The helpers load modules, name sources, show names, read files and refuse settings; no array depends on them.
-    names = ("__init__", "lazy", "provenance", "doors", "settings", "files")
+    # The helpers load modules, name sources, show names, read and list files and refuse settings, not arrays.
+    names = ("__init__", "lazy", "provenance", "doors", "settings", "files", "output")
     helpers = {f"common/{name}.py" for name in names}
     assert others - helpers == {"physics/__init__.py", *PREPARATION}

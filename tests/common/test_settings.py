@@ -50,7 +50,7 @@ def test_an_annotation_in_words(kind: object, words: str):
 
 
 @pytest.mark.parametrize(
-    ("kind", "choice", "told"),
+    ("kind", "choice", "said"),
     [
         (DepthSettings, {"bits": 12}, "depth.bits is 12; give one of 8, 16."),
         (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of cpu, cuda."),
@@ -62,14 +62,14 @@ def test_an_annotation_in_words(kind: object, words: str):
         (
             SampleSettings,
             {"observation": "all"},
-            "samples.observation is 'all'; give one of final, release, trajectory.",
+            "samples.observation is 'all'; give one of final, trajectory.",
         ),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
         (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
     ],
 )
-def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dict, told: str):
-    with pytest.raises(ValueError, match=re.escape(told)):
+def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dict, said: str):
+    with pytest.raises(ValueError, match=re.escape(said)):
         kind(**choice)
 
 
@@ -92,7 +92,7 @@ def deep(levels: int) -> list:
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "said"),
     [
         ("a" * 10**6, "'aaaaa"),
         (10**5000, "a number beyond ±1e+15"),
@@ -104,8 +104,8 @@ def deep(levels: int) -> list:
     ],
     ids=["long", "huge", "huge inside", "circle", "doubled", "deep", "plain"],
 )
-def test_a_value_is_shown_in_few_words(value: object, told: str):
-    assert shown(value).startswith(told)
+def test_a_value_is_shown_in_few_words(value: object, said: str):
+    assert shown(value).startswith(said)
     assert len(shown(value)) < 1000
 
 

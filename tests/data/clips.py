@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -85,3 +86,12 @@ def stored(clip: ClipStream, cache: Path) -> PreparedClip:
     entry = CacheEntry(cache, clip.source.name, "0")
     entry.write(clip, clip.sources, clip.source.size)
     return entry.load(clip.source.path)
+
+
+def real_frames(real_data: Path, folder: Path, numbers: Iterable[int]) -> Path:
+    """A clip of some frames of the real clip of CholecSeg8k."""
+    folder.mkdir(parents=True)
+    for number in numbers:
+        for file in (real_data / "cholecseg8k" / "video01" / "video01_00080").glob(f"frame_{number}_endo*"):
+            (folder / file.name).symlink_to(file)
+    return folder

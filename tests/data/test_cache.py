@@ -123,15 +123,6 @@ def test_a_user_s_file_in_a_damaged_entry_stays(tmp_path):
     assert (entry / "notes.txt").read_text() == "precious"
 
 
-def test_a_damaged_entry_is_prepared_again(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=5), tmp_path / "cache"
-    clip = prepare(folder, SETTINGS, cache)
-    for name in ("clip.npz", "2.npz"):
-        for left in (-100, 0):
-            (clip.folder / name).write_bytes((clip.folder / name).read_bytes()[:left])
-            assert prepare(folder, SETTINGS, cache).counts["ok"] == 2
-
-
 def one_byte(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
@@ -146,16 +137,12 @@ def packed(path: Path) -> None:
                 np.lib.format.write_array(entry, np.zeros(10**6))
 
 
-def deep(path: Path) -> None:
-    with np.load(path) as stored:
-        columns = dict(stored)
-    np.savez(path, **columns | {"sources": "[" * 100_000})
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-100])
 
 
-def short(path: Path) -> None:
-    with np.load(path) as stored:
-        columns = dict(stored)
-    np.savez(path, **columns | {"times": columns["times"][:-1]})
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
 
 
 def pipe(path: Path) -> None:
@@ -168,18 +155,8 @@ def device(path: Path) -> None:
     path.symlink_to("/dev/zero")
 
 
-def foreign(path: Path) -> None:
-    np.savez(path, picture=np.zeros(3))
-
-
-@pytest.mark.parametrize(
-    ("name", "damage"),
-    [
-        *((name, damage) for name in ("clip.npz", "2.npz") for damage in (one_byte, packed, pipe, device, foreign)),
-        *(("clip.npz", damage) for damage in (deep, short)),
-    ],
-    ids=lambda each: getattr(each, "__name__", each),
-)
+@pytest.mark.parametrize("name", ["clip.npz", "2.npz"])
+@pytest.mark.parametrize("damage", [one_byte, packed, cut, emptied, Path.unlink, pipe, device])
 def test_a_damaged_entry_is_made_again(tmp_path, name, damage):
     folder, cache = write_clip(tmp_path / "clip", frames=4), tmp_path / "cache"
     clip = prepare(folder, SETTINGS, cache)

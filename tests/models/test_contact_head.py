@@ -1,4 +1,4 @@
-"""The head that says how sure it is: its box, where it starts, what the decoder is told of it."""
+"""The head that says how sure it is: its box, where it starts, what the decoder is given of it."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def test_without_the_contact_s_vector_a_sentence_says_what_to_set():
 
 def test_without_a_picture_the_head_goes_by_the_contact_alone():
     torch.manual_seed(0)
-    told = torch.randn(2, 6)
+    contact = torch.randn(2, 6)
     for picture in (True, False):
         generator = Generator(**SMALL, picture=picture)
         if picture:
             generator.head.posterior.picture.weight.data.normal_()
-        first, second = (generator.answer(generator.encode(torch.rand(2, 1, 16, 16)), told) for _ in range(2))
+        first, second = (generator.answer(generator.encode(torch.rand(2, 1, 16, 16)), contact) for _ in range(2))
         assert torch.equal(first.mean, second.mean) is not picture
     with pytest.raises(ValueError, match="picture is false and head parameters"):
         Generator(**SMALL | {"head": "parameters"}, picture=False)

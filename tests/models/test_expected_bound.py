@@ -60,9 +60,9 @@ def test_the_worst_parameter_counts_beside_each() -> None:
     sizes = np.array([[0.1, 1.0, 0.1], [1.0, 0.1, 0.1], [0.1, 1.0, 0.1], [1.0, 0.1, 0.1]])
     information = np.einsum("bi,ij->bij", sizes**-2, np.eye(3))
     costs = {}
-    for told in (0.1, 1.0):
-        factor = torch.diag(torch.tensor([told, told, 0.1], dtype=torch.float64)).expand(4, 3, 3)
-        costs[told] = float(bound_loss(factor, information))
+    for message in (0.1, 1.0):
+        factor = torch.diag(torch.tensor([message, message, 0.1], dtype=torch.float64)).expand(4, 3, 3)
+        costs[message] = float(bound_loss(factor, information))
     # Either is right in half of both parameters; only the larger is right about the worst.
     assert costs[1.0] < costs[0.1] - 0.2
 

@@ -340,8 +340,8 @@ def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
     generator = module.generator_ab
     answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
     box = generator.posterior.lower, generator.posterior.upper
-    told = batch["noise_a"], batch["mesh_a"], batch["known_load_a"], point, module.mechanics, box
-    found = [posterior_physics_loss(answer.mean, answer.factor, *told, view) for view in (None, dent)]
+    known = batch["noise_a"], batch["mesh_a"], batch["known_load_a"], point, module.mechanics, box
+    found = [posterior_physics_loss(answer.mean, answer.factor, *known, view) for view in (None, dent)]
     # The dent says nothing across the force, along which the contact moves.
     torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].max()))
     assert float(found[0][0].detach()) == pytest.approx(float(found[1][0].detach()), rel=1e-3)

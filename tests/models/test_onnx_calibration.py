@@ -18,6 +18,7 @@ from palpate.models.onnx_export import ParityError, export
 from palpate.models.onnx_session import ModelFileError, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
+from tests.inference_inputs import write_model
 
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
 WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (0.0, 0.3, -0.2))
@@ -26,7 +27,7 @@ BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Path:
-    """An exported posterior that is told ten numbers."""
+    """An exported posterior that takes ten numbers."""
     torch.manual_seed(0)
     posterior = ContactPosterior(10, torch.tensor(BOUNDS.log_box))
     with torch.no_grad():  # the exporter keeps equal weights once
@@ -36,6 +37,13 @@ def plain(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("plain") / "plain.onnx"
     export(posterior, path, METADATA | {"bounds": dataclasses.asdict(BOUNDS)})
     return path
+
+
+@pytest.fixture(scope="module")
+def calibrated(plain: Path) -> Path:
+    """The same, calibrated by the observation's noise."""
+    calibrate(plain, plain.with_name("calibrated.onnx"), Calibration(WHOLE, noise_features=(8,)))
+    return plain.with_name("calibrated.onnx")
 
 
 def deviations(covariances: np.ndarray) -> np.ndarray:
@@ -103,15 +111,14 @@ def test_a_generators_posterior_is_calibrated_as_well(tmp_path: Path) -> None:
     export(generator, tmp_path / "both.onnx", {"input": {"window": 2, "height": 24, "width": 32}})
     calibrate(tmp_path / "both.onnx", tmp_path / "out.onnx", Calibration(Widths((2.0, 3.0, 4.0))))
     random = np.random.default_rng(0)
-    told = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
-    own, covariance = (PosteriorModel(tmp_path / name)(*told)[1] for name in ("both.onnx", "out.onnx"))
+    inputs = random.normal(size=(3, 10)), random.uniform(size=(3, 2, 24, 32))
+    own, covariance = (PosteriorModel(tmp_path / name)(*inputs)[1] for name in ("both.onnx", "out.onnx"))
     np.testing.assert_allclose(covariance, own * np.outer([2, 3, 4], [2, 3, 4]), rtol=1e-4)
 
 
-def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, tmp_path: Path) -> None:
-    calibrate(plain, tmp_path / "contact.onnx", Calibration(WHOLE, noise_features=(8,)))
+def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, calibrated: Path) -> None:
     posteriors = [ContactPosterior(10, torch.tensor(BOUNDS.log_box)) for _ in range(2)]
-    for posterior, path in zip(posteriors, (plain, tmp_path / "contact.onnx"), strict=True):
+    for posterior, path in zip(posteriors, (plain, calibrated), strict=True):
         load_posterior(posterior, path)
     first, second = (posterior.state_dict() for posterior in posteriors)
     assert all(torch.equal(value, second[name]) for name, value in first.items())
@@ -119,15 +126,14 @@ def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path
         load_posterior(ContactPosterior(9, torch.tensor(BOUNDS.log_box)), plain)
 
 
-def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain: Path, tmp_path: Path, monkeypatch) -> None:
-    once, twice = tmp_path / "once.onnx", tmp_path / "twice.onnx"
-    calibrate(plain, once, Calibration(WHOLE))
-    with pytest.raises(ValueError, match=r"once\.onnx is calibrated already"):
-        calibrate(once, twice, Calibration(WHOLE))
-    export(Generator(1, 4, 1, BOUNDS), tmp_path / "parameters.onnx", METADATA)
+def test_what_can_t_be_calibrated_is_refused_and_leaves_no_file(plain, calibrated, tmp_path, monkeypatch) -> None:
+    twice = tmp_path / "twice.onnx"
+    with pytest.raises(ValueError, match=r"calibrated\.onnx is calibrated already"):
+        calibrate(calibrated, twice, Calibration(WHOLE))
+    write_model(tmp_path / "parameters.onnx")
     with pytest.raises(ModelFileError, match="takes depth"):
         calibrate(tmp_path / "parameters.onnx", twice, Calibration(WHOLE))
-    monkeypatch.setattr("palpate.models.onnx_calibration.PARITY_TOLERANCE", -1.0)
-    with pytest.raises(ParityError, match="differ from torch"):
+    monkeypatch.setattr("palpate.models.onnx_export.PARITY_TOLERANCE", -1.0)
+    with pytest.raises(ParityError, match="differs from torch"):
         calibrate(plain, twice, Calibration(WHOLE))
     assert not twice.exists()

@@ -15,8 +15,16 @@ import torch
 from palpate.common.output import ForeignFile
 from palpate.data.depth.photometric import build_photometric
 from palpate.models.generator import Generator
-from palpate.models.onnx_export import PARITY_TOLERANCE, ParityError, _Posterior, export, parity, require_own_model
-from palpate.models.onnx_session import METADATA_KEY, ModelFileError, ParameterModel, PosteriorModel
+from palpate.models.onnx_export import (
+    PARITY_TOLERANCE,
+    ParityError,
+    _Posterior,
+    export,
+    parity,
+    require_own_model,
+    write,
+)
+from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
 
@@ -78,10 +86,9 @@ print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
         np.testing.assert_allclose(theta, expected[:batch], atol=1e-5, rtol=0)
 
 
-def test_a_file_that_differs_from_torch_is_never_left(tmp_path, monkeypatch):
-    monkeypatch.setattr("palpate.models.onnx_export.parity", lambda network, model, window: 0.01)
+def test_a_file_that_differs_from_torch_is_never_left(exported, tmp_path):
     with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
-        export(Generator(width=4, residual_blocks=0), tmp_path / "parameters.onnx", METADATA)
+        write(onnx.load(exported[1]), METADATA, tmp_path / "parameters.onnx", lambda path: 0.01)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -116,12 +123,6 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
     export(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
     assert not model.calibrated
-    # Earlier versions wrote factors of standard deviations instead of expected bounds.
-    former, document = onnx.load(model.path), model.metadata | {"calibration": {"whole": {"decisive": [1.0, 1.0, 1.0]}}}
-    onnx.helper.set_model_props(former, {METADATA_KEY: json.dumps(document)})
-    onnx.save(former, tmp_path / "old.onnx")
-    with pytest.raises(ModelFileError, match="as an earlier version did; export it again"):
-        PosteriorModel(tmp_path / "old.onnx")
     mean, covariance, expected_bound = model(np.ones((2, 10), np.float32))
     with torch.no_grad():
         expected, factor = posterior(torch.ones(2, 10))
@@ -177,6 +178,6 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     assert exported < 1e-5
     plain = PosteriorModel.run
     monkeypatch.setattr(
-        PosteriorModel, "run", lambda *told: [*plain(*told)[:2], plain(*told)[2] * 1.001]
+        PosteriorModel, "run", lambda *given: [*plain(*given)[:2], plain(*given)[2] * 1.001]
     )  # a thousandth off
     assert parity(_Posterior(posterior), model, (1, 24, 40)) > PARITY_TOLERANCE

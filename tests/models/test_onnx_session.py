@@ -6,10 +6,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
-from onnx import TensorProto, helper
 
 from palpate.data.picture_network import PictureNetwork
 from palpate.models.onnx_session import (
@@ -20,6 +18,7 @@ from palpate.models.onnx_session import (
     PosteriorModel,
     open_model,
 )
+from tests.networks import write_network
 
 METADATA = {"format_version": FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
 
@@ -28,25 +27,14 @@ def write_model(
     path: Path, metadata: object = METADATA, name: str = "depth", shape: tuple = ("batch", 2, 4, 6)
 ) -> Path:
     """θ = first three pixels of the input: a graph with the exported signature."""
-    graph = helper.make_graph(
-        [
-            helper.make_node("Flatten", [name], ["flat"]),
-            helper.make_node("Slice", ["flat", "start", "end", "axis"], ["theta"]),
-        ],
-        "parameters",
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info("theta", TensorProto.FLOAT, ("batch", 3))],
-        [
-            helper.make_tensor("start", TensorProto.INT64, [1], [0]),
-            helper.make_tensor("end", TensorProto.INT64, [1], [3]),
-            helper.make_tensor("axis", TensorProto.INT64, [1], [1]),
-        ],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    if metadata is not None:
-        helper.set_model_props(model, {METADATA_KEY: metadata if isinstance(metadata, str) else json.dumps(metadata)})
-    onnx.save(model, path)
-    return path
+    if not isinstance(metadata, str | None):
+        metadata = json.dumps(metadata)
+    graph = f"""parameters (float[{", ".join(map(str, shape))}] {name}) => (float[batch, 3] theta)
+        <int64[1] start = {{0}}, int64[1] end = {{3}}, int64[1] axis = {{1}}> {{
+            flat = Flatten({name})
+            theta = Slice(flat, start, end, axis)
+        }}"""
+    return write_network(path, graph, None if metadata is None else {METADATA_KEY: metadata})
 
 
 def test_a_good_file(tmp_path):
@@ -139,10 +127,10 @@ def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, val
     path = write_model(tmp_path / "m.onnx", METADATA | {name: value})
     with pytest.raises(ModelFileError, match=r"m\.onnx has unusable metadata, .*; export it again") as caught:
         open_model(path)
-    told = str(caught.value)
-    assert told.isprintable()
-    assert name[:10] in told or name == "anything"
-    assert len(told) < len(str(path)) + 300
+    said = str(caught.value)
+    assert said.isprintable()
+    assert name[:10] in said or name == "anything"
+    assert len(said) < len(str(path)) + 300
 
 
 def test_infinite_by_its_exponent(tmp_path):
@@ -185,18 +173,13 @@ def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch)
 
 def test_a_network_that_fails_is_named(tmp_path):
     """Here for want of 4 TB."""
-    path = write_model(tmp_path / "a.onnx")
-    model = onnx.load(path)
-    slices = model.graph.node[1]
-    slices.output[0] = "few"
-    model.graph.initializer.append(helper.make_tensor("many", TensorProto.INT64, [1], [10**12]))
-    model.graph.node.extend(
-        [
-            helper.make_node("ConstantOfShape", ["many"], ["huge"]),
-            helper.make_node("ReduceMean", ["huge"], ["mean"], keepdims=0),
-            helper.make_node("Add", ["few", "mean"], ["theta"]),
-        ]
-    )
-    onnx.save(model, path)
+    graph = """parameters (float[batch, 2, 4, 6] depth) => (float[batch, 3] theta)
+        <int64[1] many = {1000000000000}, int64[2] two = {-1, 3}> {
+            huge = ConstantOfShape(many)
+            mean = ReduceMean<keepdims=0>(huge)
+            few = Reshape(depth, two)
+            theta = Add(few, mean)
+        }"""
+    path = write_network(tmp_path / "a.onnx", graph, {METADATA_KEY: json.dumps(METADATA)})
     with pytest.raises(ModelFileError, match=r"a\.onnx can't be run; export it again with train.py export\."):
         ParameterModel(path).run({"depth": np.zeros((1, 2, 4, 6), np.float32)})

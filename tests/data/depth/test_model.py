@@ -11,13 +11,13 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx import TensorProto, helper, numpy_helper
 
 from palpate.data.depth.model import DepthModel, place, preprocess
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
 from palpate.data.depth.preset import DepthPreset, load_preset
 from palpate.data.source.frames import Frame, FrameSource
 from palpate.data.source.layout import ClipLayout, InputError
+from tests.networks import write_network
 
 HEIGHT, WIDTH = 48, 80
 GREY = np.broadcast_to(np.linspace(51, 204, WIDTH).round().astype(np.uint8)[:, None], (HEIGHT, WIDTH, 3))
@@ -37,33 +37,23 @@ class Pictures(FrameSource):
             yield Frame(index, index, index / self.fps, picture)
 
 
-def save(graph, path) -> None:
-    """Write a graph as an ONNX file of an opset that every supported onnxruntime reads."""
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), str(path))
-
-
 def build(path, *, gain=1.0, bias=0.0, shape=(1, 3, "h", "w"), names=("image", "depth"), focal=None, rank=4, scale=1):
     """An ONNX file whose output is gain·(mean over channels) + bias, perhaps with a constant focal length."""
-    constants = [numpy_helper.from_array(np.float32(value), name) for name, value in (("g", gain), ("b", bias))]
-    channel = shape.index(3)
-    constants.append(numpy_helper.from_array(np.array([channel]), "axis"))
-    nodes = [
-        helper.make_node("ReduceMean", [names[0], "axis"], ["mean"], keepdims=int(rank == 4)),
-        helper.make_node("Mul", ["mean", "g"], ["scaled"]),
-        helper.make_node("Add", ["scaled", "b"], [names[1] if scale == 1 else "full"]),
-    ]
+    (image, depth), made = names, ", ".join("?" * rank)
+    graph = f"""tiny (float[{", ".join(map(str, shape))}] {image}) =>
+        (float[{made}] {depth}{", float[1] focal" if focal is not None else ""}) {{
+        mean = ReduceMean<keepdims={int(rank == 4)}>({image}, axis)
+        scaled = Mul(mean, gain)
+        full = Add(scaled, bias)
+        {depth} = {'Resize<mode="nearest">(full, , sizes)' if scale != 1 else "Identity(full)"}
+        {"focal = Identity(length)" if focal is not None else ""}
+    }}"""
+    constants = {"axis": np.array([shape.index(3)]), "gain": np.float32(gain), "bias": np.float32(bias)}
     if scale != 1:
-        constants.append(numpy_helper.from_array(np.array([1, 1, scale, scale], np.float32), "s"))
-        nodes.append(helper.make_node("Resize", ["full", "", "s"], [names[1]], mode="nearest"))
-    outputs = [helper.make_tensor_value_info(names[1], TensorProto.FLOAT, [None] * rank)]
+        constants["sizes"] = np.array([1, 1, scale, scale], np.float32)
     if focal is not None:
-        constants.append(numpy_helper.from_array(np.array([focal], np.float32), "f"))
-        nodes.append(helper.make_node("Identity", ["f"], ["focal"]))
-        outputs.append(helper.make_tensor_value_info("focal", TensorProto.FLOAT, [1]))
-    inputs = [helper.make_tensor_value_info(names[0], TensorProto.FLOAT, shape)]
-    graph = helper.make_graph(nodes, "tiny", inputs, outputs, constants)
-    save(graph, path)
-    return path
+        constants["length"] = np.array([focal], np.float32)
+    return write_network(path, graph, **{name: np.asarray(value) for name, value in constants.items()})
 
 
 def opened(tmp_path, preset: dict, pictures=(GREY,), settings: dict | None = None, **network):
@@ -245,24 +235,13 @@ def test_without_a_scale_the_first_frame_freezes_the_range(tmp_path):
 
 def test_focal_length_is_the_median_of_the_clip_and_then_fixed(tmp_path):
     """A network whose focal length follows the picture: depth must not flicker with it."""
-    path = tmp_path / "tiny.onnx"
-    nodes = [
-        helper.make_node("ReduceMean", ["image", "c"], ["depth"], keepdims=1),
-        helper.make_node("ReduceMax", ["image"], ["top"], keepdims=0),
-        helper.make_node("Mul", ["top", "hundred"], ["focal"]),
-    ]
-    constants = [numpy_helper.from_array(np.array([1]), "c"), numpy_helper.from_array(np.float32(100), "hundred")]
-    graph = helper.make_graph(
-        nodes,
-        "tiny",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "h", "w"])],
-        [
-            helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, "h", "w"]),
-            helper.make_tensor_value_info("focal", TensorProto.FLOAT, []),
-        ],
-        constants,
-    )
-    save(graph, path)
+    graph = """tiny (float[1, 3, h, w] image) => (float[1, 1, h, w] depth, float focal)
+        <int64[1] channels = {1}, float hundred = {100}> {
+        depth = ReduceMean(image, channels)
+        top = ReduceMax<keepdims=0>(image)
+        focal = Mul(top, hundred)
+    }"""
+    path = write_network(tmp_path / "tiny.onnx", graph)
     path.with_suffix(".yaml").write_text(
         "kind: canonical_inverse\nresize: none\noutput: depth\nfocal_output: focal\nfocal_grid: 100\n"
     )
@@ -364,21 +343,15 @@ def test_other_inputs_or_outputs_than_the_preset_says(tmp_path, preset, network,
 
 
 def test_two_inputs_are_refused(tmp_path):
-    nodes = [helper.make_node("Add", ["a", "b"], ["depth"])]
-    inputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 3, "h", "w"]) for name in "ab"]
-    outputs = [helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 3, "h", "w"])]
-    path = tmp_path / "two.onnx"
-    save(helper.make_graph(nodes, "g", inputs, outputs), path)
+    graph = "g (float[1, 3, h, w] a, float[1, 3, h, w] b) => (float[1, 3, h, w] depth) { depth = Add(a, b) }"
+    path = write_network(tmp_path / "two.onnx", graph)
     with pytest.raises(InputError, match=r"two.onnx takes a .*, b .*, and not one colour picture"):
         DepthModel(path, DepthPreset(name="a", kind="metric"))
 
 
 def test_an_output_that_is_no_map_is_named(tmp_path):
-    path = tmp_path / "same.onnx"
-    nodes = [helper.make_node("Identity", ["image"], ["depth"])]
-    value = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "h", "w"])
-    output = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 3, "h", "w"])
-    save(helper.make_graph(nodes, "g", [value], [output]), path)
+    graph = "g (float[1, 3, h, w] image) => (float[1, 3, h, w] depth) { depth = Identity(image) }"
+    path = write_network(tmp_path / "same.onnx", graph)
     network = DepthModel(path, DepthPreset(name="a", kind="metric", resize="none"))
     with pytest.raises(InputError, match=r"'depth' of shape \[1, 3, 48, 80\], which is not one depth map"):
         network.raw(GREY)
@@ -411,6 +384,21 @@ def test_threads_do_not_change_the_result(tmp_path):
 
 
 # The published architectures, tiny and random, exported as their presets expect
+
+
+def giving(network, outputs):
+    """A network that gives what `outputs` makes of another one's result."""
+    import torch
+
+    class Giving(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network = network
+
+        def forward(self, pixel_values):
+            return outputs(self.network(pixel_values))
+
+    return Giving()
 
 
 def export(module, example, path, outputs):
@@ -492,28 +480,21 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
     with torch.no_grad():
         network.fov_model.head.layers[-1].bias.fill_(70.0)
 
-    class Both(torch.nn.Module):
+    def outputs(result):
         """Canonical inverse depth with its field of view, and what the published files give instead."""
-
-        def __init__(self):
-            super().__init__()
-            self.network = network
-
-        def forward(self, pixel_values):
-            result = self.network(pixel_values)
-            focal = 0.5 * 1536 / torch.tan(0.5 * torch.deg2rad(result.field_of_view))
-            metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
-            return result.predicted_depth, result.field_of_view, metres, focal
+        focal = 0.5 * 1536 / torch.tan(0.5 * torch.deg2rad(result.field_of_view))
+        metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
+        return result.predicted_depth, result.field_of_view, metres, focal
 
     image = picture_854()
     preset = load_preset("depthpro-canonical")
     tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
-    export(Both(), tensor, tmp_path / "both.onnx", ["canonical", "fov", "metres", "focal"])
-    both = tmp_path / "both.onnx"
+    both, module = tmp_path / "both.onnx", giving(network, outputs)
+    export(module, tensor, both, ["canonical", "fov", "metres", "focal"])
     rename_outputs(both, tmp_path / "a.onnx", {"canonical": "predicted_depth", "fov": "field_of_view"})
     rename_outputs(both, tmp_path / "b.onnx", {"metres": "predicted_depth", "focal": "focallength_px"})
     with torch.no_grad():
-        canonical, fov, metres, _ = Both()(tensor)
+        canonical, fov, metres, _ = module(tensor)
     assert 0 < float(fov) < 180
     focal = 0.5 * 854 / math.tan(math.radians(float(fov)) / 2)
     source = Pictures([image])
@@ -572,24 +553,15 @@ def test_depth_anything(tmp_path, kind):
     with torch.no_grad():
         network.head.conv3.bias.fill_(0.5)
 
-    class Depth(torch.nn.Module):
-        """The network's depth alone."""
-
-        def __init__(self):
-            super().__init__()
-            self.network = network
-
-        def forward(self, pixel_values):
-            return self.network(pixel_values).predicted_depth
-
+    module = giving(network, lambda result: result.predicted_depth)
     name = "depth-anything-v2" if kind == "relative" else "depth-anything-v2-metric"
     preset = load_preset(name)
     image = picture_854()
     tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
     assert tensor.shape == (1, 3, 518, 924)
-    export(Depth(), tensor, tmp_path / "x.onnx", ["predicted_depth"])
+    export(module, tensor, tmp_path / "x.onnx", ["predicted_depth"])
     with torch.no_grad():
-        expected = enlarged(Depth()(tensor))
+        expected = enlarged(module(tensor))
     source = Pictures([image])
     settings = DepthSettings(name, str(tmp_path / "x.onnx"), near=0.05, far=0.2)
     depth = open_depth(settings, ClipLayout(), source)

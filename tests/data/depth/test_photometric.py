@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import sys
 
 import numpy as np
@@ -11,7 +10,7 @@ import onnxruntime
 import pytest
 
 from palpate.common.output import ForeignFile
-from palpate.data.depth.photometric import DARKEST, SHIPPED, build_photometric, write_photometric
+from palpate.data.depth.photometric import DARKEST, SHIPPED, build_photometric, main, write_photometric
 
 HEIGHT, WIDTH = 240, 428
 HALF = math.tan(math.radians(30))
@@ -151,16 +150,17 @@ def test_the_shipped_file_is_what_the_function_builds():
     assert SHIPPED.stat().st_size < 20_000
 
 
-def test_the_door_writes_a_model_for_another_endoscope(tmp_path):
+def test_the_door_writes_a_model_for_another_endoscope(tmp_path, monkeypatch, capsys):
     path = tmp_path / "wide" / "mine.onnx"
-    command = [sys.executable, "-m", "data.depth.photometric", "--output", str(path), "--field-of-view-deg"]
-    done = subprocess.run([*command, "90"], capture_output=True, text=True, check=True, cwd=SHIPPED.parents[2])
-    assert str(path) in done.stdout
+    monkeypatch.setattr(sys, "argv", ["photometric", "--output", str(path), "--field-of-view-deg", "90"])
+    main()
+    assert str(path) in capsys.readouterr().out
     assert [file.name for file in path.parent.iterdir()] == ["mine.onnx"]
-    wrong = subprocess.run([*command, "200"], capture_output=True, text=True, check=False, cwd=SHIPPED.parents[2])
-    assert wrong.returncode == 2
-    assert "The field of view is 200" in wrong.stderr
-    assert "Traceback" not in wrong.stderr
+    monkeypatch.setattr(sys, "argv", [*sys.argv[:-1], "200"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "The field of view is 200" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("content", [b"precious", b""])

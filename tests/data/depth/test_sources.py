@@ -53,14 +53,14 @@ def test_a_map_that_unpacks_to_gigabytes_is_refused_by_what_it_declares(tmp_path
     if suffix == ".png":
         content = cv2.imencode(".png", np.zeros((2, 2), np.uint16))[1].tobytes()
         path.write_bytes(content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
-        told = "30000x30000, far larger than its picture"
+        said = "30000x30000, far larger than its picture"
     elif suffix == ".npy":
         np.lib.format.open_memmap(path, "w+", np.float32, (30_000, 30_000)).flush()  # holes, not data
-        told = "unpacks to 3433 MB, more than 16 times its picture's pixels; store depth at the picture's size"
+        said = "unpacks to 3433 MB, more than 16 times its picture's pixels; store depth at the picture's size"
     else:
         np.savez_compressed(path, depth=np.zeros((600, 600)))
-        told = "unpacks to 3 MB, more than 16 times"
-    with pytest.raises(InputError, match=rf"7\{suffix} .*{told}"):
+        said = "unpacks to 3 MB, more than 16 times"
+    with pytest.raises(InputError, match=rf"7\{suffix} .*{said}"):
         StoredDepth(replace(NPY, depth="{number}" + suffix), tmp_path)(frame_of(tmp_path))
 
 

@@ -6,14 +6,13 @@ import json
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
 from palpate.data.masks.onnx import OnnxMasks
 from palpate.data.masks.sources import MaskClasses, mask_model, open_masks
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
+from tests.networks import write_network
 
 WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
 """Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""
@@ -27,39 +26,21 @@ def save_model(
     nhwc: bool = False,
     labels: bool = False,
     metadata: dict | None = None,
-    values: int = TensorProto.FLOAT,
+    values: str = "float",
 ) -> Path:
     """A 1x1 convolution as a segmentation model, of a picture of `values`."""
-    channels = len(weights)
-    kernel = numpy_helper.from_array(weights.reshape(channels, 3, 1, 1), "kernel")
-    shape = [1, *size, 3] if nhwc else [1, 3, *size]
-    nodes, last = [], "picture"
-    if nhwc:
-        nodes.append(helper.make_node("Transpose", [last], ["first"], perm=[0, 3, 1, 2]))
-        last = "first"
-    if values != TensorProto.FLOAT:
-        nodes.append(helper.make_node("Cast", [last], ["numbers"], to=TensorProto.FLOAT))
-        last = "numbers"
-    nodes.append(helper.make_node("Conv", [last, "kernel"], ["logits"]))
-    last, kind, out_shape = "logits", TensorProto.FLOAT, [1, channels, "p", "q"]
-    if labels:
-        nodes.append(helper.make_node("ArgMax", [last], ["labels"], axis=1, keepdims=0))
-        last, kind, out_shape = "labels", TensorProto.INT64, [1, "p", "q"]
-    elif nhwc:
-        nodes.append(helper.make_node("Transpose", [last], ["final"], perm=[0, 2, 3, 1]))
-        last, out_shape = "final", [1, "p", "q", channels]
-    graph = helper.make_graph(
-        nodes,
-        "segmentation",
-        [helper.make_tensor_value_info("picture", values, shape)],
-        [helper.make_tensor_value_info(last, kind, out_shape)],
-        [kernel],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    if metadata is not None:
-        helper.set_model_props(model, {"masks": json.dumps(metadata)})
-    onnx.save(model, path)
-    return path
+    height, width = size
+    taken = f"1, {height}, {width}, 3" if nhwc else f"1, 3, {height}, {width}"
+    given = "int64[1, p, q] last" if labels else "float[1, p, q, c] last" if nhwc else "float[1, c, p, q] last"
+    end = "ArgMax<axis=1, keepdims=0>(" if labels else "Transpose<perm=[0, 2, 3, 1]>(" if nhwc else "Identity("
+    graph = f"""segmentation ({values}[{taken}] picture) => ({given}) {{
+        numbers = Cast<to=1>(picture)
+        first = {"Transpose<perm=[0, 3, 1, 2]>" if nhwc else "Identity"}(numbers)
+        logits = Conv(first, kernel)
+        last = {end}logits)
+    }}"""
+    held = {} if metadata is None else {"masks": json.dumps(metadata)}
+    return write_network(path, graph, held, kernel=weights.reshape(len(weights), 3, 1, 1))
 
 
 PLAIN = {"mean": [0, 0, 0], "std": [1, 1, 1]}
@@ -124,7 +105,7 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
 @pytest.mark.parametrize(
     ("metadata", "message"),
     [
-        (None, r"has no settings; write m\.yaml beside it"),
+        (None, r"has no settings; write m\.yaml next to it"),
         ({}, r"lacks 'tool'; give \[a whole number, …\]"),
         ({"tool": [1], "tissu": [2]}, "unknown key 'tissu'; known are tool"),
         ({"tool": []}, "at least one output channel"),
@@ -133,7 +114,7 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
         ({"tool": [1], "output": "scores"}, "give one of logits"),
         ({"tool": [1], "std": [1, 1, 0]}, "numbers above 0"),
         ({"tool": [1], "threshold": 1.5}, "between 0 and 1"),
-        ({"tool": [1], "height": 0}, "must be positive"),
+        ({"tool": [1], "height": 0}, "are pixels; give 1 to 4096"),
         ({"tool": [1], "axes": "nhwc"}, "takes w channels|not one picture|3 channels|takes"),
     ],
 )
@@ -173,22 +154,14 @@ def test_files_that_are_no_models(tmp_path):
 
 
 def test_model_with_other_inputs(tmp_path):
-    value = helper.make_tensor_value_info
-    graph = helper.make_graph(
-        [helper.make_node("Add", ["a", "b"], ["c"])],
-        "sum",
-        [value("a", TensorProto.FLOAT, [1, 3]), value("b", TensorProto.FLOAT, [1, 3])],
-        [value("c", TensorProto.FLOAT, [1, 3])],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    helper.set_model_props(model, {"masks": '{"tool": [0]}'})
-    onnx.save(model, tmp_path / "sum.onnx")
+    graph = "sum (float[1, 3] a, float[1, 3] b) => (float[1, 3] c) { c = Add(a, b) }"
+    write_network(tmp_path / "sum.onnx", graph, {"masks": '{"tool": [0]}'})
     with pytest.raises(InputError, match="not one colour picture"):
         OnnxMasks(tmp_path / "sum.onnx")
 
 
 def test_a_model_of_8_bit_pictures_is_refused_since_its_input_would_be_rounded(tmp_path):
-    model = save_model(tmp_path / "raw.onnx", metadata={"tool": [1]}, values=TensorProto.UINT8)
+    model = save_model(tmp_path / "raw.onnx", metadata={"tool": [1]}, values="uint8")
     with pytest.raises(InputError, match=r"picture tensor\(uint8\).*not one colour picture"):
         OnnxMasks(model)
 

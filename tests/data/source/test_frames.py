@@ -193,8 +193,8 @@ def test_truncated_video_loses_no_row(tmp_path):
     assert 5 < decoded < 38
     assert len(frames) == 40
     assert [frame.index for frame in frames] == list(range(40))
-    told = [frame.error for frame in frames[decoded:]]
-    assert told == [f"{path} ends before frame {n} or is damaged; copy it again." for n in range(decoded, 40)]
+    said = [frame.error for frame in frames[decoded:]]
+    assert said == [f"{path} ends before frame {n} or is damaged; copy it again." for n in range(decoded, 40)]
     assert frames[-1].time_s == pytest.approx(39 / 25, abs=1e-3)
     assert source.warnings == [f"truncated: {decoded} of 40 frames decoded"]
 
@@ -271,25 +271,25 @@ NO_FILES = {
 
 @pytest.mark.parametrize("kind", NO_FILES)
 def test_what_is_no_file_costs_its_own_frame_only(tmp_path, kind):
-    folder, (make, told) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
+    folder, (make, said) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
     place = folder / "frame_1_endo.png"
     place.unlink()
     make(place)
     frames = list(open_source(folder, LAYOUT))
     assert [frame.image is None for frame in frames] == [False, True, False]
     assert frames[1].error.startswith(f"{place} ")
-    assert told in frames[1].error
-    if told == "no file":
+    assert said in frames[1].error
+    if said == "no file":
         assert frames[1].error == f"{place} is no file; put the picture itself there."
 
 
 @pytest.mark.parametrize("kind", NO_FILES)
 @pytest.mark.parametrize("name", ["v.mp4", "clip.json", "layout.yaml", "camera.yaml"])
 def test_what_is_no_file_is_no_video_and_says_nothing_of_a_clip(tmp_path, kind, name):
-    folder, (make, told) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
+    folder, (make, said) = make_folder(tmp_path / "clip", range(3)), NO_FILES[kind]
     make(folder / name)
     read = {"layout.yaml": load_layout, "camera.yaml": load_camera}.get(name)
-    with pytest.raises(InputError, match=rf"{re.escape(str(folder / name))} .*{told}.*; \w+"):
+    with pytest.raises(InputError, match=rf"{re.escape(str(folder / name))} .*{said}.*; \w+"):
         read(folder / name) if read else open_source(folder / name if name == "v.mp4" else folder, LAYOUT)
 
 
@@ -338,8 +338,8 @@ except ValueError as error:
 """
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, timeout=60, check=False)
-    told = f"{tmp_path / 'large.jpg'} is more than 34 million pixels; store it smaller. True\n"
-    assert (done.stdout, done.stderr) == (told, "")
+    said = f"{tmp_path / 'large.jpg'} is more than 34 million pixels; store it smaller. True\n"
+    assert (done.stdout, done.stderr) == (said, "")
 
 
 def test_a_video_that_declares_more_than_anybody_takes_is_not_decoded(tmp_path, monkeypatch):
@@ -375,7 +375,7 @@ def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "said"),
     [
         ("[" * 100_000 + "]" * 100_000, "nests too deeply"),
         ('{"fps":' * 50_000 + "1" + "}" * 50_000, "nests too deeply"),
@@ -391,10 +391,10 @@ def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_p
         (f'"{"x" * 2**24}"', r"larger than 16384 kB"),
     ],
 )
-def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, told):
+def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, said):
     folder = make_folder(tmp_path / "clip")
     (folder / "clip.json").write_text(text)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=said):
         open_source(folder, LAYOUT)
 
 

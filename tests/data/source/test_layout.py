@@ -71,7 +71,7 @@ def test_companion_of_a_plain_image_lies_beside_it():
         ({"fps": 0.0}, "positive number"),
         ({"depth_factor": float("nan")}, "positive number"),
         ({"label_mask": "m/{number}.png"}, "needs layout.tool_values"),
-        ({"mask_opening_px": -1}, "give 0 or more"),
+        ({"mask_opening_px": -1}, "give 0 to 1001"),
     ],
 )
 def test_impossible_values_are_refused(values, message):
@@ -105,7 +105,7 @@ def test_impossible_values_are_refused(values, message):
         ("fps: !!timestamp x", "is not a clip layout"),
         ("tool_values: [0x" + "f" * 5000 + "]", "gives tool_values .a number beyond"),
         ("depth_factor: 1.0e+308", "gives depth_factor 1e\\+308; give a number"),
-        ("mask_opening_px: 100000", "layout.mask_opening_px is 100000; give at most 1001"),
+        ("mask_opening_px: 100000", "layout.mask_opening_px is 100000; give 0 to 1001"),
         ("? 0x" + "f" * 5000 + "\n: 1", "has the unknown key a number beyond"),
         ("fps: [" + "1," * 2**16 + "1]", "larger than 128 kB"),
     ],
@@ -220,6 +220,13 @@ MERGED = "a: &a {x: 1}\n" + "".join(
 def test_references_that_unfold_without_end_are_refused(tmp_path, content):
     (tmp_path / "a.yaml").write_text(content)
     with pytest.raises(InputError, match=r"a\.yaml is not a file \(its references have no end\); correct the file\."):
+        read_mapping(tmp_path / "a.yaml", "a file")
+
+
+@pytest.mark.parametrize("content", [b"\x7fELF\x02\x01\x00\x00", b"\x00" * 100, "width: 4".encode("utf-16")])
+def test_what_is_no_text_is_refused(tmp_path, content):
+    (tmp_path / "a.yaml").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.yaml is not a file"):
         read_mapping(tmp_path / "a.yaml", "a file")
 
 

@@ -31,7 +31,7 @@ def test_a_number_beyond_all_use_is_told(tmp_path: Path, row: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "said"),
     [
         (b"a,b\n1,2\n3\n", "could not convert string to float: ''"),
         (b"a,c\n1,2\n", "there is no 'b'"),
@@ -39,11 +39,11 @@ def test_a_number_beyond_all_use_is_told(tmp_path: Path, row: str) -> None:
         (b"a,b\n" + b"9" * 200_000 + b",1\n", "field larger than field limit (131072)"),
     ],
 )
-def test_what_is_wrong_is_told_in_a_few_words(tmp_path: Path, content: bytes, told: str) -> None:
+def test_what_is_wrong_is_told_in_a_few_words(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "a.csv").write_bytes(content)
     with pytest.raises(InputError) as refused:
         read_columns(tmp_path / "a.csv", ("a", "b"), "table")
-    assert str(refused.value).endswith(f"a.csv is no table ({told}); give a CSV file with the columns a, b.")
+    assert str(refused.value).endswith(f"a.csv is no table ({said}); give a CSV file with the columns a, b.")
 
 
 @pytest.mark.parametrize("error", [TypeError("'NoneType'"), RecursionError(), AttributeError("x")])

@@ -175,6 +175,31 @@ def test_videos_of_odd_size_lose_their_last_row_and_column(
     np.testing.assert_allclose(frame.mean(axis=(0, 1)), (50, 50, 200), atol=8)
 
 
+def quick_frames(scene: SceneSettings, motion: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
+    """Two frames that show their seed."""
+    picture = np.full((32, 32), seed, np.uint8)
+    yield from [(np.dstack([picture] * 3), picture, picture)] * 2
+
+
+def quick_truth(folder: Path, scene: SceneSettings, motion: int, seed: int) -> None:
+    recorded = {"seed": seed, "settings": dataclasses.asdict(scene)}
+    (folder / "truth.json").write_text(json.dumps(recorded))
+
+
+def write_quickly(patch: pytest.MonkeyPatch) -> None:
+    """Let clips be written as ever, but with two blank frames and nothing simulated."""
+    patch.setattr(clips, "draw_truth", lambda settings, seed: (settings, 0))
+    patch.setattr(clips, "observe", quick_frames)
+    patch.setattr(clips, "write_truth", quick_truth)
+    patch.setattr(clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    write_quickly(monkeypatch)
+
+
+@pytest.mark.usefixtures("quick")
 def test_a_clip_is_kept_or_refused_but_never_mixed(tmp_path: Path) -> None:
     folder = write_clip(tmp_path, 1, SMALL, 1)
     stamp = (folder / "truth.json").stat().st_mtime_ns
@@ -195,13 +220,14 @@ def test_a_real_data_set_is_never_overwritten(tmp_path: Path, capsys: pytest.Cap
     (real / "frame_80_endo.png").write_bytes(b"precious")
     options = ["--output", str(tmp_path), "--size", "small", "--frames", "20", "--press-seconds", "0.2", "0.3"]
     assert main([*options, "--overwrite"]) == 1
-    told = "".join(capsys.readouterr().err.split())
-    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in told
+    said = "".join(capsys.readouterr().err.split())
+    assert f"{tmp_path / 'video01'}isnotasthisprogramwroteit;moveitaway" in said
     assert main(options) == 1
     assert [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()] == [b"precious"]
 
 
-@pytest.mark.parametrize("foreign", ["notes.txt", "video01_00000/frame_3_endo.png", "video01_00000/mine/1.png"])
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("foreign", ["notes.txt", "video01_00000/frame_1_endo.png", "video01_00000/mine/1.png"])
 def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreign: str) -> None:
     write_clip(tmp_path, 1, SMALL, 1)
     path = tmp_path / "video01" / foreign
@@ -213,19 +239,21 @@ def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreig
     assert json.loads((tmp_path / "video01" / "video01_00000" / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_huge_file_in_a_frame_s_place_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = write_clip(tmp_path, 1, SMALL, 1) / "frame_3_endo.png"
+    frame = write_clip(tmp_path, 1, SMALL, 1) / "frame_1_endo.png"
     with frame.open("wb") as file:
         file.truncate(12 * 2**30)
     read = []
     monkeypatch.setattr(output, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
-    with pytest.raises(FileExistsError, match=r"frame_3_endo\.png is not as this program wrote it"):
+    with pytest.raises(FileExistsError, match=r"frame_1_endo\.png is not as this program wrote it"):
         write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
     assert read
     assert frame.name not in read
     assert frame.stat().st_size == 12 * 2**30
 
 
+@pytest.mark.usefixtures("quick")
 def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> None:
     write_clip(tmp_path, 2, SMALL, 1)
     (tmp_path / "video01").symlink_to(tmp_path / "video02")
@@ -235,17 +263,6 @@ def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> No
         with pytest.raises(FileExistsError, match=rf"video0{number}[^ ]* is not as this program wrote it"):
             write_clip(tmp_path, number, SMALL, 2, overwrite=True)
     assert (tmp_path / "video02" / "video02_00000" / "truth.json").is_file()
-
-
-def quick_frames(scene: SceneSettings, motion: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
-    """Two frames that show their seed."""
-    picture = np.full((32, 32), seed, np.uint8)
-    yield from [(np.dstack([picture] * 3), picture, picture)] * 2
-
-
-def quick_truth(folder: Path, scene: SceneSettings, motion: int, seed: int) -> None:
-    recorded = {"seed": seed, "settings": dataclasses.asdict(scene)}
-    (folder / "truth.json").write_text(json.dumps(recorded))
 
 
 RUNS = st.tuples(st.just("run"), st.integers(1, 2), st.integers(1, 2), st.booleans(), st.sampled_from((None, 0, 1)))
@@ -261,10 +278,7 @@ PUTS = st.tuples(
 @given(st.lists(st.one_of(RUNS, PUTS), min_size=2, max_size=6))
 def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(events: list[tuple]) -> None:
     with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clips, "draw_truth", lambda settings, seed: (settings, 0))
-        patch.setattr(clips, "observe", quick_frames)
-        patch.setattr(clips, "write_truth", quick_truth)
-        patch.setattr(clips, "open_video", lambda path, settings: nullcontext(lambda image: path.write_bytes(b"v")))
+        write_quickly(patch)
         output, theirs = Path(name), {}
         for kind, *event in events:
             if kind == "put":
@@ -286,6 +300,7 @@ def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
             assert {path: path.read_text() for path in theirs if path.exists()} == theirs
 
 
+@pytest.mark.usefixtures("quick")
 def test_an_interruption_leaves_nothing_half_written(tmp_path: Path) -> None:
     def interrupt(frames: int) -> None:
         raise KeyboardInterrupt

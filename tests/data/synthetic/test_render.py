@@ -154,9 +154,8 @@ def test_image_noise_has_the_wanted_size() -> None:
     assert np.median(np.abs(images[0] - images[1])) / 255 == pytest.approx(0.6745 * np.sqrt(2) * 0.02, rel=0.1)
 
 
-def test_occlusion_hides_its_share_of_the_tissue() -> None:
-    hidden = make_clip(dataclasses.replace(SMALL, occlusion=0.2), 5)
-    bare = make_clip(SMALL, 5)
+def test_occlusion_hides_its_share_of_the_tissue(clip: SyntheticClip) -> None:
+    hidden, bare = make_clip(dataclasses.replace(SMALL, occlusion=0.2), 5), clip
     tissue = (bare.labels == GREY["gallbladder"]).sum()
     fat = hidden.labels == GREY["fat"]
     assert (fat & (bare.labels == GREY["gallbladder"])).sum() / tissue == pytest.approx(0.2, abs=0.03)

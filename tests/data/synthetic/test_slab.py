@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 
@@ -32,9 +33,13 @@ def _few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def drawn(settings: SceneSettings) -> tuple[Scene, SlabMotion]:
-    scene, motion = draw_truth(settings, SEED)
-    assert isinstance(motion, SlabMotion)
-    return scene, motion
+    return drawn_with(settings, slab.CELLS)
+
+
+@functools.cache
+def drawn_with(settings: SceneSettings, cells: tuple[int, int, int]) -> tuple[Scene, SlabMotion]:
+    """A truth with as many `cells` as there are now."""
+    return draw_truth(settings, SEED)
 
 
 def depth_of(scene: Scene, motion: SlabMotion) -> np.ndarray:
@@ -59,9 +64,8 @@ def test_a_press_comes_to_rest_where_its_force_was_chosen_for() -> None:
 @pytest.mark.parametrize("damping", [30.0, 200.0])
 def test_a_blunt_tips_motion_hardly_depends_on_the_mesh(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """As wide a tip as the suite's, whose pictures have twice as many pixels a side."""
-    settings = dataclasses.replace(
-        PRESS, patch_radius=(4.0, 4.0), slab_young=(200.0, 200.0), slab_damping=(damping, damping)
-    )
+    wide = {"patch_radius": (4.0, 4.0), "slab_young": (200.0, 200.0), "slab_damping": (damping, damping)}
+    settings = dataclasses.replace(PRESS, frames=14, press_seconds=(0.28, 0.28), **wide)
     found = []
     for cells in ((8, 8, 3), (12, 12, 4)):
         monkeypatch.setattr(slab, "CELLS", cells)

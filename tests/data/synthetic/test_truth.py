@@ -129,7 +129,7 @@ def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
 
 
 def test_a_force_that_leans_moves_tissue_to_its_side(scene: Scene, motion: PressedMotion) -> None:
-    """A sheet answers all directions alike, but for what holds its rim."""
+    """A sheet answers all directions in the same way, but for what holds its rim."""
     lean = 0.5
     leaning = simulate_motion(scene, THETA, ONSET, RELEASE, shape=PressShape(lean=(lean, 0.0)))
     straight, aside = motion.response[20], leaning.response[20]

@@ -1,4 +1,4 @@
-"""Points followed through drawn pictures that move as told, and the reasons for which a point is lost."""
+"""Points followed through drawn pictures that move as stated, and the reasons for which a point is lost."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def test_another_tissue_is_not_taken_for_a_lost_point() -> None:
 
 
 def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
-    """There and back by half pixels twenty times; noise told is that of the last links alone."""
+    """There and back by half pixels twenty times; the noise given is that of the last links alone."""
     picture = texture(8)
     follower = PointFollower(picture, NO_TOOL)
     for index in range(1, 4 * RELINKED + 1):

@@ -22,7 +22,7 @@ from palpate.data.training.cholecseg8k import join_folders, list_clips, main
 from palpate.data.training.datamodule import ClipDataModule, LoadingSettings
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
 from palpate.data.training.splits import NamedVideos
-from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, write_clip
+from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, real_frames, write_clip
 
 NEAREST = replace(GRID, contact="nearest", min_tool_pixels=1, displacement="redetected")
 LAYOUT = ClipLayout()
@@ -257,12 +257,7 @@ def test_whether_a_tool_hovers_is_not_asked_where_all_pairs_count(tmp_path, sett
 @pytest.mark.slow
 def test_on_the_real_clip_all_ten_pairs_that_show_the_tool_count(real_data, tmp_path):
     """The grasper holds on in frames 149 to 159; by photometric depth the closest points are on the outlines, too."""
-    source = real_data / "cholecseg8k" / "video01" / "video01_00080"
-    folder = tmp_path / "video01" / "video01_00149"
-    folder.mkdir(parents=True)
-    for number in range(149, 160):
-        for file in source.glob(f"frame_{number}_endo*"):
-            (folder / file.name).symlink_to(file)
+    folder = real_frames(real_data, tmp_path / "video01" / "video01_00149", range(149, 160))
     sized = {"height": 120, "width": 214, "displacement": "redetected"}
     found = {}
     for contact in ("touching", "nearest"):

@@ -245,15 +245,15 @@ def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
     tracemalloc.start()
     for index in range(60):
         tissue.step(pulled(index % 5 / 5))
-    for index in range(60):
+    used = []
+    for index in range(94):
         tissue.step(pulled(index % 5 / 5))
-        if index == 25:
+        if index >= 25:
             gc.collect()
-            before = tracemalloc.get_traced_memory()[0]
-    gc.collect()
-    grown = tracemalloc.get_traced_memory()[0] - before
+            used.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    assert grown < 20 * surface.body.rest.nbytes
+    # What Python itself keeps goes up and down; the least of each half of the frames does not.
+    assert min(used[35:]) - min(used[:35]) < 10 * surface.body.rest.nbytes
 
 
 def test_a_path_moves_the_gripped_particles_alone_and_exactly(surface: Surface) -> None:

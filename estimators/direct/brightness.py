@@ -38,8 +38,9 @@ ASIDE, TILT = 2.0, 0.2
 ROUNDING, ROUNDING_SD = 0.53, 0.3
 """Prior of how far the surface is rounded off [grid pixels]: as far as patches of vertices that are a pixel wide, and
 the standard deviation of its logarithm."""
-RESPONSE, AMBIENT = 0.05, 0.05
-"""Standard deviations of the logarithm of the response's power, and of the share of light from everywhere."""
+RESPONSE, AMBIENT = 0.15, 0.1
+"""Standard deviations of the logarithm of the response's power against sRGB's, and of the share of light from
+everywhere: cameras have curves of their own, and rough tissue sends back more of grazing light than matte tissue."""
 PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, math.log(ROUNDING), 0.0, 0.0])
 PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, RESPONSE, AMBIENT])
 LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 0.4, 0.4])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -586,8 +585,9 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(tm
 def test_real_clip_directly(real_data, tmp_path):
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
-    No press explains how the tissue's light changes; the motion around the grip tells how the force changes. How firmly
-    the tissue is attached is not known under a camera that moves: far tissue may be pulled along, or carried.
+    The camera moves so that hardly two frames show the same tissue's light; the motion around the grip tells how the
+    force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be pulled along, or
+    carried.
     """
     arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
     assert infer.main(arguments) == 0
@@ -596,7 +596,7 @@ def test_real_clip_directly(real_data, tmp_path):
     assert (row["verdict"], row["determined"]) == ("relative_force", "relative_force")
     assert row["foundation_over_stiffness"] == row["reaction_over_stiffness"] == ""
     assert float(row["skill"]) > 0.4
-    assert re.search("A press leaves (9[0-9]|100)% of how the tissue's brightness changes", row["detail"])
+    assert row["detail"] == "Too few frames after the onset show how bright the tissue around the contact is."
 
 
 @pytest.mark.slow

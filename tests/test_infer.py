@@ -585,9 +585,9 @@ def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(tm
 def test_real_clip_directly(real_data, tmp_path):
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
-    The camera moves so that hardly two frames show the same tissue's light; the motion around the grip tells how the
-    force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be pulled along, or
-    carried.
+    The camera moves so that hardly two frames can be compared by their light; the motion around the grip tells how the
+    force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be pulled along,
+    or carried.
     """
     arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
     assert infer.main(arguments) == 0

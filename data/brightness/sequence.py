@@ -6,7 +6,6 @@ Gain and slow changes of the light over the picture are measured on tissue far f
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections import deque
 from dataclasses import dataclass
 
@@ -106,9 +105,14 @@ class RestingLight:
 
     def median(self) -> np.ndarray:
         """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # places that no frame shows
-            return np.nanmedian(np.stack(self._frames), axis=0)
+        # numpy.nanmedian takes nine times as long.
+        ordered = np.sort(np.stack(self._frames), axis=0)  # what isn't known comes last
+        known = np.isfinite(ordered).sum(axis=0)
+        low, high = (
+            np.take_along_axis(ordered, np.clip(index, 0, len(ordered) - 1)[None], axis=0)[0]
+            for index in ((known - 1) // 2, known // 2)
+        )
+        return (low + high) / 2
 
 
 class BrightnessRecorder:

@@ -108,7 +108,7 @@ class ClipStream:
         }
 
     def __iter__(self) -> Iterator[PreparedFrame]:
-        """Prepared frames from the clip's beginning, one for each of its frames, up to fourteen frames late.
+        """Prepared frames from the clip's beginning, one for each of its frames, up to some thirty frames late.
 
         Raises:
             InputError: the segmentation model fails on the clip's pictures.

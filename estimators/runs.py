@@ -112,10 +112,10 @@ class RunTracker:
 
     def push(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame; returns the run that has ended before it, or None."""
-        ended = self._push(frame)
         if frame.light_view is not None and frame.light_view.reference != self._reference:
             self._reference = frame.light_view.reference
             self._light.clear()
+        ended = self._push(frame)
         if self.current is None and frame.light is not None:
             self._light.push(frame.light)
         return ended

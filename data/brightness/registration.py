@@ -15,10 +15,8 @@ from palpate.data.labels import TOOL
 from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
-SPACING = 24
-"""Of the points that are followed [px]."""
-GUARD = 24.0
-"""None of them begins nearer to an instrument [px]."""
+SPACING, GUARD = 24, 24
+"""Of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
 FEWEST, LEAST_SHARE = 30, 0.5
 """Fewer points, or a smaller share of them, that agree on a motion tell none."""
 AGREE = 1.0
@@ -26,7 +24,7 @@ AGREE = 1.0
 STILL = 0.3
 """A camera is still where no corner of the picture moves farther [px]."""
 LARGEST = 0.25
-"""A picture whose middle has moved by a larger share of its width becomes the reference of the next ones."""
+"""A picture whose corners have moved by a larger share of its width on average is the reference of the next ones."""
 
 
 class View(NamedTuple):
@@ -78,8 +76,9 @@ class Registration:
         shown = Shown.of(picture, labels == TOOL)
         motion = None if self._reference is None else self._motion(shown)
         if motion is None:
-            places = lattice(shown.gray.shape, SPACING).reshape(-1, 2)
-            usable = (values_at(shown.away, places) > GUARD) & values_at(shown.lit, places)
+            share = shown.gray.shape[1] / 854
+            places = lattice(shown.gray.shape, max(round(SPACING * share), 6)).reshape(-1, 2)
+            usable = (values_at(shown.away, places) > GUARD * share) & values_at(shown.lit, places)
             self._reference, self._count = (shown.flat, places[usable].astype(np.float32)), self._count + 1
             motion = np.eye(3)
         self._last = motion
@@ -99,7 +98,7 @@ class Registration:
         flat, places = self._reference
         expected = cv2.perspectiveTransform(places[:, None], self._last)[:, 0] if len(places) else places
         step, known = followed(flat, shown.flat, places, near=expected)
-        known &= values_at(shown.away, np.rint(places + step)) > GUARD / 2
+        known &= values_at(shown.away, np.rint(places + step)) > GUARD / 2 * flat.shape[1] / 854
         if known.sum() < FEWEST:
             return None
         found, agree = cv2.findHomography(places[known], (places + step)[known], cv2.RANSAC, AGREE)

@@ -19,7 +19,7 @@ import numpy as np
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.brightness.registration import Registration, View
 from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
-from palpate.data.contact.dents import dent_geometry
+from palpate.data.contact.dents import RECOVERY_SECONDS, dent_geometry
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
 from palpate.data.contact.tips import tool_tips
@@ -38,7 +38,7 @@ REACH = 6.0
 """A press darkens tissue this near to it [grid pixels]."""
 STILL, SHADOW, SHADOWS = 1.5, 1.5, 8
 """An instrument stands that moves less from frame to frame [grid pixels]. What has darkened next to it while it moved
-is its shadow: a dent is darker than the shadow of so many frames before, by this factor."""
+is its shadow: a dent is darker, by this factor, than in the last so many frames in which it moved."""
 FAR = 12.0
 """Farther from an instrument the change's noise is measured [grid pixels]."""
 DARKER, CLEAR = 0.04, 6.0
@@ -57,7 +57,7 @@ EARLIER, EARLIEST, HIDDEN_FOR = 1, 3, 8
 the tissue by then; and at most where the instrument hides the dent's middle."""
 BARED, ARRIVED, HELD = 2, 4.0, 20
 """Successive frames that show a dent where an instrument was, how near it was then [grid pixels], and how many frames
-are decided only when it has gone."""
+wait at most for it to go."""
 LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERED = 0.03
@@ -65,6 +65,7 @@ RECOVERED = 0.03
 PRESSED = 0.95
 """Probability of contact under a press that shows in the light."""
 UNCHANGED = "The tissue at the instrument is as bright as at rest, so nothing presses on it."
+NO_DENT = "What is darker next to the instrument is its shadow or tissue that moves along, so nothing presses on it."
 LET_GO = "The instrument has let go of the tissue, whose light returns to that at rest."
 
 
@@ -76,7 +77,7 @@ class _LitFrame:
     light: np.ndarray
     """As of `log_light`, in the view of the reference, as all that follows."""
     view: View
-    """The frame's own view."""
+    """How the frame's grid lies in the reference's."""
     away: np.ndarray
     """Distance of every place of the lattice from instruments [grid pixels]."""
     near: np.ndarray
@@ -89,7 +90,7 @@ class _LitFrame:
     """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
     changes that a dent would not show."""
     dent: tuple[int, int] | None = None
-    """Row and column of the darkest place of the lattice next to an instrument; None where nothing has darkened."""
+    """Row and column of the darkest place of the lattice next to an instrument; None where no dent shows."""
     bared: tuple[int, int] | None = None
     """The same where an instrument was in a frame that waits, and isn't now."""
     darkness: float = 0.0
@@ -97,7 +98,7 @@ class _LitFrame:
 
 
 class LightContacts:
-    """Decides frames by the light of tissue, as soon as an instrument at it has gone; others five late.
+    """Decides frames by the light of tissue, five frames late; while an instrument is at tissue, up to twenty.
 
     Every frame keeps what is known otherwise.
 
@@ -109,11 +110,13 @@ class LightContacts:
     def __init__(self, camera: Camera, settings: GeometrySettings) -> None:
         self._camera, self._settings = camera, settings
         self._rest = RestingLight()
+        self._number: int | None = None
+        """Number of the frame before."""
         self._registration: Registration | None = None
         self._view: View | None = None
         """Of the frame before."""
         self._first: list[_LitFrame] = []
-        """Frames before which none shows tissue at rest, until there are enough to tell."""
+        """The first frames, until there are enough to take the earliest for tissue at rest."""
         self._waiting: list[_LitFrame] = []
         """Frames in which a press may have begun."""
         self._place: tuple[int, int] | None = None
@@ -122,23 +125,27 @@ class LightContacts:
         """Whether the light at rest is that of tissue without an instrument at it; else one may press all along."""
         self._pressing, self._deepest = False, 0.0
         """Whether the press still goes on, and how dark the tissue has been since it began."""
+        self._pressed_s = -math.inf
+        """Time of the last frame under a press [s]."""
         self._tip = np.full(2, np.nan)
         """Where the instrument was in the frame before."""
         self._shadows: deque[float] = deque(maxlen=SHADOWS)
-        """How dark the tissue was next to an instrument while it moved."""
+        """How dark the tissue was next to an instrument when it moved last."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """The next frame; gives those that are decided, in order."""
         if not prepared.visible:
             # Behind a gap the view may be another.
             return [*self._forget(), prepared]
+        number, self._number = self._number, prepared.frame.number
+        gap = self._forget() if number is not None and self._number != number + 1 else []
         if self._registration is None:
             self._registration = Registration(prepared.depth.shape)
         view, picture, labels = self._registration.push(*prepared.view)
         another = self._view is not None and view.reference != self._view.reference
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
         self._view = view
-        decided = self._forget() if another else []
+        decided = gap + (self._forget() if another else [])
         lit = _lit(prepared, prepared.light, view, picture, labels)
         lit.stands = bool(np.linalg.norm(lit.tip - self._tip) < STILL)
         self._tip = lit.tip
@@ -152,7 +159,7 @@ class LightContacts:
         decided = self.finish()
         self._rest.clear()
         self._shadows.clear()
-        self._place, self._free = None, False
+        self._place, self._free, self._tip = None, False, np.full(2, np.nan)
         return decided
 
     def _begin(self) -> list[PreparedFrame]:
@@ -160,7 +167,7 @@ class LightContacts:
         first, self._first = self._first, []
         for lit in first[:FEWEST_REST]:
             self._rest.push(lit.light)
-            self._free |= not lit.prepared.in_contact
+        self._free |= 2 * sum(not lit.prepared.in_contact for lit in first[:FEWEST_REST]) > FEWEST_REST
         return [prepared for lit in first for prepared in self._decided(lit)]
 
     def _decided(self, lit: _LitFrame) -> list[PreparedFrame]:
@@ -172,10 +179,10 @@ class LightContacts:
             return [lit.prepared]
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
-        if len(dents) == BEGINS:
+        if len(dents) == BEGINS and _together([one.dent for one in dents]):
             return self._begun(dents)
         bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
-        if len(bared) == BARED:
+        if len(bared) == BARED and _together([one.bared for one in bared]):
             return self._over(bared)
         return self._at_rest(len(self._waiting) - self._held())
 
@@ -191,10 +198,10 @@ class LightContacts:
         """The frames that wait, where the last of them show a dent."""
         self._place = _centre([(one.change, one.dent) for one in dents])
         if _is_half_hidden(dents[0]):
-            hidden = [_is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
+            at_tissue = [_is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
         else:
-            hidden = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
-        arrived = (hidden.index(False) if False in hidden else len(hidden)) + EARLIER
+            at_tissue = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
+        arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
         decided = self._at_rest(len(self._waiting) - BEGINS - arrived)
         self._pressing, self._deepest = True, 0.0
         for one in self._waiting:
@@ -215,14 +222,13 @@ class LightContacts:
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
         decided, pressed = self._at_rest(first), last - first
-        for one in self._waiting[:pressed]:
+        waited, self._waiting = self._waiting, []
+        for one in waited[:pressed]:
             self._press(one, place)
         self._place, self._pressing = place, False
-        for one in self._waiting[pressed:]:
+        for one in waited[pressed:]:
             self._go_on(one, place)
-        decided += [one.prepared for one in self._waiting]
-        self._waiting = []
-        return decided
+        return decided + [one.prepared for one in waited]
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""
@@ -236,7 +242,7 @@ class LightContacts:
                 self._rest.push(lit.light)
                 self._free |= not lit.prepared.in_contact
                 if self._free and lit.change is not None and not lit.prepared.contact_probability >= CERTAIN:
-                    _out_of_contact(lit.prepared, UNCHANGED)
+                    _out_of_contact(lit.prepared, UNCHANGED if lit.darkness < DARKER else NO_DENT)
         return [lit.prepared for lit in done]
 
     def _compare(self, lit: _LitFrame) -> None:
@@ -257,7 +263,8 @@ class LightContacts:
         least = max(DARKER, CLEAR * noise, SHADOW * max(self._shadows, default=0.0))
         place, lit.darkness, dark = _darkest(mean, lit.near <= REACH)
         if not lit.stands:
-            self._shadows.append(lit.darkness)
+            if self._place is None and np.isfinite(lit.tip).all():
+                self._shadows.append(lit.darkness)
         elif dark and lit.darkness > least:
             lit.dent = place
         was = [one.near <= ARRIVED for one in self._waiting]
@@ -268,9 +275,10 @@ class LightContacts:
     def _press(self, lit: _LitFrame, place: tuple[int, int]) -> None:
         """A frame under the press."""
         prepared = lit.prepared
-        row, column = np.rint(lit.view.back(np.array(place))).astype(int).tolist()
+        inside = np.array(prepared.depth.shape) - 1
+        row, column = np.rint(lit.view.back(np.array(place))).astype(int).clip(0, inside).tolist()
         pixel = column, row
-        self._deepest = max(self._deepest, _darkness(lit, place))
+        self._deepest, self._pressed_s = max(self._deepest, _darkness(lit, place)), prepared.frame.time_s
         prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
             prepared.geometry = dent_geometry(prepared, pixel, self._camera, self._settings)
@@ -283,13 +291,16 @@ class LightContacts:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""
         darkness = _darkness(lit, place)
         away = lit.away[FINE * place[0], FINE * place[1]]
-        if self._pressing and away <= REACH and darkness >= LEFT * self._deepest:
+        if self._pressing and away <= REACH and not darkness < LEFT * self._deepest:
             self._press(lit, place)
             return
         self._pressing = False
         _out_of_contact(lit.prepared, LET_GO)
-        if lit.change is not None and darkness < RECOVERED:
+        if darkness < RECOVERED:
             self._place = None
+        elif lit.prepared.frame.time_s - self._pressed_s > RECOVERY_SECONDS:
+            # Something else has darkened the tissue: what it is like at rest isn't known any more.
+            self._forget()
 
 
 def _lit(prepared: PreparedFrame, light: np.ndarray, view: View, picture: np.ndarray, labels: np.ndarray) -> _LitFrame:
@@ -323,17 +334,23 @@ def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:
 
 
 def _darkness(lit: _LitFrame, place: tuple[int, int]) -> float:
-    """How much darker the tissue around a dent's place [grid pixels] is than at rest; 0 where that isn't known."""
+    """How much darker the tissue around a dent's place [grid pixels] is than at rest; NaN where that isn't known."""
     if lit.change is None:
-        return 0.0
+        return math.nan
     (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
     around = lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
-    return -float(np.nanmin(around)) if np.isfinite(around).any() else 0.0
+    return -float(np.nanmin(around)) if np.isfinite(around).any() else math.nan
 
 
 def _is_at(lit: _LitFrame, place: tuple[int, int]) -> bool:
     """Whether an instrument is at a place [grid pixels]."""
     return bool(lit.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
+
+
+def _together(places: Sequence[tuple[int, int] | None]) -> bool:
+    """Whether places of the lattice are those of one dent."""
+    known = np.array([place for place in places if place is not None])
+    return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
 
 
 def _is_half_hidden(lit: _LitFrame) -> bool:

@@ -51,7 +51,7 @@ class EndoscopeRenderer:
         angles = generator.uniform(0, 2 * np.pi) + np.arange(4) * np.pi / 2
         radius, self._roughness = generator.uniform(0.015, 0.03), generator.uniform(0.15, 0.4)
         self._lamps = (radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(4)], axis=1)).astype(np.float32)
-        """Places [scene units]; two opposite ones are brighter."""
+        """Places [scene units]."""
         self._shares = (0.25 + generator.uniform(0, 0.2) * np.array([1, -1, 1, -1])).astype(np.float32)
         self._power, self._shoulder = generator.uniform(0.42, 0.52), generator.uniform(0, 0.3)
         distance = np.square(self._rays[..., :2]).sum(axis=-1)
@@ -97,6 +97,8 @@ class EndoscopeRenderer:
         fine = cv2.resize(moved, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
         points = self._rays * self._rest.depth[..., None]
         after = points + fine
+        if np.abs(fine).max() <= SMALLEST_DRAWN:
+            return self._rest
         focal = np.array([camera.fx, camera.fy], np.float32)
         shift = focal * (after[..., :2] / after[..., 2:] - points[..., :2] / points[..., 2:])
         place_u, place_v = self._rest.rest_u, self._rest.rest_v
@@ -183,7 +185,9 @@ class EndoscopeRenderer:
             self._gain, self._started = wanted, True
         else:
             self._gain += STEP * round(FOLLOWED * wanted / STEP)
-        exposed = cv2.GaussianBlur((light * math.exp(self._gain)).astype(np.float32), (0, 0), 0.15 * width / 214 + 0.05)
+        exposed = cv2.GaussianBlur(
+            (light * math.exp(self._gain)).astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05
+        )
         noise = self._noise.standard_normal(exposed.shape, dtype=np.float32)
         exposed = exposed + self.scene.settings.image_noise * np.sqrt(0.1 + np.clip(exposed, 0, 1)) * noise
         curve = np.power(np.clip(exposed, 0, 1), self._power)

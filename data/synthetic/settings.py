@@ -140,10 +140,10 @@ class SceneSettings:
     look: Literal["matte", "endoscope"] = "matte"
     """How pictures are lit: matte tissue, its light at the lens, which is the law that estimators assume; or rough,
     wet, translucent tissue under a ring of lamps that throw shadows, with vignetting, an exposure that follows, smoke,
-    and a camera's own response."""
+    and a camera's own response; `occlusion` is not drawn then."""
     turning_deg: Annotated[float, 0, 10] = 0.0
-    """How far the camera turns to and fro about its lens within a second or two [degrees]; what truth says of places
-    holds before that."""
+    """How far the camera turns to and fro about its lens within a second or two [degrees]; true
+    places are those of the first frame's camera."""
     video_quality: Annotated[int, 0, 51] = 18
     """Constant rate factor of the video file (H.264): 18 is hardly to be told from the pictures, 23 usual, 28 poor."""
 

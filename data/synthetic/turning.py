@@ -1,4 +1,7 @@
-"""A camera that turns about its lens, as a hand does: its light and all distances stay, the picture moves."""
+"""A camera that turns about its lens, as a hand does: all distances stay, the picture moves.
+
+The finished picture is turned, with its noise and vignetting; in a real camera these stay in the picture.
+"""
 
 from __future__ import annotations
 

@@ -91,7 +91,8 @@ class BrightnessProblem:
         self._weight = np.ones_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)
         """Standard deviation of a residual where the law predicts no change."""
-        self._together = 1.0
+        self.together = 1.0
+        """How many residuals count as one."""
         self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ class BrightnessProblem:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
         residual = light - self.observed
         known = np.isfinite(residual) & self._inner
-        variance = self._together * self.noise**2
+        variance = self.together * self.noise**2
         return np.where(known, residual, 0.0), np.where(known, self._weight / variance, 0.0)
 
     def look(self, logs: np.ndarray) -> None:
@@ -171,7 +172,7 @@ class BrightnessProblem:
         self._weight = student / inflated
         white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
         shape = (len(white), *self.sheet.inner.shape)
-        self._together = _together(white.reshape(shape), known.reshape(shape))
+        self.together = _together(white.reshape(shape), known.reshape(shape))
         change = np.where(known, self.observed - self.sequence.rest.ravel(), 0.0)
         moving = (np.abs(law) > MOVED * self.noise) | (np.abs(np.nan_to_num(change)) > MOVED * self.noise)
         left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))

@@ -38,6 +38,8 @@ FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
 LEAST_SKILL = 0.5
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
+TOGETHER = 60.0
+"""So many residuals count as one where tissue is lit by the fit's own law; where it isn't, more of them."""
 FEWEST_FRAMES = 3
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
@@ -138,7 +140,9 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
     optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
     mean, covariance, best = combine(distinct(optima), prior)
-    spread = covariance[:3, :3] + np.diag(
+    # What the law gets wrong shows in how far residuals belong together.
+    wrong = max(problem.together / TOGETHER, 1.0)
+    spread = covariance[:3, :3] + wrong * np.diag(
         np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force])
     )
     refuted = ""

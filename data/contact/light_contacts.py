@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,20 +20,25 @@ from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_lig
 from palpate.data.contact.dents import RECOVERY_SECONDS, dent_geometry
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
-from palpate.data.contact.tips import tool_tips
-from palpate.data.labels import TOOL
+from palpate.data.contact.lit_frame import (
+    ARRIVED,
+    REACH,
+    LitFrame,
+    centre,
+    darkest,
+    darkness_at,
+    is_at,
+    is_half_hidden,
+    lie_together,
+    lit_frame,
+)
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
-from palpate.data.tracks.following import lit_field
 
 WIDTH = 1.0
 """Standard deviation of the weights with which changes are averaged [grid pixels]."""
 LEAST_KNOWN = 0.3
 """Share of those weights that must lie on tissue."""
-TIP, LEAST_TIP = 6.0, 6
-"""How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
-REACH = 6.0
-"""A press darkens tissue this near to it [grid pixels]."""
 STILL, SHADOW, SHADOWS = 1.5, 1.5, 8
 """An instrument stands that moves less from frame to frame [grid pixels]. What has darkened next to it while it moved
 is its shadow: a dent is darker, by this factor, than in the last so many frames in which it moved."""
@@ -43,9 +46,6 @@ FAR = 12.0
 """Farther from an instrument the change's noise is measured [grid pixels]."""
 DARKER, CLEAR = 0.04, 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
-BRIGHTER = 0.5
-"""A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled along
-shows its texture elsewhere, and does both."""
 FIRST, FEWEST_REST = 6, 3
 """So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
 NOISIEST = 0.03
@@ -55,9 +55,8 @@ BEGINS = 3
 EARLIER, EARLIEST, HIDDEN_FOR = 1, 3, 8
 """Frames by which a press begins before its dent shows next to the instrument; at most, if the instrument has come to
 the tissue by then; and at most where the instrument hides the dent's middle."""
-BARED, ARRIVED, HELD = 2, 4.0, 20
-"""Successive frames that show a dent where an instrument was, how near it was then [grid pixels], and how many frames
-wait at most for it to go."""
+BARED, HELD = 2, 20
+"""Successive frames that show a dent where an instrument was, and how many frames wait at most for it to go."""
 LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERED = 0.03
@@ -67,34 +66,6 @@ PRESSED = 0.95
 UNCHANGED = "The tissue at the instrument is as bright as at rest, so nothing presses on it."
 NO_DENT = "What is darker next to the instrument is its shadow or tissue that moves along, so nothing presses on it."
 LET_GO = "The instrument has let go of the tissue, whose light returns to that at rest."
-
-
-@dataclass(eq=False)
-class _LitFrame:
-    """A frame and how its light differs from that at rest."""
-
-    prepared: PreparedFrame
-    light: np.ndarray
-    """As of `log_light`, in the view of the reference, as all that follows."""
-    view: View
-    """How the frame's grid lies in the reference's."""
-    away: np.ndarray
-    """Distance of every place of the lattice from instruments [grid pixels]."""
-    near: np.ndarray
-    """The same from their free ends."""
-    tip: np.ndarray
-    """Middle of the free end, row and column [grid pixels]; not a number where there is none."""
-    stands: bool = False
-    """Whether it is where it was in the frame before."""
-    change: np.ndarray | None = None
-    """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
-    changes that a dent would not show."""
-    dent: tuple[int, int] | None = None
-    """Row and column of the darkest place of the lattice next to an instrument; None where no dent shows."""
-    bared: tuple[int, int] | None = None
-    """The same where an instrument was in a frame that waits, and isn't now."""
-    darkness: float = 0.0
-    """How much darker than at rest the darkest place next to an instrument is."""
 
 
 class LightContacts:
@@ -115,9 +86,9 @@ class LightContacts:
         self._registration: Registration | None = None
         self._view: View | None = None
         """Of the frame before."""
-        self._first: list[_LitFrame] = []
+        self._first: list[LitFrame] = []
         """The first frames, until there are enough to take the earliest for tissue at rest."""
-        self._waiting: list[_LitFrame] = []
+        self._waiting: list[LitFrame] = []
         """Frames in which a press may have begun."""
         self._place: tuple[int, int] | None = None
         """Row and column [grid pixels] of the dent of the press under way, or that recovers."""
@@ -146,7 +117,7 @@ class LightContacts:
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
         self._view = view
         decided = gap + (self._forget() if another else [])
-        lit = _lit(prepared, prepared.light, view, picture, labels)
+        lit = lit_frame(prepared, prepared.light, view, picture, labels)
         lit.stands = bool(np.linalg.norm(lit.tip - self._tip) < STILL)
         self._tip = lit.tip
         if len(self._rest):
@@ -170,7 +141,7 @@ class LightContacts:
         self._free |= 2 * sum(not lit.prepared.in_contact for lit in first[:FEWEST_REST]) > FEWEST_REST
         return [prepared for lit in first for prepared in self._decided(lit)]
 
-    def _decided(self, lit: _LitFrame) -> list[PreparedFrame]:
+    def _decided(self, lit: LitFrame) -> list[PreparedFrame]:
         """The frames that one more decides, in order."""
         if len(self._rest) >= FEWEST_REST:
             self._compare(lit)
@@ -179,10 +150,10 @@ class LightContacts:
             return [lit.prepared]
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
-        if len(dents) == BEGINS and _together([one.dent for one in dents]):
+        if len(dents) == BEGINS and lie_together([one.dent for one in dents]):
             return self._begun(dents)
         bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
-        if len(bared) == BARED and _together([one.bared for one in bared]):
+        if len(bared) == BARED and lie_together([one.bared for one in bared]):
             return self._over(bared)
         return self._at_rest(len(self._waiting) - self._held())
 
@@ -194,11 +165,11 @@ class LightContacts:
             return least
         return max(least, min(len(self._waiting) - at[0], HELD))
 
-    def _begun(self, dents: list[_LitFrame]) -> list[PreparedFrame]:
+    def _begun(self, dents: list[LitFrame]) -> list[PreparedFrame]:
         """The frames that wait, where the last of them show a dent."""
-        self._place = _centre([(one.change, one.dent) for one in dents])
-        if _is_half_hidden(dents[0]):
-            at_tissue = [_is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
+        self._place = centre([(one.change, one.dent) for one in dents])
+        if is_half_hidden(dents[0]):
+            at_tissue = [is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
         else:
             at_tissue = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
@@ -210,14 +181,14 @@ class LightContacts:
         self._waiting = []
         return decided
 
-    def _over(self, bared: list[_LitFrame]) -> list[PreparedFrame]:
+    def _over(self, bared: list[LitFrame]) -> list[PreparedFrame]:
         """The frames that wait, where the last of them show the dent that an instrument has left behind."""
-        place = _centre([(one.change, one.bared) for one in bared])
+        place = centre([(one.change, one.bared) for one in bared])
         last = len(self._waiting) - BARED
-        while last and not _is_at(self._waiting[last - 1], place):
+        while last and not is_at(self._waiting[last - 1], place):
             last -= 1
         first = last
-        while first and _is_at(self._waiting[first - 1], place):
+        while first and is_at(self._waiting[first - 1], place):
             first -= 1
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
@@ -245,7 +216,7 @@ class LightContacts:
                     _out_of_contact(lit.prepared, UNCHANGED if lit.darkness < DARKER else NO_DENT)
         return [lit.prepared for lit in done]
 
-    def _compare(self, lit: _LitFrame) -> None:
+    def _compare(self, lit: LitFrame) -> None:
         """Look for a dent next to an instrument, or where one was."""
         change = change_of_light(lit.light, self._rest.median())
         if change is None:
@@ -261,7 +232,7 @@ class LightContacts:
             return
         lit.change = mean
         least = max(DARKER, CLEAR * noise, SHADOW * max(self._shadows, default=0.0))
-        place, lit.darkness, dark = _darkest(mean, lit.near <= REACH)
+        place, lit.darkness, dark = darkest(mean, lit.near <= REACH)
         if not lit.stands:
             if self._place is None and np.isfinite(lit.tip).all():
                 self._shadows.append(lit.darkness)
@@ -269,16 +240,16 @@ class LightContacts:
             lit.dent = place
         was = [one.near <= ARRIVED for one in self._waiting]
         if was:
-            place, darkness, dark = _darkest(mean, np.any(was, axis=0) & (lit.away > REACH))
+            place, darkness, dark = darkest(mean, np.any(was, axis=0) & (lit.away > REACH))
             lit.bared = place if dark and darkness > max(DARKER, CLEAR * noise) else None
 
-    def _press(self, lit: _LitFrame, place: tuple[int, int]) -> None:
+    def _press(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """A frame under the press."""
         prepared = lit.prepared
         inside = np.array(prepared.depth.shape) - 1
         row, column = np.rint(lit.view.back(np.array(place))).astype(int).clip(0, inside).tolist()
         pixel = column, row
-        self._deepest, self._pressed_s = max(self._deepest, _darkness(lit, place)), prepared.frame.time_s
+        self._deepest, self._pressed_s = max(self._deepest, darkness_at(lit, place)), prepared.frame.time_s
         prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
             prepared.geometry = dent_geometry(prepared, pixel, self._camera, self._settings)
@@ -287,9 +258,9 @@ class LightContacts:
         else:
             prepared.status, prepared.detail, prepared.press = "ok", "", pixel
 
-    def _go_on(self, lit: _LitFrame, place: tuple[int, int]) -> None:
+    def _go_on(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""
-        darkness = _darkness(lit, place)
+        darkness = darkness_at(lit, place)
         away = lit.away[FINE * place[0], FINE * place[1]]
         if self._pressing and away <= REACH and not darkness < LEFT * self._deepest:
             self._press(lit, place)
@@ -303,88 +274,8 @@ class LightContacts:
             self._forget()
 
 
-def _lit(prepared: PreparedFrame, light: np.ndarray, view: View, picture: np.ndarray, labels: np.ndarray) -> _LitFrame:
-    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference."""
-    size = prepared.labels.shape[::-1]
-    tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-    ends = np.zeros(tool.shape, bool)
-    field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
-    tips = tool_tips(tool, field, TIP, LEAST_TIP)
-    for tip in tips:
-        ends[tip[:, 1], tip[:, 0]] = True
-    middle = max(tips, key=len).mean(axis=0)[::-1] if tips else np.full(2, np.nan)
-    return _LitFrame(prepared, light, view, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
-
-
-def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Distance from an instrument's mask [h, w] on a lattice over its grid, in the shape asked for [grid pixels].
-
-    Infinite where there is none.
-    """
-    if not tool.any():
-        return np.full(shape, np.inf)
-    return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
-
-
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:
     """What outlines take for contact, and light doesn't."""
     if prepared.in_contact or prepared.hovers:
         prepared.status, prepared.detail, prepared.geometry = "no_contact", reason, None
         prepared.contact_probability, prepared.undecided = math.nan, False
-
-
-def _darkness(lit: _LitFrame, place: tuple[int, int]) -> float:
-    """How much darker the tissue around a dent's place [grid pixels] is than at rest; NaN where that isn't known."""
-    if lit.change is None:
-        return math.nan
-    (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
-    around = lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
-    return -float(np.nanmin(around)) if np.isfinite(around).any() else math.nan
-
-
-def _is_at(lit: _LitFrame, place: tuple[int, int]) -> bool:
-    """Whether an instrument is at a place [grid pixels]."""
-    return bool(lit.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
-
-
-def _together(places: Sequence[tuple[int, int] | None]) -> bool:
-    """Whether places of the lattice are those of one dent."""
-    known = np.array([place for place in places if place is not None])
-    return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
-
-
-def _is_half_hidden(lit: _LitFrame) -> bool:
-    """Whether a frame's dent is darkest right next to what doesn't show."""
-    if lit.change is None or lit.dent is None:
-        return False
-    row, column = lit.dent
-    around = lit.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
-    return bool(np.isnan(around).any())
-
-
-def _darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], float, bool]:
-    """Row and column of the darkest of some places of the lattice, how much darker than at rest it is, and whether they
-    darken rather than brighten.
-    """
-    found = np.where(where & np.isfinite(change), change, 0.0)
-    row, column = divmod(int(np.argmin(found)), found.shape[1])
-    darkness = -float(found[row, column])
-    return (row, column), darkness, float(found.max()) < BRIGHTER * darkness
-
-
-def _centre(dents: Sequence[tuple[np.ndarray | None, tuple[int, int] | None]]) -> tuple[int, int]:
-    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames.
-
-    Args:
-        dents: the change of every frame's light, and its darkest place.
-    """
-    total = np.sum([np.clip(np.nan_to_num(change), -1, 0) for change, _ in dents if change is not None], axis=0)
-    row, column = dents[-1][1] or (0, 0)
-    reach = round(FINE * 4)
-    top, left = max(row - reach, 0), max(column - reach, 0)
-    weights = -total[top : row + reach + 1, left : column + reach + 1]
-    weights = np.where(weights > 0.3 * weights.max(), weights, 0.0)
-    places = np.indices(weights.shape).reshape(2, -1) + np.array([[top], [left]])
-    middle = places @ weights.ravel() / max(weights.sum(), 1e-9)
-    row, column = np.rint((middle + 0.5) / FINE - 0.5).astype(int).tolist()
-    return row, column

@@ -1,0 +1,137 @@
+"""A frame and how its light differs from that at rest: where instruments are, and where tissue has darkened."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.data.brightness.light import FINE
+from palpate.data.brightness.registration import View
+from palpate.data.contact.tips import tool_tips
+from palpate.data.labels import TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.following import lit_field
+
+TIP, LEAST_TIP = 6.0, 6
+"""How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
+REACH = 6.0
+"""A press darkens tissue this near to it [grid pixels]."""
+ARRIVED = 4.0
+"""An instrument is at a place that is so near to its free end [grid pixels]."""
+BRIGHTER = 0.5
+"""A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled along
+shows its texture elsewhere, and does both."""
+
+
+@dataclass(eq=False)
+class LitFrame:
+    """A frame and how its light differs from that at rest."""
+
+    prepared: PreparedFrame
+    light: np.ndarray
+    """As of `log_light`, in the view of the reference, as all that follows."""
+    view: View
+    """How the frame's grid lies in the reference's."""
+    away: np.ndarray
+    """Distance of every place of the lattice from instruments [grid pixels]."""
+    near: np.ndarray
+    """The same from their free ends."""
+    tip: np.ndarray
+    """Middle of the free end, row and column [grid pixels]; not a number where there is none."""
+    stands: bool = False
+    """Whether it is where it was in the frame before."""
+    change: np.ndarray | None = None
+    """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
+    changes that a dent would not show."""
+    dent: tuple[int, int] | None = None
+    """Row and column of the darkest place of the lattice next to an instrument; None where no dent shows."""
+    bared: tuple[int, int] | None = None
+    """The same where an instrument was in a frame that waits, and isn't now."""
+    darkness: float = 0.0
+    """How much darker than at rest the darkest place next to an instrument is."""
+
+
+def lit_frame(
+    prepared: PreparedFrame, light: np.ndarray, view: View, picture: np.ndarray, labels: np.ndarray
+) -> LitFrame:
+    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference."""
+    size = prepared.labels.shape[::-1]
+    tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    ends = np.zeros(tool.shape, bool)
+    field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
+    tips = tool_tips(tool, field, TIP, LEAST_TIP)
+    for tip in tips:
+        ends[tip[:, 1], tip[:, 0]] = True
+    middle = max(tips, key=len).mean(axis=0)[::-1] if tips else np.full(2, np.nan)
+    return LitFrame(prepared, light, view, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
+
+
+def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Distance from an instrument's mask [h, w] on a lattice over its grid, in the shape asked for [grid pixels].
+
+    Infinite where there is none.
+    """
+    if not tool.any():
+        return np.full(shape, np.inf)
+    return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
+
+
+def darkness_at(lit: LitFrame, place: tuple[int, int]) -> float:
+    """How much darker the tissue around a dent's place [grid pixels] is than at rest; NaN where that isn't known."""
+    if lit.change is None:
+        return math.nan
+    (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
+    around = lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+    return -float(np.nanmin(around)) if np.isfinite(around).any() else math.nan
+
+
+def is_at(lit: LitFrame, place: tuple[int, int]) -> bool:
+    """Whether an instrument is at a place [grid pixels]."""
+    return bool(lit.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
+
+
+def lie_together(places: Sequence[tuple[int, int] | None]) -> bool:
+    """Whether places of the lattice are those of one dent."""
+    known = np.array([place for place in places if place is not None])
+    return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
+
+
+def is_half_hidden(lit: LitFrame) -> bool:
+    """Whether a frame's dent is darkest right next to what doesn't show."""
+    if lit.change is None or lit.dent is None:
+        return False
+    row, column = lit.dent
+    around = lit.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
+    return bool(np.isnan(around).any())
+
+
+def darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], float, bool]:
+    """Row and column of the darkest of some places of the lattice, how much darker than at rest it is, and whether they
+    darken rather than brighten.
+    """
+    found = np.where(where & np.isfinite(change), change, 0.0)
+    row, column = divmod(int(np.argmin(found)), found.shape[1])
+    darkness = -float(found[row, column])
+    return (row, column), darkness, float(found.max()) < BRIGHTER * darkness
+
+
+def centre(dents: Sequence[tuple[np.ndarray | None, tuple[int, int] | None]]) -> tuple[int, int]:
+    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames.
+
+    Args:
+        dents: the change of every frame's light, and its darkest place.
+    """
+    total = np.sum([np.clip(np.nan_to_num(change), -1, 0) for change, _ in dents if change is not None], axis=0)
+    row, column = dents[-1][1] or (0, 0)
+    reach = round(FINE * 4)
+    top, left = max(row - reach, 0), max(column - reach, 0)
+    weights = -total[top : row + reach + 1, left : column + reach + 1]
+    weights = np.where(weights > 0.3 * weights.max(), weights, 0.0)
+    places = np.indices(weights.shape).reshape(2, -1) + np.array([[top], [left]])
+    middle = places @ weights.ravel() / max(weights.sum(), 1e-9)
+    row, column = np.rint((middle + 0.5) / FINE - 0.5).astype(int).tolist()
+    return row, column

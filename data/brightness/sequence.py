@@ -1,4 +1,4 @@
-"""The brightness sequence of a contact: light around it, frame by frame, beside that of the tissue at rest.
+"""The brightness sequence of a contact: light around it, frame by frame, and that of the tissue at rest.
 
 Gain and slow changes of the light over the picture are measured on tissue far from the contact and taken off.
 """

@@ -1,4 +1,4 @@
-"""Contacts by the light of the tissue: a press tilts it and pushes it away, so that it darkens beside the instrument.
+"""Contacts by the light of the tissue: a press tilts it and pushes it away, so that it darkens next to the instrument.
 
 Light is compared with the median of the frames before, place by place, so that neither albedo nor exposure counts. A
 dent that has come next to an instrument is a press, and so is one that an instrument has hidden and leaves behind;

@@ -1,6 +1,6 @@
 """A contact's brightness as a least-squares problem: light against the simulator and the law of light.
 
-Beside φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
+In addition to φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
 plane that the tissue is taken to be, how far its surface is rounded off, the camera's response as a power, and the
 share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain is marginalised.
 Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.
@@ -30,7 +30,7 @@ RELATIVE = 0.1
 """Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts: shadows, light from
 other tissue, walls so steep that the surface between vertices decides."""
 GAIN = 0.02
-"""Standard deviation of the logarithm of a frame's gain at the contact, beside what far tissue tells."""
+"""Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells."""
 LEAST_NOISE = 0.004
 """Of the logarithm of light: a level of 8 bits in brightly lit tissue."""
 ASIDE, TILT = 2.0, 0.2
@@ -46,7 +46,7 @@ PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, RESPONSE, AMBIENT])
 LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 0.4, 0.4])
 """How far these parameters may lie from the priors' means."""
 OTHERS = len(PRIOR_MEAN)
-"""Parameters beside those of the press."""
+"""Parameters in addition to those of the press."""
 LEAST_LIGHT = 1e-3
 """No tissue is darker than this share of its light at rest."""
 LAGS, CHANCE = 8, 0.05

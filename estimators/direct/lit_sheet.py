@@ -1,4 +1,4 @@
-"""What a camera with a light beside it sees of a pressed plane: where tissue comes from, and how it darkens.
+"""What a camera with a light next to it sees of a pressed plane: where tissue comes from, and how it darkens.
 
 A pixel shows tissue that lay elsewhere at rest, as the dent has moved it in the picture, too. The surface between the
 vertices of the mesh is rounded off by a Gaussian, in the picture, before the law of light (`physics.brightness`) is
@@ -64,7 +64,7 @@ class _Seen(NamedTuple):
 
 
 class LitSheet:
-    """A plane through a contact's point that is seen by a camera with a light beside it.
+    """A plane through a contact's point that is seen by a camera with a light next to it.
 
     Args:
         mesh: tissue at rest; its grid, camera, outline and the contact's distance count, not its shape.

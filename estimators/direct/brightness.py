@@ -1,6 +1,6 @@
 """A contact's brightness as a least-squares problem: light against the simulator and the law of light.
 
-In addition to φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
+Besides φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
 plane that the tissue is taken to be, how far its surface is rounded off, the camera's response as a power, and the
 share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain is marginalised.
 Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.

@@ -1,6 +1,6 @@
 """How vertices move under a press on a patch, in any direction, whose force rises, holds and falls.
 
-In addition to φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
+Besides φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
 middle lies next to the contact vertex, over which share of the time under load the force rises, and over which share of
 the rest it falls (no fall where no release was observed: then the first share is of the time that was observed).
 `PressShape` says what they mean.

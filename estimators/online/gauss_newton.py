@@ -1,6 +1,6 @@
 """Recursive Gauss–Newton steps of the fields, in place of Adam's (Ljung & Söderström 1983, section 3.3).
 
-In addition to the state that is mapped, a simulation is carried along that is drawn to it by a small share a frame only: what
+Besides the state that is mapped, a simulation is carried along that is drawn to it by a small share a frame only: what
 it is off by tells of the fields over tens of frames, where one time step tells little next to its noise. As many more,
 each with one knot's stiffness changed, give the derivatives; their squares add up over frames, older ones forgotten. A
 norm ‖r‖ has at r no more than the quadratic ½‖r‖²/‖r₀‖ + ½‖r₀‖ above it, which touches it there and is minimised.

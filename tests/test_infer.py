@@ -586,8 +586,8 @@ def test_real_clip_directly(real_data, tmp_path):
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 
     The camera moves so that no light at rest can be compared with that after the onset; the motion around the grip
-    tells how the force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be pulled along,
-    or carried.
+    tells how the force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be
+    pulled along, or carried.
     """
     arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
     assert infer.main(arguments) == 0

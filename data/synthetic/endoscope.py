@@ -62,9 +62,8 @@ class EndoscopeRenderer:
             round(camera.width / cell[0] / SMOKE_SIZE * 2) + 2,
         )
         self._wisps = np.clip(0.5 + 0.3 * generator.standard_normal(coarse), 0, 1).astype(np.float32)
-        self._gain = 0.0
-        """Logarithm of the exposure; 0 before the first frame, which finds its own."""
-        self._started = False
+        self._gain: float | None = None
+        """Logarithm of the exposure; None before the first frame, which finds its own."""
         self._lit = self._lamplight(self._rest, np.s_[:, :])
         """Of tissue at rest without shadows."""
 
@@ -180,13 +179,12 @@ class EndoscopeRenderer:
         wisps = cv2.resize(self._wisps, (width, height), interpolation=cv2.INTER_CUBIC)
         smoke = self._smoke * cv2.warpAffine(wisps, around, (width, height), borderMode=cv2.BORDER_REFLECT)
         light = (light * (1 - smoke[..., None]) + 0.5 * smoke[..., None]) * self._vignetting[..., None]
-        wanted = math.log(TARGET / max(float(np.minimum(light * math.exp(self._gain), 1).mean()), 1e-6))
-        if not self._started:
-            self._gain, self._started = wanted, True
-        else:
-            self._gain += STEP * round(FOLLOWED * wanted / STEP)
+        gain = 0.0 if self._gain is None else self._gain
+        wanted = math.log(TARGET / max(float(np.minimum(light * math.exp(gain), 1).mean()), 1e-6))
+        gain += wanted if self._gain is None else STEP * round(FOLLOWED * wanted / STEP)
+        self._gain = gain
         exposed = cv2.GaussianBlur(
-            (light * math.exp(self._gain)).astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05
+            (light * math.exp(gain)).astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05
         )
         noise = self._noise.standard_normal(exposed.shape, dtype=np.float32)
         exposed = exposed + self.scene.settings.image_noise * np.sqrt(0.1 + np.clip(exposed, 0, 1)) * noise

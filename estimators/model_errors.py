@@ -56,6 +56,8 @@ class ModelErrors:
     """Of k_d/k_s by brightness: law, mesh, and what a video's coding leaves out, alike in all pixels."""
     brightness_force: float
     """Of its F/k_s."""
+    brightness_scale: float
+    """Of k_s, k_d and F by it, all alike, over the square of the damping ratio."""
 
 
 def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:

@@ -34,13 +34,14 @@ from palpate.api import open_clip, open_estimator
 from palpate.common.settings import LARGEST
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import PressedMotion, damping_ratio, regime_of
+from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
 from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.suites import LARGEST_SEED
+from palpate.physics.mechanics import damping_ratio
 
 LENGTHS = {"force": 1, "force_over_stiffness": 1}
 """Quantities that count in lengths, with their power."""

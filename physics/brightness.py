@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 
-def log_brightness(points: np.ndarray) -> np.ndarray:
-    """log(cos θ/r²) of surfaces that are given on grids of points, shape [..., h, w].
+def log_brightness(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """log cos θ and log(1/r²) of surfaces that are given on grids of points, shape [..., h, w] each.
 
     The normal is that of central differences; at the grid's border of one-sided ones.
 
@@ -20,11 +20,12 @@ def log_brightness(points: np.ndarray) -> np.ndarray:
             through the camera or is seen exactly from its side.
     """
     facing, normal_square, square = _products(points)[:3]
-    return np.log(np.abs(facing)) - 0.5 * np.log(normal_square) - 1.5 * np.log(square)
+    falloff = -np.log(square)
+    return np.log(np.abs(facing)) - 0.5 * (np.log(normal_square) - falloff), falloff
 
 
-def log_brightness_slopes(points: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Derivatives of `log_brightness` by D parameters, shape [..., h, w, D].
+def log_brightness_slopes(points: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of `log_brightness` by D parameters, shape [..., h, w, D] each.
 
     Args:
         points: as above.
@@ -36,8 +37,8 @@ def log_brightness_slopes(points: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     )
     towards = np.einsum("...i,...id->...d", normal, slopes) + np.einsum("...i,...id->...d", points, turning)
     stretched = np.einsum("...i,...id->...d", normal, turning)
-    away = np.einsum("...i,...id->...d", points, slopes)
-    return towards / facing[..., None] - stretched / normal_square[..., None] - 3 * away / square[..., None]
+    away = np.einsum("...i,...id->...d", points, slopes) / square[..., None]
+    return towards / facing[..., None] - stretched / normal_square[..., None] - away, -2 * away
 
 
 def _products(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:

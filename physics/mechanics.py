@@ -196,3 +196,8 @@ def require_stable(springs: np.ndarray, vertex_count: int, bounds: Bounds, mecha
             f"{vertex_count} vertices and must stay below 2; lower the bound under {allowed:.3g} "
             f"or mechanics.time_step under {2 / frequency:.3g} s."
         )
+
+
+def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
+    """ζ = k_d/(2√(k_s m))."""
+    return damping / (2 * math.sqrt(stiffness * mass))

@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from palpate.data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.physics.load import Press, PressShape
+from palpate.physics.mechanics import damping_ratio
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
@@ -121,11 +122,6 @@ class MeshWindow:
 def regime_of(zeta: float) -> Regime:
     """Regime of a damping ratio, with the limits of the tables in docs/reports/identifiability.md."""
     return "under-damped" if zeta < 0.7 else "critical" if zeta <= 1.4 else "over-damped"
-
-
-def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
-    """ζ = k_d/(2√(k_s m))."""
-    return damping / (2 * math.sqrt(stiffness * mass))
 
 
 def draw_theta(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:

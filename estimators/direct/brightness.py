@@ -1,8 +1,11 @@
 """A contact's brightness as a least-squares problem: light against the simulator and the law of light.
 
 Besides φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
-plane that the tissue is taken to be, how far its surface is rounded off, the camera's response as a power, and the
-share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain is marginalised.
+plane that the tissue is taken to be, how far its surface is rounded off, how far light spreads in tissue, how rough the
+surface is, how strong the light is that it mirrors as it is wet and into how wide a lobe, the camera's response as a
+power, the share of light that reaches tissue whatever its tilt, and how far coded pictures lag behind the light: a
+video leaves changes out until they are worth their bits. All of these have priors. Every frame's gain and every
+place's amplitude are marginalised.
 Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.
 """
 
@@ -18,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import SPREAD, BrightnessSequence
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.lit_sheet import LitSheet
+from palpate.estimators.direct.lit_sheet import LitSheet, Shown
 from palpate.estimators.direct.motion import PressMotion
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
@@ -29,6 +32,8 @@ FREEDOM = 3.0
 RELATIVE = 0.1
 """Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts: shadows, light from
 other tissue, walls so steep that the surface between vertices decides."""
+AMPLITUDE = 0.25
+"""The same of every place, in all frames alike: its gloss and albedo are its own."""
 GAIN = 0.02
 """Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells."""
 LEAST_NOISE = 0.004
@@ -38,13 +43,29 @@ ASIDE, TILT = 2.0, 0.2
 ROUNDING, ROUNDING_SD = 0.53, 0.3
 """Prior of how far the surface is rounded off [grid pixels]: as far as patches of vertices that are a pixel wide, and
 the standard deviation of its logarithm."""
-RESPONSE, AMBIENT = 0.15, 0.1
-"""Standard deviations of the logarithm of the response's power against sRGB's, and of the share of light from
-everywhere: cameras have curves of their own, and rough tissue sends back more of grazing light than matte tissue."""
-PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, math.log(ROUNDING), 0.0, 0.0])
-PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, RESPONSE, AMBIENT])
-LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 0.4, 0.4])
-"""How far these parameters may lie from the priors' means."""
+SPREADING, SPREADING_SD = 0.35, 0.5
+"""Prior of how far light spreads in tissue before it comes out [grid pixels], and the standard deviation of its
+logarithm."""
+LOBE, LOBE_SD = 0.13, 0.4
+"""Prior of the width of the lobe into which wet tissue mirrors light [rad], and the standard deviation of its
+logarithm: fine relief makes it wider than a smooth film of water would."""
+ROUGH, ROUGH_SD = 0.1, 0.12
+"""Prior of the tissue's roughness."""
+LAG, LAG_SD = 0.5, 0.7
+"""Prior of how far coded pictures lag behind the light [levels of 8 bits]."""
+GAMMA = 2.2
+"""Power of the response, for what a level is at some light."""
+GLOSS, RESPONSE, AMBIENT = 0.15, 0.1, 0.05
+"""Standard deviations of mirrored light over matt light where tissue faces the camera, of the logarithm of the
+response's power against sRGB's, and of the share of light from everywhere: cameras have curves of their own."""
+PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0, LAG])
+PRIOR_SD = np.array(
+    [ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT, LAG_SD]
+)
+LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4, 4.0])
+"""How far these parameters may lie from the priors' means; the light, roughness and lag are none at least."""
+LAW = 4
+"""The last of them, which the law of light and the video's coding take: gloss, response, ambient share, lag."""
 OTHERS = len(PRIOR_MEAN)
 """Parameters in addition to those of the press."""
 LEAST_LIGHT = 1e-3
@@ -88,7 +109,14 @@ class BrightnessProblem:
         self.observed = self.sequence.light.reshape(len(self.sequence.times), -1).astype(np.float64)
         """Shape [N, P]."""
         self._inner = self.sheet.inner.ravel()
-        self._weight = np.ones_like(self.observed)
+        known = np.isfinite(self.observed)
+        self._followed = known & np.roll(known, 1, axis=0)
+        """Which places have been visible since the frame before."""
+        self._followed[0] = known[0] & np.isfinite(self.sequence.rest.ravel())
+        rest = np.nan_to_num(self.sequence.rest.ravel())
+        self._level = GAMMA / 255 * np.exp(-rest / GAMMA)
+        """What a level of 8 bits is in the logarithm of light, shape [P]."""
+        self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)
         """Standard deviation of a residual where the law predicts no change."""
         self.together = 1.0
@@ -97,11 +125,13 @@ class BrightnessProblem:
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
-        return np.hstack([self.motion.box(tissue), PRIOR_MEAN + np.array([[-1], [1]]) * LARGEST])
+        box = np.hstack([self.motion.box(tissue), PRIOR_MEAN + np.array([[-1], [1]]) * LARGEST])
+        box[0, [-LAW - 1, -LAW, -1]] = 0.0
+        return box
 
     def start(self, press: np.ndarray, aside: np.ndarray) -> np.ndarray:
-        """All parameters from those of a press and where its dent lies; the others as their priors say."""
-        return np.concatenate([press, aside, PRIOR_MEAN[2:]])
+        """All parameters from those of a press and where its dent lies; the others as their priors say, but no lag."""
+        return np.concatenate([press, aside, PRIOR_MEAN[2:-1], [0.0]])
 
     def darkest(self) -> np.ndarray:
         """Row and column of the middle of what has darkened, from the contact's vertex, shape [2] [grid pixels]."""
@@ -115,19 +145,26 @@ class BrightnessProblem:
 
     def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light at displacements [N, V, 3], and the law's part of it, shape [N, P] each."""
-        rest, change = self.sheet.shown(moved, logs[-OTHERS:-2])
-        law = math.exp(logs[-2]) * np.log(_with_ambient(np.exp(change), logs[-1]))
-        return rest + law, law
+        shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
+        law = math.exp(logs[-3]) * np.log(np.divide(*_light(shown, logs)))
+        light = shown.rest + law
+        return self._coded(light[..., None], logs[-1])[..., 0], law
 
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D]."""
-        found = self.sheet.linearised(*self.motion.at(logs[:-OTHERS]), logs[-OTHERS:-2])
-        response, ambient, direct = math.exp(logs[-2]), logs[-1], np.exp(found.change)
-        light = _with_ambient(direct, ambient)
-        law = response * np.log(light)
-        by_change = (response * (1 - ambient) * direct / light)[..., None] * found.change_slopes
-        by_response, by_ambient = law[..., None], (response * (1 - direct) / light)[..., None]
-        return found.rest + law, np.concatenate([found.rest_slopes + by_change, by_response, by_ambient], axis=-1)
+        shown, slopes = self.sheet.linearised(*self.motion.at(logs[:-OTHERS]), logs[-OTHERS:-LAW])
+        gloss, ambient, response = logs[-LAW], logs[-2], math.exp(logs[-3])
+        light, rest = _light(shown, logs)
+        law = response * np.log(light / rest)
+        by_geometry = ((1 - ambient) * slopes.matt + gloss * slopes.gloss) / light[..., None]
+        by_geometry = slopes.rest + response * (by_geometry - gloss * slopes.gloss_at_rest / rest[..., None])
+        by_gloss = response * (shown.gloss / light - shown.gloss_at_rest / rest)
+        by_law = np.stack([by_gloss, law, response * (1 - shown.matt) / light, np.zeros_like(law)], axis=-1)
+        coded = self._coded(np.concatenate([(shown.rest + law)[..., None], by_geometry, by_law], axis=-1), logs[-1])
+        return coded[..., 0], coded[..., 1:]
+
+    def _coded(self, light: np.ndarray, lag: float) -> np.ndarray:
+        return coded(light, self.sequence.rest.ravel(), self._followed, lag, self._level)
 
     def linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals in standard deviations, the priors' behind them, and their derivatives by all parameters [K, D]."""
@@ -143,6 +180,7 @@ class BrightnessProblem:
         root, total = np.sqrt(weight)[..., None], weight.sum(axis=1) + 1 / GAIN**2
         both = np.concatenate([residual[..., None], slopes], axis=-1)
         both = root * (both - (np.einsum("np,npd->nd", weight, both) / total[:, None])[:, None])
+        both = without_amplitude(both, AMPLITUDE * self._law[..., None] * root)
         both = both.reshape(-1, both.shape[-1])
         prior = np.zeros((OTHERS, len(logs)))
         prior[:, -OTHERS:] = np.diag(1 / PRIOR_SD)
@@ -171,6 +209,8 @@ class BrightnessProblem:
         student = (FREEDOM + 1) / (FREEDOM + squares)
         self._weight = student / inflated
         white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
+        self._law, root = law, np.where(known, np.sqrt(self._weight) / self.noise, 0.0)
+        white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]
         shape = (len(white), *self.sheet.inner.shape)
         self.together = _together(white.reshape(shape), known.reshape(shape))
         change = np.where(known, self.observed - self.sequence.rest.ravel(), 0.0)
@@ -189,9 +229,46 @@ class BrightnessProblem:
         return self.linearise(logs)[1]
 
 
-def _with_ambient(direct: np.ndarray, ambient: float) -> np.ndarray:
-    """Light over that at rest, where a share of it reaches tissue whatever its tilt."""
-    return np.maximum((1 - ambient) * direct + ambient, LEAST_LIGHT)
+def coded(light: np.ndarray, rest: np.ndarray, followed: np.ndarray, lag: float, level: np.ndarray) -> np.ndarray:
+    """Light in a coded video: it stays as it was until that is more than the lag off, and so far behind then.
+
+    Args:
+        light: its logarithm, then its derivatives, of which the last is that by the lag, shape [N, P, C].
+        rest: its logarithm at rest, shape [P].
+        followed: which places have been visible since the frame before, shape [N, P]; others are coded anew.
+        lag: [levels of 8 bits].
+        level: what a level is in the logarithm of light, shape [P].
+    """
+    found, before = np.empty_like(light), np.zeros_like(light[0])
+    before[:, 0] = rest
+    for index, now in enumerate(light):
+        off = now[:, 0] - before[:, 0]
+        behind = np.where(np.abs(off) > lag * level, np.sign(off) * level, 0.0)[:, None]
+        moved = np.where(behind != 0, now, before)
+        moved[:, :1] -= lag * behind
+        if moved.shape[1] > 1:
+            moved[:, -1:] -= behind
+        before = found[index] = np.where((followed[index] & np.isfinite(off))[:, None], moved, now)
+    return found
+
+
+def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Residuals over their standard deviations [N, P, C] when an amplitude of every place is marginalised.
+
+    Args:
+        white: residuals without that.
+        along: what a standard deviation of the amplitude adds to them, shape [N, P, 1].
+    """
+    square = np.maximum(np.square(along).sum(axis=0), 1e-12)
+    share = (1 - 1 / np.sqrt(1 + square)) / square
+    return white - along * (share * np.einsum("npi,npc->pc", along, white))
+
+
+def _light(shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Light and that at rest, in shares of the matt light at rest, [N, P] each; a share reaches tissue in any tilt."""
+    gloss, ambient = logs[-LAW], logs[-2]
+    light = (1 - ambient) * shown.matt + ambient + gloss * shown.gloss
+    return np.maximum(light, LEAST_LIGHT), 1 + gloss * shown.gloss_at_rest
 
 
 def _together(residual: np.ndarray, known: np.ndarray) -> float:

@@ -15,7 +15,7 @@ from palpate.estimators.direct.problem import apart, combine, count_modes, disti
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
-from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.mechanics import RECOMMENDED, damping_ratio
 from palpate.physics.msd.simulation import simulate
 
 CANDIDATES = 64
@@ -38,8 +38,10 @@ FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
 LEAST_SKILL = 0.5
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
-TOGETHER = 60.0
+TOGETHER = 40.0
 """So many residuals count as one where tissue is lit by the fit's own law; where it isn't, more of them."""
+DAMPED = 3.0
+"""Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
 FEWEST_FRAMES = 3
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
@@ -140,11 +142,13 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
     optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong shows in how far residuals belong together.
-    wrong = max(problem.together / TOGETHER, 1.0)
-    spread = covariance[:3, :3] + wrong * np.diag(
-        np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force])
-    )
+    # What the law gets wrong shows in how far residuals belong together. The scale is told by inertia, whose part in
+    # the motion is about 1/ζ².
+    stiffness, damping, _ = motion.theta(mean)
+    ratio = damping_ratio(stiffness, damping, motion.mechanics.mass)
+    wrong = max(problem.together / TOGETHER, 1.0) * (1 + (ratio / DAMPED) ** 2)
+    spread = covariance[:3, :3] + np.square(MODEL_ERRORS.brightness_scale * ratio**2)
+    spread += wrong * np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
     refuted = ""
     if problem.skill < LEAST_SKILL:
         refuted = (

@@ -2,7 +2,9 @@
 
 A pixel shows tissue that lay elsewhere at rest, as the dent has moved it in the picture, too. The surface between the
 vertices of the mesh is rounded off by a Gaussian, in the picture, before the law of light (`physics.brightness`) is
-applied to it: how far is a parameter, since neither the mesh nor the picture tell it.
+applied to it: how far is a parameter, since neither the mesh nor the picture tell it. Three more are of the tissue: how
+far light spreads in it before it comes out again, how wide the lobe is into which its wet surface mirrors light, and
+how rough it is, since a rough surface darkens less as it tilts.
 """
 
 from __future__ import annotations
@@ -28,16 +30,16 @@ SIDE = 2 * (REACH + MARGIN) + 1
 
 
 class Shown(NamedTuple):
-    """What pixels show at some displacements; N frames, P = L² pixels, D parameters."""
+    """What pixels show at some displacements, in shares of the matt light at rest; N frames, P = L² pixels."""
 
     rest: np.ndarray
     """Logarithm of the light that their tissue had at rest, shape [N, P]."""
-    change: np.ndarray
-    """Logarithm of its light over that, by the law, shape [N, P]."""
-    rest_slopes: np.ndarray
-    """Derivatives of the first by all parameters, shape [N, P, D]."""
-    change_slopes: np.ndarray
-    """Of the second."""
+    matt: np.ndarray
+    """Matt light, shape [N, P]."""
+    gloss: np.ndarray
+    """Light that the surface mirrors, where it would be as much as the matt light if it faced the camera, [N, P]."""
+    gloss_at_rest: np.ndarray
+    """The same at rest, shape [N, P]."""
 
 
 class _Seen(NamedTuple):
@@ -57,8 +59,10 @@ class _Seen(NamedTuple):
     """z of the plane there, shape [N, P]."""
     flat: np.ndarray
     """z of the plane along the pixels' own rays, shape [L, L]."""
-    at_rest: np.ndarray
-    """log(cos θ/r²) of the plane at the places, shape [N, P]."""
+    facing: np.ndarray
+    """log cos θ of the plane at the places, shape [N, P]."""
+    falloff: np.ndarray
+    """log(1/r²) of it there, shape [N, P]."""
     below: np.ndarray
     """How much deeper than that the pixels' tissue lies, shape [N, L, L]."""
 
@@ -132,20 +136,26 @@ class LitSheet:
         found[:, self._cells[0], self._cells[1]] = values
         return found
 
-    def shown(self, moved: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithm of the light that pixels' tissue had at rest, and of that which it has now over that, [N, P] each.
+    def shown(self, moved: np.ndarray, others: np.ndarray) -> Shown:
+        """What pixels show.
 
         Args:
             moved: displacements of the vertices, shape [N, V, 3].
-            others: how far the dent lies aside (rows, columns) [grid pixels], the plane's tilt (right, down), and the
-                logarithm of how far the surface is rounded off [grid pixels], shape [5].
+            others: how far the dent lies aside (rows, columns) [grid pixels], the plane's tilt (right, down), and
+                logarithms of how far the surface is rounded off [grid pixels], how far light spreads in tissue
+                [grid pixels], and how wide the lobe of mirrored light is [rad], then the roughness, as of `matt`,
+                shape [8].
         """
         seen = self._seen(moved[..., None], others)
         surface = _rounded(seen.below[..., None], np.exp(others[4]))[..., 0] + seen.flat
-        lit = log_brightness(self._rays * surface[..., None]).reshape(len(moved), -1)
-        return self._carried(seen.place)[..., 0], lit - seen.at_rest
+        facing, falloff = (part.reshape(len(moved), -1) for part in log_brightness(self._rays * surface[..., None]))
+        rest, farther = matt(seen.facing, others[7]), np.exp(falloff - seen.falloff)
+        direct = (matt(facing, others[7]) * farther / rest).reshape(*surface.shape, 1)
+        spread = _rounded(direct, np.exp(others[5])).reshape(facing.shape)
+        gloss = mirrored(facing, others[6]) * farther / rest
+        return Shown(self._carried(seen.place)[..., 0], spread, gloss, mirrored(seen.facing, others[6]) / rest)
 
-    def linearised(self, moved: np.ndarray, slopes: np.ndarray, others: np.ndarray) -> Shown:
+    def linearised(self, moved: np.ndarray, slopes: np.ndarray, others: np.ndarray) -> tuple[Shown, Shown]:
         """The same with derivatives by all parameters.
 
         Args:
@@ -153,7 +163,7 @@ class LitSheet:
             slopes: derivatives of the displacements by D' parameters, shape [N, V, 3, D'].
 
         Returns:
-            With derivatives by the D' parameters, then by the five others.
+            What pixels show, and its derivatives by the D' parameters, then by the eight others, shape [N, P, D].
         """
         tilt, rounding, frames = others[2:4], np.exp(others[4]), len(moved)
         seen = self._seen(np.concatenate([moved[..., None], slopes], axis=-1), others)
@@ -184,17 +194,51 @@ class LitSheet:
         points = self._rays * (rounded[..., 0] + seen.flat)[..., None]
         rounded[..., -2:] += flat_slopes
         surface_slopes = np.concatenate([rounded[..., 1:], rounder], axis=-1)
-        lit = log_brightness(points).reshape(frames, -1)
-        law_slopes = log_brightness_slopes(points, self._rays[..., None] * surface_slopes[..., None, :])
-        law_slopes = law_slopes.reshape(*lit.shape, -1)
-        by_place, by_tilt = self._rest_slopes(rays, depth, seen.normal, tilt, ray_slopes, depth_slopes)
-        law_slopes[..., :-1] -= np.einsum("npi,npid->npd", by_place, shifted)
-        law_slopes[..., -3:-1] -= by_tilt
+        facing, falloff = (part.reshape(frames, -1) for part in log_brightness(points))
+        by_law = log_brightness_slopes(points, self._rays[..., None] * surface_slopes[..., None, :])
+        by_facing, by_falloff = (part.reshape(*facing.shape, -1) for part in by_law)
+        resting = self._rest_slopes(rays, depth, seen.normal, tilt, ray_slopes, depth_slopes)
+        rest_facing, rest_falloff = np.zeros_like(by_facing), np.zeros_like(by_facing)
+        for found, (by_place, by_tilt) in zip((rest_facing, rest_falloff), resting, strict=True):
+            found[..., :-1] = np.einsum("npi,npid->npd", by_place, shifted)
+            found[..., -3:-1] += by_tilt
+
+        (rounder, lobe), rough, farther = np.exp(others[5:7]), float(others[7]), np.exp(falloff - seen.falloff)
+        now, rest = matt(facing, rough), matt(seen.facing, rough)
+        # Derivatives of the logarithms of matt light, now and at rest, by geometry and by roughness.
+        by_now = _matt_slope(facing, rough)[..., None] * by_facing
+        by_rest = _matt_slope(seen.facing, rough)[..., None] * rest_facing
+        rougher, rest_rougher = (-np.expm1(2 * part) / of for part, of in ((facing, now), (seen.facing, rest)))
+        by_farther, square = by_falloff - rest_falloff, (*surface_slopes.shape[:3], -1)
+        direct = (now * farther / rest)[..., None]
+        by_direct = direct * np.concatenate(
+            [by_now + by_farther - by_rest, (rougher - rest_rougher)[..., None]], axis=-1
+        )
+        light = _rounded(np.concatenate([direct, by_direct], axis=-1).reshape(square), rounder)
+        wider = _rounded(direct.reshape(square), rounder * np.exp(DIFFERENCE))
+        spread = (wider - light[..., :1]).reshape(*facing.shape, 1) / DIFFERENCE
+        light = light.reshape(*facing.shape, -1)
+        gloss, at_rest = mirrored(facing, others[6]) * farther / rest, mirrored(seen.facing, others[6]) / rest
+        tight = lobe**-2
+        by_gloss = (tight * np.exp(facing))[..., None] * by_facing + by_farther - by_rest
+        by_gloss_at_rest = (tight * np.exp(seen.facing))[..., None] * rest_facing - by_rest
+        nothing = np.zeros_like(spread)
+
+        def lobes(logarithm: np.ndarray, by_geometry: np.ndarray) -> np.ndarray:
+            """Derivatives of the logarithm of mirrored light by all parameters, from those by geometry."""
+            by_lobe = -2 * tight * np.expm1(logarithm)[..., None]
+            return np.concatenate([by_geometry, nothing, by_lobe, -rest_rougher[..., None]], axis=-1)
+
         carried = self._carried(seen.place, DIFFERENCE)
         texture = (carried[..., 1:] - carried[..., :1]) / DIFFERENCE
-        carried_slopes = np.zeros_like(law_slopes)
+        carried_slopes = np.zeros_like(by_facing)
         carried_slopes[..., :-1] = np.einsum("npi,npid->npd", texture, shifted)
-        return Shown(carried[..., 0], lit - seen.at_rest, np.nan_to_num(carried_slopes), law_slopes)
+        return Shown(carried[..., 0], light[..., 0], gloss, at_rest), Shown(
+            np.concatenate([np.nan_to_num(carried_slopes), nothing, nothing, nothing], axis=-1),
+            np.concatenate([light[..., 1:-1], spread, nothing, light[..., -1:]], axis=-1),
+            gloss[..., None] * lobes(facing, by_gloss),
+            at_rest[..., None] * lobes(seen.facing, by_gloss_at_rest),
+        )
 
     def _seen(self, moving: np.ndarray, others: np.ndarray) -> _Seen:
         """Which tissue pixels show, from displacements and whatever else moves with them, shape [N, V, 3, C]."""
@@ -214,9 +258,10 @@ class LitSheet:
         depth = self._depth(rays, normal)
         flat = self._depth(self._rays, normal)
         square = np.einsum("npi,npi->np", rays, rays)
-        at_rest = np.log(np.abs(rays @ normal)) - 1.5 * np.log(square) - 2 * np.log(depth)
+        facing, falloff = np.log(np.abs(rays @ normal)) - 0.5 * np.log(square), -np.log(square) - 2 * np.log(depth)
         below = (depth + values[..., 2, 0]).reshape(frames, *flat.shape) - flat
-        return _Seen(normal, np.moveaxis(field, -1, 0)[0][..., None], values, place, rays, depth, flat, at_rest, below)
+        still = np.moveaxis(field, -1, 0)[0][..., None]
+        return _Seen(normal, still, values, place, rays, depth, flat, facing, falloff, below)
 
     def _carried(self, place: np.ndarray, step: float = 0.0) -> np.ndarray:
         """Light at rest of places [N, P, 2]; with a step, that a step down and to the right as well, [N, P, 1 or 3]."""
@@ -232,13 +277,15 @@ class LitSheet:
         tilt: np.ndarray,
         ray_slopes: np.ndarray,
         depth_slopes: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of log(cos θ/r²) of the plane along rays [N, P, 3], by the place and by the tilt, [N, P, 2]."""
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Derivatives of log cos θ and of log(1/r²) of the plane along rays [N, P, 3], by place and tilt, [N, P, 2]."""
         square, facing = np.einsum("npi,npi->np", rays, rays), (rays @ normal)[..., None]
-        by_place = (normal @ ray_slopes) / facing - 3 * (rays @ ray_slopes) / square[..., None]
-        turned = rays @ self._normal_slopes(tilt) / facing
-        by_tilt = turned - 2 * self._depth_by_tilt(rays, depth, tilt) / depth[..., None]
-        return by_place - 2 * depth_slopes / depth[..., None], by_tilt
+        stretched = (rays @ ray_slopes) / square[..., None]
+        by_depth = self._depth_by_tilt(rays, depth, tilt) / depth[..., None]
+        return [
+            ((normal @ ray_slopes) / facing - stretched, rays @ self._normal_slopes(tilt) / facing),
+            (-2 * stretched - 2 * depth_slopes / depth[..., None], -2 * by_depth),
+        ]
 
     def _normal_slopes(self, tilt: np.ndarray) -> np.ndarray:
         """Derivatives of the normal by the tilt, shape [3, 2]."""
@@ -258,6 +305,34 @@ class LitSheet:
         plane = rays[..., None] * self._depth_by_tilt(rays, depth, tilt)[..., None, :]
         axes = np.cross(normal, slopes.T)
         return plane + np.stack([np.cross(axis, away) for axis in axes], axis=-1)
+
+
+def mirrored(facing: np.ndarray, lobe: float) -> np.ndarray:
+    """Light that a wet surface mirrors to a camera at the lamp, over that of one that faces it (a von Mises lobe).
+
+    Args:
+        facing: log cos θ.
+        lobe: logarithm of the lobe's width [rad].
+    """
+    return np.exp(np.expm1(facing) * np.exp(-2 * lobe))
+
+
+def matt(facing: np.ndarray, rough: float) -> np.ndarray:
+    """Matt light of a rough surface to a camera at the lamp, but for its distance: cos θ + ρ sin² θ.
+
+    That is Oren and Nayar's law (1994) with ρ = B/A where light comes and goes along one ray; ρ = 0: Lambert's.
+
+    Args:
+        facing: log cos θ.
+        rough: ρ, 0 to 0.5.
+    """
+    return np.exp(facing) - rough * np.expm1(2 * facing)
+
+
+def _matt_slope(facing: np.ndarray, rough: float) -> np.ndarray:
+    """Derivative of the logarithm of `matt` by log cos θ."""
+    cosine = np.exp(facing)
+    return cosine * (1 - 2 * rough * cosine) / matt(facing, rough)
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:

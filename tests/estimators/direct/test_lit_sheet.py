@@ -8,12 +8,13 @@ import pytest
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
-from palpate.estimators.direct.lit_sheet import SIDE, LitSheet
+from palpate.estimators.direct.lit_sheet import SIDE, LitSheet, matt, mirrored
 from palpate.physics.brightness import log_brightness
 from palpate.physics.mesh import grid_mesh
 
 CAMERA = Camera(fx=185.0, fy=185.0, cx=106.5, cy=59.5, width=214, height=120)
-PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53)])
+PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53), np.log(0.1), np.log(0.13), 0.0])
+"""Dent at its place, no tilt, rounded off; light that hardly spreads, Lambert's law."""
 
 
 def lit(tilt=(0.0, 0.0), rest: np.ndarray | None = None) -> LitSheet:
@@ -34,15 +35,18 @@ def dented(sheet: LitSheet, depth: float, width: float = 2.0) -> np.ndarray:
 def test_at_rest_nothing_changes_and_every_pixel_shows_itself():
     texture = np.random.default_rng(1).normal(size=(FINE * SIDE, FINE * SIDE))
     sheet = lit((0.2, -0.1), texture)
-    rest, change = sheet.shown(np.zeros((2, len(sheet.vertices), 3)), PLAIN + np.array([0, 0, 0.2, -0.1, 0]))
+    shown = sheet.shown(np.zeros((2, len(sheet.vertices), 3)), PLAIN + np.array([0, 0, 0.2, -0.1, 0, 0, 0, 0.2]))
     inner = sheet.inner.ravel()
-    np.testing.assert_allclose(rest[:, inner], np.tile(texture.ravel()[inner], (2, 1)), atol=1e-9)
-    np.testing.assert_allclose(change[:, inner], 0, atol=1e-4)  # differences in perspective
+    np.testing.assert_allclose(shown.rest[:, inner], np.tile(texture.ravel()[inner], (2, 1)), atol=1e-9)
+    np.testing.assert_allclose(shown.matt[:, inner], 1, atol=1e-4)  # differences in perspective
+    np.testing.assert_allclose(shown.gloss[:, inner], shown.gloss_at_rest[:, inner], rtol=0.01)
 
 
 def test_a_shallow_dent_darkens_as_the_surface_itself_says():
     sheet, width = lit(), 3.0
-    _, change = sheet.shown(dented(sheet, 0.004, width), np.array([0, 0, 0, 0, np.log(0.05)]))
+    others = PLAIN.copy()
+    others[4:6] = np.log(0.05)
+    change = np.log(sheet.shown(dented(sheet, 0.004, width), others).matt)
     # The same surface, written down on the lattice.
     places = (np.arange(FINE * SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
     rows, columns = np.meshgrid(places, places, indexing="ij")
@@ -50,7 +54,7 @@ def test_a_shallow_dent_darkens_as_the_surface_itself_says():
     normal = sheet.normal
     plane = sheet.distance * (sheet.ray @ normal) / (rays @ normal)
     sunk = 0.004 * np.exp(-0.5 * (rows**2 + columns**2) / width**2)
-    expected = log_brightness(rays * (plane + sunk)[..., None]) - log_brightness(rays * plane[..., None])
+    expected = sum(log_brightness(rays * (plane + sunk)[..., None])) - sum(log_brightness(rays * plane[..., None]))
     found = change.reshape(expected.shape)[sheet.inner]
     # Between vertices the surface is taken as straight.
     np.testing.assert_allclose(found, expected[sheet.inner], atol=0.1 * np.abs(expected).max())
@@ -62,7 +66,8 @@ def test_a_dent_that_lies_aside_is_the_same_dent_elsewhere():
     moved = dented(sheet, 0.01)
     side = FINE * SIDE
     here, there = (
-        sheet.shown(moved, PLAIN + np.array([*aside, 0, 0, 0]))[1].reshape(side, side) for aside in ((0, 0), (2, -1))
+        np.log(sheet.shown(moved, PLAIN + np.array([*aside, 0, 0, 0, 0, 0, 0])).matt).reshape(side, side)
+        for aside in ((0, 0), (2, -1))
     )
     shifted = np.roll(here, (2 * FINE, -FINE), axis=(0, 1))
     assert np.abs(there - here)[sheet.inner].max() > 0.1
@@ -74,19 +79,28 @@ def test_derivatives_by_every_parameter(tilt):
     generator = np.random.default_rng(5)
     sheet = lit(tilt, generator.normal(size=(FINE * SIDE, FINE * SIDE)))
     moved, slopes = dented(sheet, 0.02), dented(sheet, 0.05, 1.5)[..., None]
-    others = np.array([0.3, -0.4, tilt[0] + 0.05, tilt[1] - 0.03, np.log(0.6)])
-    found = sheet.linearised(moved, slopes, others)
-    np.testing.assert_allclose(found.change, sheet.shown(moved, others)[1], atol=1e-12)
-    whole = found.rest_slopes + found.change_slopes
+    others = np.array([0.3, -0.4, tilt[0] + 0.05, tilt[1] - 0.03, np.log(0.6), np.log(0.5), np.log(0.3), 0.2])
+    found, by_all = sheet.linearised(moved, slopes, others)
+    for part, other in zip(found, sheet.shown(moved, others), strict=True):
+        np.testing.assert_allclose(part, other, atol=1e-12)
     step = 1e-6
-    for index in range(6):
-        if index == 0:
-            pair = [sheet.shown(moved + sign * step * slopes[..., 0], others) for sign in (1, -1)]
-        else:
-            change = step * np.eye(5)[index - 1]
-            pair = [sheet.shown(moved, others + sign * change) for sign in (1, -1)]
-        numeric = (sum(pair[0]) - sum(pair[1])) / (2 * step)
-        known = sheet.inner.ravel() & np.isfinite(numeric[0])
-        off = np.linalg.norm((whole[0, :, index] - numeric[0])[known]) / np.linalg.norm(numeric[0][known])
+    for index in range(9):
+        change = step * np.eye(9)[index]
+        pair = [sheet.shown(moved + s * change[0] * slopes[..., 0], others + s * change[1:]) for s in (1, -1)]
+        numeric = (np.stack(pair[0]) - np.stack(pair[1])) / (2 * step)
+        known = sheet.inner.ravel() & np.isfinite(numeric).all(axis=0)
+        off = np.linalg.norm((np.stack(by_all)[..., index] - numeric)[..., known[0]])
         # Differences along the grid cross the edges of its cells here and there.
-        assert off < 0.05, index
+        assert off < 0.05 * np.linalg.norm(numeric[..., known[0]]), index
+
+
+@pytest.mark.parametrize("rough", [0.0, 0.25])
+def test_rough_tissue_darkens_less_by_oren_and_nayars_law_and_a_wet_one_more(rough):
+    angle = np.radians([0.0, 10.0, 40.0, 80.0])
+    facing = np.log(np.cos(angle))
+    np.testing.assert_allclose(matt(facing, rough), np.cos(angle) + rough * np.sin(angle) ** 2, rtol=1e-12)
+    # The lobe is that of a Gaussian where it is narrow.
+    narrow = np.radians([0.0, 2.0, 5.0])
+    np.testing.assert_allclose(
+        mirrored(np.log(np.cos(narrow)), np.log(0.05)), np.exp(-0.5 * (narrow / 0.05) ** 2), rtol=2e-3
+    )

@@ -20,7 +20,7 @@ from palpate.data.contact.features import FEATURES, SLOTS
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import damping_ratio, regime_of
+from palpate.data.synthetic.truth import regime_of
 from palpate.estimators.network import draws
 from palpate.estimators.network import training as contact_training
 from palpate.estimators.network.draws import (
@@ -46,6 +46,7 @@ from palpate.estimators.network.training import (
     widened,
 )
 from palpate.physics.identifiability import LIMIT, bounds
+from palpate.physics.mechanics import damping_ratio
 
 CRITICAL = SceneSettings(width=214, height=120, regime="critical")
 MADE = [0.0, FRAME_S]

@@ -35,7 +35,6 @@ DOORS = {
     "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],
     "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
     "palpate.benchmarks.inference": ["-m", "benchmarks.inference"],
-    "palpate.benchmarks.newtons": ["-m", "benchmarks.newtons"],
     "palpate.benchmarks.rollout": ["-m", "benchmarks.rollout"],
     "palpate.benchmarks.training_step": ["-m", "benchmarks.training_step"],
 }

@@ -17,35 +17,6 @@ from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, Pre
 from palpate.estimators.known_force import KnownForce, predict_force
 from palpate.physics.mechanics import PARAMETERS
 
-CALIBRATED: dict[str, str] = {
-    "onset_frame": "number of the run's first frame in contact",
-    "onset_time_s": "s",
-    **{
-        column: text
-        for name, symbol in zip(PARAMETERS, ("k_s", "k_d", "|F|"), strict=True)
-        for column, text in (
-            (name, f"{symbol} in {name}_unit"),
-            (f"{name}_sd", f"standard deviation of {symbol}; empty: the estimator gives none"),
-            (f"{name}_low", f"lower end of the 90 % interval of {symbol}"),
-            (f"{name}_high", f"upper end of the 90 % interval of {symbol}"),
-            (f"{name}_unit", "unit, and what it was calibrated by"),
-        )
-    },
-    "determined": "which of them are determined, joined by ;",
-    "detail": "why there are no numbers",
-}
-"""Columns of `calibrated.csv`, in order; written with --calibration."""
-COMPARED: dict[str, str] = {
-    "onset_frame": "number of the first frame of the run, or of the press that no tool shows",
-    "time_s": "s",
-    "measured_N": "measured force",
-    "estimated": "estimated force, in estimated_unit",
-    "estimated_low": "lower end of its 90 % interval; empty: not known",
-    "estimated_high": "upper end of its 90 % interval",
-    "estimated_unit": "N, or scene units where nothing tells newtons",
-    "known": "1 where the measured force gave the scale, and nothing is to be learnt from the comparison",
-}
-"""Columns of `compared.csv`, in order; written where forces were measured."""
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
 NEWTONS, NORMALISED = "N", "scene units"
 LEAST_COMPARED = 3

@@ -17,8 +17,6 @@ from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.estimate import GripEstimate
 from palpate.estimators.force_scale import ClipLength
 from palpate.results.calibrated import (
-    CALIBRATED,
-    COMPARED,
     NEWTONS,
     NORMALISED,
     ClipCalibration,
@@ -26,6 +24,7 @@ from palpate.results.calibrated import (
     carried_from,
     comparison_sentence,
 )
+from palpate.results.columns import CALIBRATED, COMPARED
 from palpate.results.plots import draw_comparison
 from palpate.results.store import own_files
 from palpate.results.writer import ClipResults

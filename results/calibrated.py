@@ -165,7 +165,7 @@ class ClipCalibration:
         """What run.json keeps: where newtons come from, and how well estimates agree with what was measured."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None and self.length is not None:
-            kept = {name: getattr(self.scale, name) for name in ("variance", "alike", "source", "metric")}
+            kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source", "metric")}
             found["scale"] = {"log_newtons": self.scale.log, **kept}
             found["length"] = vars(self.length).copy()
         if self.reason:
@@ -181,7 +181,7 @@ def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
     if "scale" not in kept:
         return str(kept.get("reason", ""))
     scale = kept["scale"]
-    carried = scale["log_newtons"], scale["variance"], scale["alike"], scale["source"]
+    carried = scale["log_newtons"], scale["variance"], scale["homogeneous"], scale["source"]
     return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**kept["length"])
 
 

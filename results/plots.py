@@ -200,11 +200,13 @@ def draw_surface_errors(
     near, drawn = np.linalg.norm(places, axis=1) < BESIDE * hole, []
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
-        seen = np.isfinite(distance)
-        drawn.append(axes.hexbin(*places[seen].T, C=distance[seen], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2))
+        visible = np.isfinite(distance)
+        drawn.append(
+            axes.hexbin(*places[visible].T, C=distance[visible], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2)
+        )
         axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
         axes.add_patch(Circle((0, 0), BESIDE * hole, fill=False, linestyle=":", color=MUTED))
-        mean = float(np.mean(distance[seen & near])) if (seen & near).any() else np.nan
+        mean = float(np.mean(distance[visible & near])) if (visible & near).any() else np.nan
         axes.set_title(f"{name}\n{mean:+.2f} mm next to the tool", fontsize=12)
         axes.set(xlabel="across the force [mm]", aspect="equal")
     rows[0].set_ylabel("across the force [mm]")
@@ -458,9 +460,9 @@ def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
     _label(axes, "motion of the tissue around\n(root mean square) [px]", "upper left")
     shown = _picture_axes(whole.inset_axes((0.54, 0, 0.46, 1)), found.picture)
     apart = max(1, round(len(found.points) / MOST_ARROWS))
-    seen = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
+    visible = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
     for motion, color, name in ((found.observed, "white", "observed"), (found.predicted, SIMULATED, "simulated")):
-        (column, row), (right, down) = found.points[seen].T, motion[seen].T
+        (column, row), (right, down) = found.points[visible].T, motion[visible].T
         shown.quiver(
             column, row, right, down, angles="xy", scale_units="xy", scale=1, width=0.004, color=color,
             label=name, edgecolor=INK, lw=0.3,

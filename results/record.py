@@ -178,7 +178,7 @@ def warnings_of(
         )
     elif sources["masks"] == "automatic":
         found.append(
-            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
+            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
             "contact here means in view, until the instrument has moved and tissue did not move with it"
         )
     for status in PERSISTENT:

@@ -85,13 +85,13 @@ class StiffnessMap:
         after = int(np.clip(np.searchsorted(self._times, time), 1, len(self._times) - 1))
         share = (time - self._times[after - 1]) / (self._times[after] - self._times[after - 1])
         moved = (1 - share) * self._moved[after - 1] + share * self._moved[after]
-        seen = np.isfinite(moved).all(axis=1)
-        if not seen.any():
+        visible = np.isfinite(moved).all(axis=1)
+        if not visible.any():
             return np.zeros_like(self._corners)
-        apart, nearest = KDTree(self._points[seen]).query(self._corners, k=min(NEIGHBOURS, int(seen.sum())))
+        apart, nearest = KDTree(self._points[visible]).query(self._corners, k=min(NEIGHBOURS, int(visible.sum())))
         apart, nearest = (item.reshape(len(self._corners), -1) for item in (apart, nearest))
         weights = 1 / np.maximum(apart, 1.0)
-        return np.einsum("ck,cki->ci", weights / weights.sum(axis=1, keepdims=True), moved[seen][nearest])
+        return np.einsum("ck,cki->ci", weights / weights.sum(axis=1, keepdims=True), moved[visible][nearest])
 
 
 def stiffness_map(grip: GripEstimate | None, start: float) -> StiffnessMap | None:

@@ -122,7 +122,7 @@ class ContactEvidence:
         if not prepared.in_contact:
             return
         probability = self._push(_shown(prepared), prepared)
-        # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
+        # A tool that was observed to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
         if self._arrives and self._hovering is not None:

@@ -95,7 +95,7 @@ def test_notes_say_what_the_numbers_cannot() -> None:
         "undetermined", THETA, (2, 2, 2), detail="Because.", simulated_displacement=0.05, observed_displacement=0.02
     )
     assert overlay._notes(estimate) == [
-        "Not determined by what was seen so far.",
+        "Not determined by what was observed so far.",
         "The simulated displacement is more than twice or less than half the observed one.",
         "Because.",
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",

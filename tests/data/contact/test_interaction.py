@@ -60,7 +60,7 @@ def open_clip(folder: Path, name: str, settings: PrepareSettings) -> ClipStream:
 
 
 def tracked(clip: ClipStream) -> dict[int, Run]:
-    """Runs of contact whose onset was seen, by it, from frames pushed one by one."""
+    """Runs of contact whose onset was observed, by it, from frames pushed one by one."""
     tracker = RunTracker(ClipInfo.of(clip), MECHANICS.seconds)
     runs = [*(tracker.push(frame) for frame in clip), tracker.finish()]
     return {run.index: run for run in runs if run is not None and run.builder is not None}

@@ -49,7 +49,7 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
         for at, state in enumerate(states, start=3)
     ]
     assert case.keypoint[0] == pytest.approx(np.mean(errors))
-    apart = np.linalg.norm(session.positions[pull.seen][:, None] - pull.clouds[2], axis=2)
+    apart = np.linalg.norm(session.positions[pull.visible][:, None] - pull.clouds[2], axis=2)
     squares = [np.square(apart.min(axis=axis)).mean() for axis in (0, 1)]
     assert case.chamfer[2] == pytest.approx(np.sqrt(sum(squares)))
 

@@ -92,8 +92,8 @@ class Experiment:
         raise NotImplementedError
 
     def case(self, key: Any) -> Any:
-        """The case of a key, as `work` takes it."""
-        raise NotImplementedError
+        """The case of a key, as `work` takes it: what is asked for, and of it this."""
+        return self, key
 
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""

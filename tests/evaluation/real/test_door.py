@@ -199,7 +199,7 @@ def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
 
 def test_two_clips_of_one_name_are_both_judged(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = chosen(tmp_path, *known(monkeypatch, inputs, "pull"), "--pulled", "a/pull")
-    assert [case.name for case in real.asked] == ["pull", "pull (2)"]
+    assert [*real.wanted] == [("pull",), ("pull (2)",)]
 
 
 def chosen(output: Path, *arguments: str) -> Real:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from palpate.data.labels import TOOL
 from palpate.estimators.estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
-from palpate.results.field_overlay import painted
+from palpate.results.field_overlay import paint
 
 STEP = 16
 """Side of the map's squares [px of the field's picture]."""
@@ -67,18 +65,9 @@ class StiffnessMap:
         """
         if not len(self._faces):
             return
-        factor = canvas.shape[1] / self._width
-        size = canvas.shape[1], canvas.shape[0]
-        shown = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
-        places = (self._corners + self._displacement(time)) * factor
-        colored = painted(canvas, places, self._faces, self._stiffness, 1.0, RANGE)
-        covered = np.zeros(canvas.shape[:2], np.uint8)
-        for corners in places[self._faces]:
-            cv2.fillConvexPoly(covered, np.round(corners).astype(np.int32), 1)
-        inside = (covered > 0) & (shown != TOOL)
-        dark = (covered == 0) & (shown != TOOL)
+        places = (self._corners + self._displacement(time)) * canvas.shape[1] / self._width
+        dark = paint(canvas, places, self._faces, self._stiffness, labels, RANGE)
         canvas[dark] = (DARKENED * canvas[dark]).astype(np.uint8)
-        canvas[inside] = colored[inside]
 
     def _displacement(self, time: float) -> np.ndarray:
         """Of the corners in a frame, by the followed points that were nearest at rest, shape [C, 2] [px]."""

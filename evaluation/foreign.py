@@ -69,10 +69,10 @@ class Ringing:
 
 
 def tip_mass(path: Path) -> float:
-    """Mass that a run's file name tells [kg]; raises InputError where it tells none."""
+    """Mass that a run's file name gives [kg]; raises InputError where it gives none."""
     found = re.search(r"beam_(?:.*_)?(?:(gravity)|load[_-]?(\d+(?:\.\d+)?))", path.name, re.IGNORECASE)
     if found is None:
-        raise InputError(f"{path.name}: the name tells no load; call it beam_gravity… or beam_load52… with its grams.")
+        raise InputError(f"{path.name}: the name gives no load; call it beam_gravity… or beam_load52… with its grams.")
     return 0.0 if found[1] else float(found[2]) / 1000
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 _CHECKOUT = Path(__file__).resolve().parents[1]
 if (_CHECKOUT / "pyproject.toml").is_file():
-    # In a checkout the rooms lie beside this folder. The links in it are for type checkers, which don't run this.
+    # In a checkout the rooms lie next to this folder. The links in it are for type checkers, which don't run this.
     __path__.insert(0, str(_CHECKOUT))
 
 from palpate.common.lazy import exported  # noqa: E402  found by what stands above

@@ -44,7 +44,7 @@ def named(group: str, names: Iterable[str], **words: Mapping[str, object]) -> di
 ESTIMATED = named("estimated", REPORTED, symbol=SYMBOLS) | named("bounds", PARAMETERS, symbol=SYMBOLS)
 """Columns of an estimate."""
 GRIP = TEXTS["grip"]
-"""Columns of what the motion around an instrument tells, where nothing is determined by the contact's own."""
+"""Columns of what the motion around an instrument determines, where nothing is determined by the contact's own."""
 _AGAINST = {"distance_stiffness": "stretch", "shape_stiffness": "bending"}
 FIELD = named("stiffness", _AGAINST, what=_AGAINST, unit=UNITS) | {
     column: text.format(least_skill=LEAST_SKILL) for column, text in TEXTS["field"].items()

@@ -69,7 +69,7 @@ def draw_summary(
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
-    Below them is what grips tell: how the force at each changed, and where the tissue is stiffer; and fields of
+    Below them is what is known of grips: how the force at each changed, and where the tissue is stiffer; and fields of
     stiffness over time and on the picture.
 
     Args:
@@ -93,7 +93,7 @@ def draw_summary(
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
     for axes, (run, found) in zip(rows[len(heights) :], gripped, strict=True):
-        axes.set_title("\n".join(_lines(_told_of_run(run)[0], 120)), loc="left", fontsize=12)
+        axes.set_title("\n".join(_lines(_described_run(run)[0], 120)), loc="left", fontsize=12)
         if isinstance(found, GripEstimate):
             _draw_grip(axes, found)
         elif isinstance(found, FieldEstimate):
@@ -102,7 +102,7 @@ def draw_summary(
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_told(estimates, NO_RUNS if estimated else counts))
+    _head(strip, *_described(estimates, NO_RUNS if estimated else counts))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
@@ -126,7 +126,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     if len(runs) < total:
         subtitle += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
-    words = [_told_of_run(run) for run in panels]
+    words = [_described_run(run) for run in panels]
     heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
     figure, rows = _figure(heights, title, subtitle)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
@@ -304,7 +304,7 @@ def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimat
     axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
 
 
-def _told(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
+def _described(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
     """Heading of a clip, sentences about it, and the one verdict of its runs of contact or frames in contact."""
     touching = [estimate for estimate in estimates if estimate.status == "ok"]
     counts = Counter(map(state, touching))
@@ -346,7 +346,7 @@ def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[Frame
     axes.set_ylim(0, _top(observed, simulated))
 
 
-def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
+def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     """Heading of a run of contact, the verdict first and no number surer than it, sentences, and a key of COLORS."""
     if run is None:
         return "no contact was found", "", "no_estimate"

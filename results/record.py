@@ -224,7 +224,7 @@ def _file_sha256(path: Path, size: int, changed: int) -> str:
 
 
 def _named_files(settings: PrepareSettings) -> dict[str, str]:
-    """Hashes of the files outside the clip that the settings name, and of the YAML files beside their models."""
+    """Hashes of the files outside the clip that the settings name, and of the YAML files next to their models."""
     depth = settings.depth
     named = {"depth.source": depth.source, "depth.model": depth.model, "depth.preset": depth.preset}
     named |= {"masks": settings.masks, "camera": settings.layout.camera}

@@ -17,7 +17,7 @@ DARKENED = 0.5
 """What is left of the brightness where the stiffness is not known."""
 RANGE = 2.0
 """Colours end at this many times the mean, and at one over it."""
-UNKNOWN = "Stiffness map: unknown everywhere; the motion tells too little of it."
+UNKNOWN = "Stiffness map: unknown everywhere; the motion determines too little of it."
 KNOWN = f"Red: stiffer than the mean of tissue that moves, by {RANGE:g} times or more; blue: softer; dark: unknown."
 LOOSE = "The map is no determined result."
 

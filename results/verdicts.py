@@ -1,4 +1,4 @@
-"""How pictures tell a result: its verdict before its numbers, and no number surer than it is."""
+"""How pictures show a result: its verdict before its numbers, and no number surer than it is."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MEANINGS = {
     "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
     "relative_force": "Only how the force at the grip changes over time is determined.",
     "stiffness_ratios": "Only where tissue is stiffer or softer is determined, where it is coloured.",
-    "onset_in_view": "The onset was observed; the model does not tell what is determined.",
+    "onset_in_view": "The onset was observed; the model does not say what is determined.",
     "undetermined": "Not determined by what was observed so far.",
 }
 """What the verdicts say, a sentence each."""

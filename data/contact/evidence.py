@@ -46,7 +46,7 @@ ELSEWHERE = 1.5
 """And by so many times what it has grown by anywhere far from the tool."""
 CERTAIN = 0.9
 """Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
-HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
+HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
 """Of the tissue's points [px]."""

@@ -108,7 +108,7 @@ class Interaction:
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """What one frame of a run of contact tells about it."""
+    """What is known of a run of contact by one frame."""
 
     time_s: float
     """Time stamp [s]."""

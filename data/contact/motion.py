@@ -33,7 +33,7 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (
-    "The masks' outlines disagree with the depth: {share:.0%} of the tissue beside the tool lies in front of it at "
+    "The masks' outlines disagree with the depth: {share:.0%} of the tissue next to the tool lies in front of it at "
     "rest; where and when contact began is less certain."
 )
 FRAYED_SHARE = 0.05

@@ -80,7 +80,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
 
 
 def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> dict[str, object]:
-    """What a run's grip tells, by name."""
+    """What is known of a run's grip, by name."""
     found: dict[str, object] = {
         "run from frame": run.onset_frame,
         "frames that move": len(grip.times),

@@ -32,7 +32,7 @@ _STREAM = 0x70A17A7E
 
 @dataclass(frozen=True)
 class Suite:
-    """One way to observe, or to spoil, the clips of a split; what its fields mean is told in suites.yaml."""
+    """One way to observe, or to spoil, the clips of a split; suites.yaml says what its fields mean."""
 
     of: str
     """What moves the tissue: `press` and `grip` on a sheet, or `slab`, some of either on finite elements."""

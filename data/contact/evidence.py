@@ -100,6 +100,18 @@ class ContactEvidence:
         """Whether the tool may have come to the tissue in the frame before, although it moved until then."""
         self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
         """The frame before, if its tool was found to hover, and the contact that its outlines show."""
+        self._last: list[PreparedFrame] = []
+        """The frame that was judged last, which the next one may decide anew."""
+
+    def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
+        """Judge the next frame; gives the one before it, which is decided now."""
+        self.judge(prepared)
+        decided, self._last = self._last, [prepared]
+        return decided
+
+    def finish(self) -> list[PreparedFrame]:
+        """The frame that is left at the clip's end."""
+        return self._last
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers.

@@ -190,11 +190,7 @@ class FrameGeometry:
 
 
 def frame_geometry(
-    depth: np.ndarray,
-    labels: np.ndarray,
-    camera: Camera,
-    settings: GeometrySettings,
-    rest: RestTissue | None = None,
+    depth: np.ndarray, labels: np.ndarray, camera: Camera, settings: GeometrySettings, rest: RestTissue | None = None
 ) -> FrameGeometry:
     """Contact and mesh of one frame.
 

@@ -19,13 +19,7 @@ from palpate.data.contact.outlines import frayed_share, inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.contact.tissue_points import (
-    grid_to_picture,
-    lift,
-    picture_to_grid,
-    reference_pixels,
-    rigid_motion,
-)
+from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, reference_pixels, rigid_motion
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera

@@ -21,13 +21,7 @@ from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.slab import LAW, SlabMotion
 from palpate.data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
-from palpate.data.synthetic.truth import (
-    ABSOLUTE_TOLERANCE,
-    RELATIVE_TOLERANCE,
-    PressedMotion,
-    damping_ratio,
-    regime_of,
-)
+from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))

@@ -34,7 +34,7 @@ from palpate.data.source.layout import InputError
 from palpate.evaluation.options import options
 from palpate.evaluation.page import render_page
 from palpate.models.onnx_session import ModelFileError
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 FORMAT_VERSION = 5
@@ -197,10 +197,7 @@ class Store:
 
     def __init__(self, output: Path, wanted: Mapping[str, Any], keys: tuple[str, ...]) -> None:
         self.output, self._keys, self._results = output, keys, output / RESULTS
-        with writing(output):
-            if output.exists() and not output.is_dir():
-                raise OutputError(f"{output}: is a file; give a folder as --output.")
-            output.mkdir(parents=True, exist_ok=True)
+        make_output(output)
         code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
         recorded = self._recorded()
         for name, value in wanted.items():

@@ -27,7 +27,7 @@ from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
 from palpate.evaluation.options import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
 FILES = ("scene.yaml", "rest.obj", "observed.csv")
 YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
@@ -80,8 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         observed = observe(*truth, "stereo", SEED, count=POINTS)
         scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), observed, 0.0, 5)
         head = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
+        make_output(output)
         with writing(output):
-            output.mkdir(parents=True, exist_ok=True)
             for name, text in zip(FILES, [head + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
                 with replacing_own(output / name) as partial:
                     partial.write_text(text, encoding="utf-8")

@@ -129,7 +129,10 @@ def test_curves_say_what_their_numbers_are(tmp_path):
         ({"cells": "many"}, "gives cells 'many'"),
         ({"held_below": -1.0}, "0 nodes lie below held_below"),
         ({"palpations": [{"force": [0, 0, 0], "contact": [0, 0, 0.1], "points": "observed.csv"}]}, "force is to be"),
-        ({"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "observed.csv"}]}, "1e-06 to 10000 N"),
+        (
+            {"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "observed.csv"}]},
+            "1e-06 to 10000 N",
+        ),
         ({"cells": 64}, "cells is 64; give 2 to 24"),
         ({"young": 1e-300}, "young is to be 1 to 1e+12 Pa"),
         ({"held_below": 1e15}, "all of the surface lies below the floor at 1e+15 m"),
@@ -149,7 +152,9 @@ def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows):
     (tmp_path / "observed.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert f"observed.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
+    assert (
+        f"observed.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
+    )
 
 
 def test_an_indenter_needs_its_size(tmp_path):

@@ -20,20 +20,22 @@ class ContactHead(nn.Module):
         channels: number of channels of the encoder's features.
         bounds: admissible box of θ and where the untrained head starts in it.
         contact_features: length of the contact's vector.
+        picture: whether the head uses the encoder's features at all.
     """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
+    def __init__(self, channels: int, bounds: Bounds, contact_features: int, picture: bool = True) -> None:
         super().__init__()
         if contact_features < 1:
             raise ValueError(
                 "head posterior needs the contact's motion and its noise; set data.samples.observation to "
                 "trajectory and data.geometry.smoothing above 0, or choose head parameters."
             )
-        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
-        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
+        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1) if picture else None
+        picture_channels = channels if picture else 0
+        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=picture_channels)
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():
@@ -55,5 +57,7 @@ class ContactHead(nn.Module):
 
     def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:
         """Features [B, C, h, w] and the contact's vector [B, contact_features] → mean [B, 3], factor L [B, 3, 3]."""
+        if self.convolution is None:
+            return self.posterior(contact)
         picture = functional.relu(self.convolution(features)).mean(dim=(2, 3))
         return self.posterior(contact, picture)

@@ -154,6 +154,7 @@ class Generator(nn.Module):
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.contact_head.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
+        picture: whether head posterior uses the encoder's features.
     """
 
     def __init__(
@@ -165,11 +166,14 @@ class Generator(nn.Module):
         decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
+        picture: bool = True,
     ) -> None:
         super().__init__()
         for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
             if value not in choices:
                 raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
+        if not picture and head != "posterior":
+            raise ValueError(f"picture is false and head {head}, which has no other input; choose head posterior.")
         if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "
@@ -185,7 +189,7 @@ class Generator(nn.Module):
         bounds = bounds or Bounds()
         self.head: ParameterHead | ContactHead
         if head == "posterior":
-            self.head = ContactHead(4 * width, bounds, contact_features)
+            self.head = ContactHead(4 * width, bounds, contact_features, picture)
         else:
             self.head = ParameterHead(4 * width, bounds)
         self.decoder = Decoder(width, residual_blocks, decoder)

@@ -58,6 +58,7 @@ class PhysicsInformedGAN(LightningModule):
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
+        picture: whether head posterior uses the encoder's features; switched off in ablations.
         pretrained: weights of head posterior that configs/contact.yaml trained or `estimators.network.calibration`
             exported, loaded before training; shipped: those that come with the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
@@ -77,6 +78,7 @@ class PhysicsInformedGAN(LightningModule):
         decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
+        picture: bool = True,
         pretrained: str | None = None,
         pretrained_rate: float = 0.1,
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
@@ -104,6 +106,7 @@ class PhysicsInformedGAN(LightningModule):
                 "decoder": decoder,
                 "head": head,
                 "contact_features": contact_features,
+                "picture": picture,
                 "bounds": asdict(bounds),
                 "mechanics": asdict(mechanics),
                 "weights": asdict(weights),
@@ -116,7 +119,7 @@ class PhysicsInformedGAN(LightningModule):
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
         self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
-        shape = (window, width, residual_blocks, bounds, decoder, head, contact_features)
+        shape = (window, width, residual_blocks, bounds, decoder, head, contact_features, picture)
         self.generator_ab, self.generator_ba = Generator(*shape), Generator(*shape)
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)

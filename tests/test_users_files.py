@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import random
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -27,6 +28,7 @@ from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation import foreign
+from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
@@ -49,6 +51,7 @@ from tests.planning.test_scene import SHIPPED
 Run = Callable[[random.Random, Path], object]
 EVENTS = 12
 """Of every sequence; more than half of them are runs."""
+ROW = "full-0"
 PLACES = {
     "draw": (
         "video01/notes.txt",
@@ -66,6 +69,7 @@ PLACES = {
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
+    "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/notes.txt", f".{ROW}-1/notes.txt"),
     "write_depth": ("depth.onnx", "notes.txt"),
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
 }
@@ -134,6 +138,15 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
 
     patch(train.RunTrainer, "fit", fit)
 
+    def training(command: list[str], **_: object) -> subprocess.CompletedProcess:
+        folder = Path(command[command.index("--trainer.default_root_dir") + 1])
+        (folder / "checkpoints").mkdir(parents=True)
+        with replacing(folder / "checkpoints" / "last.ckpt") as partial:
+            partial.write_bytes(b"trained")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    patch(terms.subprocess, "run", training)
+
 
 def quick_material() -> SimpleNamespace:
     """Of no palpations."""
@@ -190,13 +203,16 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def train_network(chance: random.Random, out: Path) -> object:
         return train.main(["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"])
 
+    def train_row(chance: random.Random, out: Path) -> object:
+        return terms.train("full", 0, inputs / "clips", 5, out)
+
     def write_depth(chance: random.Random, out: Path) -> object:
         return write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0)))
 
     def keep_prepared(chance: random.Random, out: Path) -> object:
         return prepare(inputs / "tiny", SETTINGS, out)
 
-    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network)
+    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
     measured = (judge_frank, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
@@ -278,6 +294,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "plan_way": {"plan.json", "plan.png"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
+        "train_row": {"last.ckpt"},
         "write_depth": {"depth.onnx"},
         "keep_prepared": {"clip.npz", "0.npz"},
     }

@@ -73,7 +73,7 @@ class Estimate:
     expected_information: np.ndarray | None = None
     """Inverse of the expected Cramér–Rao bound, by which the verdict is given, shape [3, 3]; None = that of
     `covariance`. Not that at `theta`: where an estimate is badly known, so is the information at it."""
-    told_verdict: str = ""
+    given_verdict: str = ""
     """Verdict of an estimator that knows no uncertainty: `onset_in_view` or `undetermined`."""
     delays: tuple[float, ...] = ()
     """Fitted times from the first frame in contact to the beginning of the press, and from the first one after it to
@@ -108,12 +108,12 @@ class Estimate:
         """
         if not self.explained:
             return "undetermined"
-        return self.told_verdict or verdict(self.verdict_information)
+        return self.given_verdict or verdict(self.verdict_information)
 
     @property
     def determined(self) -> tuple[str, ...]:
         """Names of the COMBINATIONS that are determined."""
-        if self.told_verdict or not self.explained:
+        if self.given_verdict or not self.explained:
             return ()
         limits = combination_bounds(self.verdict_information, list(COMBINATIONS.values()))
         return tuple(name for name, limit in zip(COMBINATIONS, limits, strict=True) if limit < LIMIT)
@@ -123,7 +123,7 @@ class Estimate:
         """The verdict's reason in words (see physics.identifiability.describe)."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        described = "" if self.told_verdict else describe(self.verdict_information)
+        described = "" if self.given_verdict else describe(self.verdict_information)
         return f"{described}; {BY_LIGHT}" if self.by_light else described
 
     @property
@@ -471,7 +471,7 @@ class InteractionEstimate:
     """Why there is no estimate, or why it can't be trusted."""
 
     @property
-    def told(self) -> Estimate | GripEstimate | FieldEstimate | None:
+    def main_estimate(self) -> Estimate | GripEstimate | FieldEstimate | None:
         """The one by which the verdict is given: a grip's where it tells something and the press nothing."""
         if self.field is not None:
             return self.field
@@ -482,7 +482,7 @@ class InteractionEstimate:
     @property
     def verdict(self) -> str:
         """What is determined in a word; empty where nothing was estimated."""
-        return "" if self.told is None else self.told.verdict
+        return "" if self.main_estimate is None else self.main_estimate.verdict
 
 
 def mixture(found: Sequence[Estimate]) -> Estimate:

@@ -110,7 +110,7 @@ class GanSession(RunSession):
             yield frame_estimate(
                 current,
                 self.clip,
-                Estimate(theta, told_verdict=_verdict(self._contacts)),
+                Estimate(theta, given_verdict=_verdict(self._contacts)),
                 lengths=lengths,
                 arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
             )
@@ -129,7 +129,7 @@ class GanSession(RunSession):
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
         self._log_sum, self._count = np.zeros(3), 0
-        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, told_verdict="undetermined")
+        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, given_verdict="undetermined")
         yield run.estimate(interaction=interaction, estimate=estimate, detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:

@@ -117,7 +117,7 @@ class ClipCalibration:
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
-        found = run.told
+        found = run.main_estimate
         if self.known is not None and isinstance(found, GripEstimate) and "relative_force" in found.determined:
             self._grips.append((run.onset_frame, run.onset_time_s + found.times, found.force, found.force_sd))
 

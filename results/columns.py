@@ -155,7 +155,7 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
-    estimate, contact, output = run.estimate, run.interaction, run.told
+    estimate, contact, output = run.estimate, run.interaction, run.main_estimate
     found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
     if estimate is not None:
         stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
@@ -180,7 +180,7 @@ def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, An
     Raises:
         NoEstimate: the known force tells nothing of this run.
     """
-    grip = run.told
+    grip = run.main_estimate
     if not isinstance(grip, GripEstimate) or "relative_force" not in grip.determined:
         return []
     times = run.onset_time_s + grip.times

@@ -82,9 +82,10 @@ def draw_summary(
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
     gripped = [
-        (run, run.told)
+        (run, found)
         for run in runs
-        if isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.determined)
+        if isinstance(found := run.main_estimate, FieldEstimate)
+        or (isinstance(found, GripEstimate) and found.determined)
     ]
     figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
@@ -93,7 +94,7 @@ def draw_summary(
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
     for axes, (run, found) in zip(rows[len(heights) :], gripped, strict=True):
-        axes.set_title("\n".join(_lines(_told_of_run(run)[0], 120)), loc="left", fontsize=12)
+        axes.set_title("\n".join(_lines(_summary_of_run(run)[0], 120)), loc="left", fontsize=12)
         if isinstance(found, GripEstimate):
             _draw_grip(axes, found)
         elif isinstance(found, FieldEstimate):
@@ -102,7 +103,7 @@ def draw_summary(
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_told(estimates, NO_RUNS if estimated else counts))
+    _head(strip, *_summary(estimates, NO_RUNS if estimated else counts))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
@@ -126,7 +127,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     if len(runs) < total:
         subtitle += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
-    words = [_told_of_run(run) for run in panels]
+    words = [_summary_of_run(run) for run in panels]
     heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
     figure, rows = _figure(heights, title, subtitle)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
@@ -137,7 +138,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
     """Of a run's panel [inches]: its words, its motion, and its map."""
-    found = None if run is None else run.told
+    found = None if run is None else run.main_estimate
     motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
     field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
     return 0.9 + 0.2 * len(_lines(sentences)) + 2.8 * motion + 1.2 * field
@@ -302,7 +303,7 @@ def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimat
     axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
 
 
-def _told(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
+def _summary(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
     """Heading of a clip, sentences about it, and the one verdict of its runs of contact or frames in contact."""
     touching = [estimate for estimate in estimates if estimate.status == "ok"]
     counts = Counter(map(state, touching))
@@ -344,12 +345,12 @@ def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[Frame
     axes.set_ylim(0, _top(observed, simulated))
 
 
-def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
+def _summary_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     """Heading of a run of contact, the verdict first and no number surer than it, sentences, and a key of COLORS."""
     if run is None:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
-    if isinstance(grip := run.told, GripEstimate):
+    if isinstance(grip := run.main_estimate, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
         heading = f"{in_words(grip.verdict)}: {place}"
         for name, words in (("reaction_over_young", "F/E"), ("foundation_over_stiffness", "foundation over stiffness")):
@@ -357,7 +358,7 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
                 low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
                 heading += f", {words} {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
-    if isinstance(found := run.told, FieldEstimate):
+    if isinstance(found := run.main_estimate, FieldEstimate):
         words = [in_words(found.verdict)]
         if not np.isnan(found.skill):
             words.append(f"{found.skill:.0%} of the motion explained")
@@ -382,11 +383,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
-    if run is not None and isinstance(run.told, GripEstimate):
-        _draw_grip(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, GripEstimate):
+        _draw_grip(axes, run.main_estimate)
         return
-    if run is not None and isinstance(run.told, FieldEstimate):
-        _draw_explained(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, FieldEstimate):
+        _draw_explained(axes, run.main_estimate)
         return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()

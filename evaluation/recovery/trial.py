@@ -229,11 +229,11 @@ def _pressed(onset: int, answer: Estimate | list) -> Row:
     return {
         "estimate": np.asarray(found.theta, np.float64),
         "covariance": found.covariance,
-        "verdict": "" if found.told_verdict else found.verdict,
+        "verdict": "" if found.given_verdict else found.verdict,
         "noise": found.noise,
         "misfit": found.misfit,
         "at_bound": found.at_bound,
-        "warned": None if found.told_verdict else not found.explained or is_oblique(found),
+        "warned": None if found.given_verdict else not found.explained or is_oblique(found),
     }
 
 

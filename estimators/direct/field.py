@@ -21,6 +21,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.error_model import rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.mechanics import Mechanics
 
 OUTLIER = 4.0
@@ -30,9 +31,8 @@ MOVED, SEVERAL = 3.0, 3
 the model, or in so many by what is observed, as one outlier is no motion."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
-WALL = 0.08
-"""Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it: so much
-of a grid pixel may show another patch than it seems."""
+WALL = MODEL_ERRORS.dent_wall
+"""Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
 HIDDEN = 1e6
 """Standard deviation of what isn't seen [σ]."""
 

@@ -35,6 +35,7 @@ from palpate.estimators.grip.sheet import (
     SeenFrame,
 )
 from palpate.estimators.grip.stiffness_field import MOVES, StiffnessField
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import Equilibrium, equilibrium
 
 LOADED = 24.0
@@ -55,7 +56,7 @@ ALIKE = 24.0
 """So many points err together: neighbours share what flow sees of them."""
 UNEXPLAINED = 2.0
 """Where a sheet does not explain the motion to within its noise, so many times as many do."""
-STRAINED = 0.03
+STRAINED = MODEL_ERRORS.strained_motion
 """Following errs by this share of the motion besides the given noise: windows are strained with the tissue."""
 LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
 """Times that points are weighted anew, in so many rounds, evaluations between, and the relative fall of χ² that ends

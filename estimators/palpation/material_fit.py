@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
 from palpate.estimators.palpation.registration import turned
 from palpate.estimators.palpation.skin import Skin
@@ -64,7 +65,7 @@ class FitSettings:
     """E to begin at [Pa]."""
     poisson: float = 0.3
     """ν to begin at."""
-    model_error: float = 0.02
+    model_error: float = MODEL_ERRORS.palpated_motion
     """By what share displacements of mesh and law are off, alike within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
 

@@ -38,6 +38,8 @@ STEPS = 3
 """Of the simulation from one knot to the next."""
 
 _BUMP = BSpline.basis_element(np.arange(5.0), extrapolate=False)
+_NATURAL = np.vstack([np.eye(KNOTS - 1), np.eye(KNOTS - 1)[-2:].T @ [-1, 2]])
+"""Of the bumps at all knots by the way's numbers, shape [KNOTS, P]: without curvature at its end."""
 
 
 class PullMotion:
@@ -102,17 +104,10 @@ class PullMotion:
 
     def _spline(self, answer: np.ndarray) -> np.ndarray:
         """What a bump does [S + 1, ..., 2], begun at every knot, seen at the instants [T, ..., 2P]."""
-        parts = []
-        for knot in range(KNOTS):
-            late = np.zeros_like(answer)
-            late[knot * STEPS :] = answer[: len(answer) - knot * STEPS]
-            parts.append(late)
-        # Without curvature at its end.
-        last = parts.pop()
-        parts[-1] = parts[-1] + 2 * last
-        parts[-2] = parts[-2] - last
+        none, steps = np.zeros((1, *answer.shape[1:])), np.arange(len(answer))[:, None]
+        late = np.concatenate([none, answer])[np.maximum(steps + 1 - STEPS * np.arange(KNOTS), 0)]
+        whole = np.einsum("sk...a,kp->s...pa", late, _NATURAL)
         share = self._share.reshape(-1, *[1] * answer.ndim)
-        whole = np.stack(parts, axis=-2)
         found = (1 - share) * whole[self._after] + share * whole[self._after + 1]
         return found.reshape(*found.shape[:-2], -1)
 

@@ -21,7 +21,7 @@ import numpy as np
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.grip.stiffness_fit import ROUGHNESS
 from palpate.estimators.online.fitting import LEAST
-from palpate.estimators.online.gauss_newton import KNOTS, bumps
+from palpate.estimators.online.gauss_newton import knot_shares
 from palpate.estimators.online.objective import Objective
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.stiffness import Stiffness
@@ -65,11 +65,8 @@ class Determined:
         """
         self._objective, self._shown = objective, shown
         rest = objective.body.rest
-        parts = [bumps(rest, knots) for knots in KNOTS]
-        counts = [part.shape[1] for part in parts]
-        total = sum(counts) + len(STEPPED)
-        self._shares = np.zeros((2, len(rest), total))
-        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] : sum(counts)] = parts
+        (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
+        total = self._shares.shape[2]
         stepping = objective.stepping
         self._others = [
             dataclasses.replace(
@@ -79,11 +76,11 @@ class Determined:
         ]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
-        self._cell = cells(parts[0]).argmax(axis=1)
+        self._cell = cells(stretch).argmax(axis=1)
         self._carried = np.repeat(rest[None], total + 2, axis=0)
-        self._squares = np.zeros((counts[0], total + 1, total + 1))
+        self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
-        self._points = np.zeros(counts[0])
+        self._points = np.zeros(stretch.shape[1])
         """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
         fields to begin with would show, then of its derivatives; the same of their means over points, times their
         number; and that."""

@@ -217,6 +217,10 @@ class SequenceProblem(Generic[M]):
         tangent = self.patches.shown(self.patches.sunk_slopes(moved, slopes), self.covering)
         return self.change(moved, logs), tangent + self._turning
 
+    def left(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """Whitened simulated minus observed change; arguments as of `change`."""
+        return self.whitened(self.change(moved, logs) - self.observed)
+
     def residual(self, logs: np.ndarray) -> np.ndarray:
         """The first of `linearise`."""
         return self.linearise(logs)[0]

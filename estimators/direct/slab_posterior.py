@@ -85,12 +85,12 @@ def find_tip(
     logs = slab_start(problem)
     problem.look(logs)
 
-    def whitened(motion: SlabMotion, tried: np.ndarray) -> np.ndarray:
-        return problem.whitened(problem.change(motion.by_modes(tried), tried) - problem.observed)
+    def by_modes(motion: SlabMotion, tried: np.ndarray) -> np.ndarray:
+        return problem.left(motion.by_modes(tried), tried)
 
-    left = whitened(problem.motion, logs)
-    slopes = [(whitened(problem.motion, logs + step) - left) / DIFFERENCE for step in DIFFERENCE * np.eye(len(logs))]
-    slopes += [(whitened(other.motion, logs) - left) / BESIDE for other in beside]
+    left = by_modes(problem.motion, logs)
+    slopes = [(by_modes(problem.motion, logs + step) - left) / DIFFERENCE for step in DIFFERENCE * np.eye(len(logs))]
+    slopes += [(by_modes(other.motion, logs) - left) / BESIDE for other in beside]
     jacobian = np.stack(slopes, axis=1)
     prior = np.zeros((len(slopes), len(slopes)))
     prior[:-2, :-2] = box_information(problem.motion.box)
@@ -140,7 +140,7 @@ def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: n
     strained = motion.at(logs)[0] - motion.by_modes(logs)
 
     def residual(tried: np.ndarray) -> np.ndarray:
-        return problem.whitened(problem.change(strained + motion.by_modes(tried), tried) - problem.observed)
+        return problem.left(strained + motion.by_modes(tried), tried)
 
     def settled(tried: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """With all but E as they suit it, χ²/2, and the covariance of log d and log |F| there."""

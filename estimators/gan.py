@@ -18,8 +18,9 @@ from palpate.data.contact.geometry import force_direction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held

@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from palpate.estimators.estimate import (
-    LEAST_SKILL,
-    NINETY,
-    REPORTED,
-    SYMBOLS,
-    FieldEstimate,
-    GripEstimate,
-    InteractionEstimate,
-)
+from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 ESTIMATED = {

@@ -15,16 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import (
-    LEAST_SKILL,
-    NINETY,
-    FieldEstimate,
-    FrameEstimate,
-    GripEstimate,
-    InteractionEstimate,
-)
+from palpate.estimators.estimate import LEAST_SKILL, NINETY
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.known_force import KnownForce
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.calibrated import Curve
 from palpate.results.columns import UNITS
 from palpate.results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.data.labels import TOOL
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.results.field_overlay import painted
 

@@ -18,7 +18,8 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, Shown, shrunk
-from palpate.estimators.estimate import NINETY, GripEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from palpate.estimators.grip.pull_fit import CELLS, fit_pull
 from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation

@@ -28,11 +28,13 @@ from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
+from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 

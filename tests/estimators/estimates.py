@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import contact_normal

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, FrameEstimate, mixture
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, mixture
+from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 

@@ -11,9 +11,10 @@ import pytest
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.clip import draw_press, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
-from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.records import InteractionEstimate
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery import trial as recovery

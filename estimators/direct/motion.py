@@ -15,10 +15,9 @@ from typing import Self
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Mechanics, theta_of
-from palpate.physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from palpate.physics.msd.simulation import simulate, simulate_tangent
 
 FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
@@ -159,14 +158,9 @@ class PressMotion(DelayedMotion):
         Exact by φ; by the delays of a press whose release was observed they are differences from then on, good to 5 %.
         Without derivatives where the motion is so chaotic that rounding decides them.
         """
-        theta, step = self.theta(logs), self.mechanics.time_step
-        load = self.load(logs, step, self.longest)
-        path, slopes = simulate_sensitivities(
-            theta, self.contact.mesh, load, self.mechanics, watch=self.vertices, dtype=np.float64
-        )
-        slopes = log_jacobian(slopes, theta)
-        if is_chaotic(path, slopes):
-            slopes = np.zeros_like(slopes)
+        step, load = self.mechanics.time_step, self.load(logs, self.mechanics.time_step, self.longest)
+        what = self.theta(logs), self.contact.mesh, load, self.mechanics
+        path, slopes = simulate_tangent(*what, watch=self.vertices, dtype=np.float64)
         others = self._others(logs)
         if not self.within:
             return path[self.steps], np.concatenate([slopes[self.steps], others], axis=-1)

@@ -144,9 +144,9 @@ class _Problem:
         """Which nodes the tool hides, or may touch, bool: only where the tissue around moves clearly."""
         loaded = np.zeros(len(nodes), bool)
         loaded[: self.count] = distance < LOADED
-        under = {tuple(cell) for cell in np.rint(hidden / spacing).astype(int).tolist()}
-        behind = np.rint(nodes[self.count :] / spacing).astype(int).tolist()
-        loaded[self.count :] = [tuple(cell) in under for cell in behind]
+        # Cells as complex numbers, so that each is one value.
+        under, behind = (np.rint(places / spacing) @ [1, 1j] for places in (hidden, nodes[self.count :]))
+        loaded[self.count :] = np.isin(behind, under)
         return loaded & np.all((nodes >= self._pulled[0] - LOADED) & (nodes <= self._pulled[1] + LOADED), axis=1)
 
     def look(self, numbers: np.ndarray) -> None:

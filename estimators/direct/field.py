@@ -182,10 +182,10 @@ class SequenceProblem(Generic[M]):
         covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]
         covariance += 0.5 * np.square(walls)[:, :, None] * np.eye(frames)
         if noise.in_place > 0:
-            alike = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
+            common = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
             if noise.rounded:
-                alike = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
-            covariance = covariance + noise.in_place**2 * alike
+                common = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
+            covariance = covariance + noise.in_place**2 * common
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
         smooth = still[:, :, None] * self._smooth[:, None, :]

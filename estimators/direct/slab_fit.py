@@ -77,9 +77,9 @@ def fit_slab(
             pixels = contact.mesh.pixels[vertices]
             return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
 
-        return SequenceProblem(beside, motion, noise)
+        return SequenceProblem(visible, motion, noise)
 
-    beside = _beside_tip(contact)
+    visible = _without_tip(contact)
     place = find_tip(problem_of, slab.place)
     problem = problem_of(place)
     logs, valley, scale = settled(problem)
@@ -118,7 +118,7 @@ def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, f
     return logs, valley, scale
 
 
-def _beside_tip(contact: Interaction) -> Interaction:
+def _without_tip(contact: Interaction) -> Interaction:
     """The contact with a depth-change sequence that doesn't show the tissue under the tip."""
     if contact.sequence is None:
         raise ValueError("the contact has no depth-change sequence; gather it with frames that have depth and labels.")

@@ -6,7 +6,7 @@ lattice      the points as a sheet's nodes, and a sheet whose grip moves as it w
 grip_estimate what all of that tells, and what is determined
 stiffness_field, stiffness_fit  where it is stiffer, with the grip's motion unknown
 pull_fit     force over E by a slab of finite elements, where its thickness is given
-whitening    neighbours' errors made independent, and how many of them are alike
+whitening    neighbours' errors made independent, and how many of them are correlated
 """
 
 from palpate.common.lazy import exported

@@ -22,7 +22,7 @@ from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import Equilibrium, equilibrium
 
 PIECE = 7
-"""Side of a piece of tissue, in grid spacings of the points, over which what a sheet can't explain is alike."""
+"""Side of a piece of tissue, in grid spacings of the points, over which what a sheet can't explain is the same."""
 TYPICAL_ANCHOR, SPREAD = 0.01, 3.0
 """Foundation over spring stiffness of tissue, and the standard deviation of its logarithm: almost anything."""
 BEYOND = 5

@@ -4,10 +4,9 @@ A simulation is led by the instrument from rest on and never taken to what is ob
 it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
 derivatives of what is observed, and these with a normal prior the posterior of log stiffness at the knots
 (Gauss–Newton's: linear least squares around the fields of each frame). The noise is what the likeliest leave of the
-motion. Where a
-model is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is
-left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in
-a frame points by as much as their means over the cells around the knots vary.
+motion. Where a model is wrong it is wrong in the same way in neighbouring places and in one frame after the other: on
+the one real pull what is left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames
+together count as one, and in a frame points by as much as their means over the cells around the knots vary.
 """
 
 from __future__ import annotations
@@ -181,9 +180,9 @@ class Determined:
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]
         for _ in range(ROUNDS if some.any() else 0):
             way = np.append(1.0, -likeliest)
-            left, alike = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
+            left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
-            together = np.maximum(points * alike.sum() / max(left.sum(), 1e-300), self._frames)
+            together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
             weight = 1 / (together * (left / (2 * points) + NOISE**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])

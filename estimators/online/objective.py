@@ -210,8 +210,8 @@ class Objective:
             matches: what was observed, one at least.
             snapshots: earlier states, mapped, each [N, 3] [m].
         """
-        with ThreadPoolExecutor(1) as beside:  # compiled loops let two run at once
-            past = beside.submit(self._history, fields, snapshots)
+        with ThreadPoolExecutor(1) as other:  # compiled loops let two run at once
+            past = other.submit(self._history, fields, snapshots)
             motion = self.stepped(fields, start, places[None])
             simulated = motion.positions[0, -1]
             residual = self.mapped(simulated, matches)

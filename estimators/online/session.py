@@ -126,8 +126,8 @@ class Session:
             self._logits = self._adam.step(self._logits, slopes)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
         elif self._newton is not None:
-            with ThreadPoolExecutor(1) as beside:
-                carried = beside.submit(self._newton.carry, places)
+            with ThreadPoolExecutor(1) as other:
+                carried = other.submit(self._newton.carry, places)
                 simulated, residual = self._followed(places, matches)
                 carried.result()
             if residual is not None:

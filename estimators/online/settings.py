@@ -120,5 +120,5 @@ def load_settings(path: Path) -> OnlineSettings:
         if dataclasses.is_dataclass(kind):
             values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
     settings = from_mapping(OnlineSettings, values, str(path))
-    beside = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
-    return dataclasses.replace(settings, **beside)
+    files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
+    return dataclasses.replace(settings, **files)

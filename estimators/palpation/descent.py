@@ -69,8 +69,8 @@ def descend(
     while bench.solves < most:
         error.begin(here)
         sides = [np.array([ASIDE, 0.0]), np.array([0.0, ASIDE if values[1] + ASIDE < POISSON[1] else -ASIDE])]
-        beside = [error.at(values + side, aligned=False).total for side in sides]
-        gradient = np.array([(total - here.total) / side.sum() for total, side in zip(beside, sides, strict=True)])
+        nearby = [error.at(values + side, aligned=False).total for side in sides]
+        gradient = np.array([(total - here.total) / side.sum() for total, side in zip(nearby, sides, strict=True)])
         gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
         if values[1] == POISSON[0 if gradient[1] > 0 else 1]:
             gradient[1] = 0.0  # ν would leave its range

@@ -198,8 +198,8 @@ class System:
         gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.weight[some] / self.noise**2
         reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
         apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
-        alike = np.exp(-apart / (2 * reach**2))
+        correlation = np.exp(-apart / (2 * reach**2))
         lever = gain * self.sinks[some] * (count / len(some))
-        found = inverse[:2, :2] + model_error**2 * lever @ alike @ lever.T
+        found = inverse[:2, :2] + model_error**2 * lever @ correlation @ lever.T
         sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
         return sign @ found @ sign

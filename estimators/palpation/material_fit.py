@@ -52,7 +52,7 @@ class FitSettings:
     poisson: float = 0.3
     """ν to begin at."""
     model_error: float = MODEL_ERRORS.palpated_motion
-    """By what share displacements of mesh and law are off, alike within a quarter of the body: what the covariance
+    """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
 
 

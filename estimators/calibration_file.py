@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palpate.common.files import read_file
-from palpate.common.settings import fits
+from palpate.common.settings import fits, require_numbers
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
@@ -100,12 +100,11 @@ class CalibrationFile:
             raise ValueError(f"homogeneous is for a known force; leave it out next to {given[0]}.")
         if self.clip is not None and given and given[0] not in ("force_N", "known_s"):
             raise ValueError(f"clip names that of a known force; leave it out next to {given[0]}.")
-        for name in ("force_N", "stiffness", "thickness_m", "metres_per_depth"):
-            if getattr(self, name) is not None and not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; give a positive number.")
-        for name in ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; give 0 or more.")
+        require_numbers(
+            self,
+            positive=("force_N", "stiffness", "thickness_m", "metres_per_depth"),
+            not_negative=("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"),
+        )
         for name in ("known_s", "rest_s"):
             part = getattr(self, name)
             if part is not None and not part[0] < part[1]:

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.estimators.estimate import InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import LIMIT, covariance
 from palpate.physics.mechanics import PARAMETERS
 

@@ -30,7 +30,8 @@ __getattr__ = exported(
     {
         "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
         "palpate.data.contact.interaction": ("Interaction",),
-        "palpate.estimators.estimate": ("Estimate", "InteractionEstimate"),
+        "palpate.estimators.estimate": ("Estimate",),
+        "palpate.estimators.records": ("InteractionEstimate",),
         "palpate.physics.mechanics": ("Mechanics",),
         "palpate.physics.msd.rollouts": ("rollout",),
         "palpate.physics.msd.simulation": ("simulate",),

@@ -12,9 +12,11 @@ import numpy as np
 from palpate.data.prepared import PreparedFrame
 from palpate.estimators.calibration_file import Calibration
 from palpate.estimators.dent import DentRecorder
-from palpate.estimators.estimate import NINETY, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
@@ -88,7 +90,7 @@ class ClipCalibration:
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
-        found = run.told
+        found = run.main_estimate
         if self.known is not None and isinstance(found, GripEstimate) and "relative_force" in found.determined:
             self._grips.append((run.onset_frame, run.onset_time_s + found.times, found.force, found.force_sd))
 

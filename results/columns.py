@@ -8,16 +8,11 @@ from typing import Any
 
 import yaml
 
-from palpate.estimators.estimate import (
-    LEAST_SKILL,
-    NINETY,
-    REPORTED,
-    SYMBOLS,
-    FieldEstimate,
-    GripEstimate,
-    InteractionEstimate,
-)
+from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -75,7 +70,7 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
-    estimate, contact, output = run.estimate, run.interaction, run.told
+    estimate, contact, output = run.estimate, run.interaction, run.main_estimate
     found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
     if estimate is not None:
         stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
@@ -100,7 +95,7 @@ def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, An
     Raises:
         NoEstimate: the known force tells nothing of this run.
     """
-    grip = run.told
+    grip = run.main_estimate
     if not isinstance(grip, GripEstimate) or "relative_force" not in grip.determined:
         return []
     times = run.onset_time_s + grip.times

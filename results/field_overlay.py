@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TOOL
-from palpate.estimators.estimate import ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 
 OPACITY = 0.55
 RANGE = 4.0

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.estimate import FrameEstimate, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.stiffness_overlay import StiffnessMap

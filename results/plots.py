@@ -15,16 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import (
-    LEAST_SKILL,
-    NINETY,
-    FieldEstimate,
-    FrameEstimate,
-    GripEstimate,
-    InteractionEstimate,
-)
+from palpate.estimators.estimate import LEAST_SKILL, NINETY
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.known_force import KnownForce
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.calibrated import Curve
 from palpate.results.columns import UNITS
 from palpate.results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
@@ -82,9 +78,10 @@ def draw_summary(
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
     gripped = [
-        (run, run.told)
+        (run, found)
         for run in runs
-        if isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.determined)
+        if isinstance(found := run.main_estimate, FieldEstimate)
+        or (isinstance(found, GripEstimate) and found.determined)
     ]
     figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
@@ -137,7 +134,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
     """Of a run's panel [inches]: its words, its motion, and its map."""
-    found = None if run is None else run.told
+    found = None if run is None else run.main_estimate
     motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
     field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
     return 0.9 + 0.2 * len(_lines(sentences)) + 2.8 * motion + 1.2 * field
@@ -351,7 +348,7 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if run is None:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
-    if isinstance(grip := run.told, GripEstimate):
+    if isinstance(grip := run.main_estimate, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
         heading = f"{in_words(grip.verdict)}: {place}"
         for name, words in (("reaction_over_young", "F/E"), ("foundation_over_stiffness", "foundation over stiffness")):
@@ -359,7 +356,7 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
                 low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
                 heading += f", {words} {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
-    if isinstance(found := run.told, FieldEstimate):
+    if isinstance(found := run.main_estimate, FieldEstimate):
         words = [in_words(found.verdict)]
         if not np.isnan(found.skill):
             words.append(f"{found.skill:.0%} of the motion explained")
@@ -384,11 +381,11 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
-    if run is not None and isinstance(run.told, GripEstimate):
-        _draw_grip(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, GripEstimate):
+        _draw_grip(axes, run.main_estimate)
         return
-    if run is not None and isinstance(run.told, FieldEstimate):
-        _draw_explained(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, FieldEstimate):
+        _draw_explained(axes, run.main_estimate)
         return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()

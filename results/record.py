@@ -21,7 +21,7 @@ from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
 from palpate.estimators.contract import Estimator
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
 from palpate.results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files

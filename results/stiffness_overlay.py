@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.results.field_overlay import paint
 

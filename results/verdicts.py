@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from palpate.estimators.estimate import SYMBOLS, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import SYMBOLS
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]

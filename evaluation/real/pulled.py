@@ -15,8 +15,10 @@ from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 
 

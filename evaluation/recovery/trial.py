@@ -69,9 +69,10 @@ from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
@@ -229,11 +230,11 @@ def _pressed(onset: int, answer: Estimate | list) -> Row:
     return {
         "estimate": np.asarray(found.theta, np.float64),
         "covariance": found.covariance,
-        "verdict": "" if found.told_verdict else found.verdict,
+        "verdict": "" if found.given_verdict else found.verdict,
         "noise": found.noise,
         "misfit": found.misfit,
         "at_bound": found.at_bound,
-        "warned": None if found.told_verdict else not found.explained or is_oblique(found),
+        "warned": None if found.given_verdict else not found.explained or is_oblique(found),
     }
 
 

@@ -16,7 +16,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.estimators.contract import ClipInfo, Output, Session
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mesh import Mesh
 
 SIZE = (214, 120)

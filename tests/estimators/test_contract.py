@@ -26,9 +26,11 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from palpate.estimators.contract import Estimator, Output
 from palpate.estimators.direct.estimator import WHOLE
-from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate, ParticleField
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.inference_inputs import metadata, write_model, write_posterior

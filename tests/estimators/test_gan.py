@@ -17,8 +17,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import open_source
 from palpate.estimators import gan
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
 from palpate.estimators.gan import GanEstimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, Mechanics

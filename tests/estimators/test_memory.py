@@ -14,8 +14,8 @@ from palpate.data.synthetic.clip import make_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import InteractionEstimate
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import InteractionEstimate
 
 MEMORY = Path("/proc/self/statm")
 PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))

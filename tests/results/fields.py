@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.estimators.estimate import FieldEstimate, ParticleField
+from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 
 REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
 FIELD_SEEN = ParticleField(

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.data.labels import TOOL
-from palpate.estimators.estimate import FrameEstimate, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import FIELD, FRAMES, row
 from palpate.results.field_file import FieldFile
 from palpate.results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field

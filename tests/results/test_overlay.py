@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 from palpate.results import overlay
 from palpate.results.columns import UNITS
 from palpate.results.overlay import canvas_size, draw_overlay, shade, text, text_width, wrap_text

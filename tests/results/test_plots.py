@@ -16,8 +16,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.columns import UNITS
 from palpate.results.plots import (

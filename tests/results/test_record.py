@@ -17,10 +17,10 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import preparation_settings
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.results import record as recording

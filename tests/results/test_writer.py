@@ -15,7 +15,7 @@ import pytest
 from palpate.data.labels import TISSUE
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.results.columns import FORCES, FRAMES, INTERACTIONS
 from palpate.results.plots import MOST_PANELS

@@ -16,12 +16,13 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import contact_frame
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of

@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import NINETY, GripEstimate
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.harness import Row

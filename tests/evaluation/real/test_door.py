@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.common.output import LIST
+from palpate.estimators.estimate import NoEstimate
 from palpate.evaluation.harness import write
 from palpate.evaluation.options import options
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
@@ -28,6 +30,32 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, shares in {"pull": PULLED, "other": PULLED, "still": STILL}.items():
         pull_clip(folder / name, shares)
     return folder
+
+
+@pytest.fixture(scope="module")
+def once() -> Callable[[PulledClip, dict], Pull]:
+    """`evaluate_pull`, which judges every clip once, however often a door asks for it."""
+    judged: dict[PulledClip, tuple[dict, Pull | Exception]] = {}
+
+    def evaluate(clip: PulledClip, row: dict) -> Pull:
+        if clip not in judged:
+            measures: dict = {}
+            try:
+                judged[clip] = measures, evaluate_pull(clip, measures)
+            except NoEstimate as error:
+                judged[clip] = measures, error
+        measures, pull = judged[clip]
+        row |= measures
+        if isinstance(pull, Exception):
+            raise pull
+        return pull
+
+    return evaluate
+
+
+@pytest.fixture(autouse=True)
+def judging_once(once: Callable[[PulledClip, dict], Pull], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", once)
 
 
 def pulled(inputs: Path, name: str) -> list[str]:
@@ -81,12 +109,12 @@ def test_two_known_clips_are_judged(
 
 
 def test_an_interruption_keeps_what_is_finished(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    inputs: Path, once: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     def interrupt(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "other":
             raise KeyboardInterrupt
-        return evaluate_pull(clip, row)
+        return once(clip, row)
 
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", interrupt)
     assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path / "part")]) == 130
@@ -114,12 +142,12 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
 
 
 def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    inputs: Path, once: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     def fail(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "pull":
             raise ZeroDivisionError("of something")
-        return evaluate_pull(clip, row)
+        return once(clip, row)
 
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", fail)
     assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path)]) == 1

@@ -255,9 +255,7 @@ def interrupting(step: int | None) -> Iterator[None]:
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("door", PLACES)
-def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
-    door: str, seed: int, inputs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(door, seed, inputs, monkeypatch):
     """Of one door mostly, in a folder that others use as well."""
     chance, out, doors = random.Random(f"{door} {seed}"), inputs / "out", runs_of(inputs)
     theirs: dict[Path, bytes] = {}

@@ -167,9 +167,7 @@ def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("blank_pictures")
-def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_while_files_are_moved_ends_with_the_new_results(tmp_path, monkeypatch) -> None:
     folder, replace, left = tmp_path / "clip", os.replace, [3]
     write_clip(folder, "first")
 

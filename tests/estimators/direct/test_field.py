@@ -250,9 +250,7 @@ def test_an_error_of_the_rest_surface_costs_little() -> None:
 
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.1)], ids=["truth", "beside"])
-def test_derivatives_of_the_motion_are_those_of_central_differences(
-    theta: tuple[float, float, float], offset: tuple[float, float, float]
-) -> None:
+def test_derivatives_of_the_motion_are_those_of_central_differences(theta, offset) -> None:
     motion = problem_of(contact_of(theta), logs_of(theta)).motion
     logs = logs_of(theta) + offset
     moved, slopes = motion.at(logs)
@@ -270,9 +268,7 @@ def test_derivatives_of_the_motion_are_those_of_central_differences(
         pytest.param(REGIMES["over-damped"], NOISES["rounded"], SIZE, marks=pytest.mark.slow),
     ],
 )
-def test_derivatives_of_the_residual_are_those_of_central_differences(
-    theta: tuple[float, float, float], noise: SequenceNoise, size: tuple[int, int]
-) -> None:
+def test_derivatives_of_the_residual_are_those_of_central_differences(theta, noise, size) -> None:
     """What the pixels show is kept; in larger pictures it turns as at the look."""
     logs = logs_of(theta)
     problem = problem_of(noisy(contact_of(theta, noise=noise, size=size), errors_of(4)), logs, outliers=True)
@@ -292,9 +288,7 @@ def test_derivatives_of_the_residual_are_those_of_central_differences(
         (REGIMES["over-damped"], (0.36, -0.57)),
     ],
 )
-def test_derivatives_by_delays_are_those_of_central_differences(
-    theta: tuple[float, float, float], delays: tuple[float, float]
-) -> None:
+def test_derivatives_by_delays_are_those_of_central_differences(theta, delays) -> None:
     """Those by the load's duration come from a difference over half a step: springs that stretch so far bend them."""
     contact, logs = contact_of(theta), logs_of(theta, *delays)
     problem = problem_of(contact, logs, within=WITHIN)

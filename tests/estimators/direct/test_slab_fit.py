@@ -126,9 +126,7 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
 
 
 @pytest.mark.slow
-def test_tissue_under_the_tip_does_not_count(
-    recovered: tuple[Interaction, Estimate], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tissue_under_the_tip_does_not_count(recovered, monkeypatch) -> None:
     contact, found = recovered
     assert contact.sequence is not None
     rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2

@@ -238,9 +238,7 @@ def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkey
         ("0.1,50,60,1\n0.2,50,60,1\n", 0, "path.csv tells no place at 0 s, when contact begins in frame 10; give rows"),
     ],
 )
-def test_a_path_that_can_t_be_used_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, rows_told: str, status: int, sentence: str
-) -> None:
+def test_a_path_that_can_t_be_used_is_a_sentence(tmp_path, capsys, rows_told, status, sentence) -> None:
     """A broken file before anything; one that a clip can't follow with that clip; one that begins late with its run."""
     told, clip = write_given(tmp_path, rows_told), write_annotated(tmp_path / "clip", SHARES[:2])
     assert infer.main([str(clip), *told, "--no-overlay"]) == status
@@ -252,9 +250,7 @@ def test_a_path_that_can_t_be_used_is_a_sentence(
 
 
 @pytest.mark.slow
-def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(
-    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(real_data, tmp_path, capsys):
     """Where tissue has stretched their maps rank as 0.1."""
     layout = Path(__file__).parents[3] / "configs/layouts/recover_tissue.yaml"
     found = []

@@ -92,9 +92,7 @@ ROW = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 300], [0, 0, 0, 1]]
         (1, {"palpations": [PRESS | {"points": "far.csv"}]}, "far.csv, 98.1 m wide, looks like millimetres;"),
     ],
 )
-def test_lengths_in_other_units_are_named_before_anything_is_meshed(
-    unit: float, fields: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lengths_in_other_units_are_named_before_anything_is_meshed(unit, fields, told, tmp_path, monkeypatch) -> None:
     def mesh(*_: object, **__: object) -> None:
         raise AssertionError("meshed")
 
@@ -107,9 +105,7 @@ def test_lengths_in_other_units_are_named_before_anything_is_meshed(
 
 
 @pytest.mark.parametrize("fields", [{}, {"held_below": -0.02}, {"palpations": [PRESS | {"contact": [0.1, 0.1, 0.2]}]}])
-def test_lengths_in_metres_are_meshed(
-    fields: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lengths_in_metres_are_meshed(fields, tmp_path, monkeypatch) -> None:
     def mesh(*_: object, **__: object) -> None:
         raise NoBody("meshed")
 

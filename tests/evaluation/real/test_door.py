@@ -77,9 +77,7 @@ def rows(output: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def test_two_known_clips_are_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_two_known_clips_are_judged(inputs, tmp_path, monkeypatch, capsys) -> None:
     assert main([*known(monkeypatch, inputs, "pull", "other", "absent"), "--output", str(tmp_path)]) == 0
     found = rows(tmp_path)
     assert list(found) == ["pull", "other"]
@@ -108,9 +106,7 @@ def test_two_known_clips_are_judged(
     assert "skill in frames kept back" in told.out
 
 
-def test_an_interruption_keeps_what_is_finished(
-    inputs: Path, once: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_interruption_keeps_what_is_finished(inputs, once, tmp_path, monkeypatch, capsys) -> None:
     def interrupt(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "other":
             raise KeyboardInterrupt
@@ -124,9 +120,7 @@ def test_an_interruption_keeps_what_is_finished(
     assert not (tmp_path / "nothing" / "table.csv").exists()
 
 
-def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(inputs, tmp_path, monkeypatch, capsys):
     assert main([*known(monkeypatch, inputs, "still", "pull"), "--output", str(tmp_path)]) == 1
     sentence = "In 0 of 8 frames the tissue moves with the instrument by more than 1 px"
     found = rows(tmp_path)
@@ -174,9 +168,7 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, c
         (["--layout", "a.yaml"], "--layout a.yaml is of a clip of --pulled; give both, or leave it out."),
     ],
 )
-def test_wrong_usage_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, arguments: list[str], told: str
-) -> None:
+def test_wrong_usage_is_a_sentence(tmp_path, capsys, arguments, told) -> None:
     """And nothing is written."""
     output, empty = tmp_path / "out", tmp_path
     with pytest.raises(SystemExit) as stop:
@@ -186,9 +178,7 @@ def test_wrong_usage_is_a_sentence(
     assert not output.exists()
 
 
-def test_an_output_that_can_t_be_written_is_a_sentence(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_output_that_can_t_be_written_is_a_sentence(inputs, tmp_path, capsys) -> None:
     (tmp_path / "file").write_text("")
     assert main([*pulled(inputs, "pull"), "--output", str(tmp_path / "file")]) == 2
     told = capsys.readouterr().err
@@ -197,9 +187,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
 
 
 @pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/1.png"])
-def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, name: str
-) -> None:
+def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(inputs, tmp_path, capsys, name) -> None:
     path = tmp_path / "out" / name
     path.parent.mkdir(parents=True)
     path.write_text("precious")

@@ -1,7 +1,5 @@
 """The layout's floors, fences and faces, read from the source, and the promise that inference never loads torch."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import importlib

@@ -1,7 +1,5 @@
 """Bad input at infer.py's door: one sentence that names the file, no traceback, and the rest of the batch goes on."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import os

@@ -1,7 +1,5 @@
 """The door from forces to constants."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import json

@@ -1,7 +1,5 @@
 """Every shipped configuration loads, and the paper's says what the paper says."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import re

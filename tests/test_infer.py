@@ -1,7 +1,5 @@
 """The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

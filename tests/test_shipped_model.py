@@ -1,7 +1,5 @@
 """The model that comes along, through the door that users take."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

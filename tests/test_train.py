@@ -1,7 +1,5 @@
 """The training door: fit, validate, test, export, resume, two processes, and what it says when something is wrong."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

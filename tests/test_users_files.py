@@ -1,7 +1,5 @@
 """Whatever the order of runs, settings, interruptions and foreign files, of whichever doors: what is a user's stays."""
 
-from __future__ import annotations
-
 import functools
 import os
 import random

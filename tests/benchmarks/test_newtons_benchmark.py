@@ -1,7 +1,5 @@
 """Judging forces in newtons: truths of clips, and the door's table."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """How programs end: at Ctrl-C whenever it comes, and on terminals that take no letter, no byte, or no more."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

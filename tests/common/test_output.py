@@ -1,7 +1,5 @@
 """Only files that are as this program wrote them are replaced."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

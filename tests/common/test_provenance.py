@@ -1,7 +1,5 @@
 """Results know every line they were made with: of sub-packages too, and from an installed package as well."""
 
-from __future__ import annotations
-
 import ast
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Values from files are what their field's annotation says."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Literal

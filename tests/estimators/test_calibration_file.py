@@ -1,7 +1,5 @@
 """Files of what is known in newtons: what they tell, and what is wrong with them in one sentence."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

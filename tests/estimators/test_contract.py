@@ -1,7 +1,5 @@
 """What every estimator keeps, whichever it is: its sessions are independent, miss no frame, survive any, and forget."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import types

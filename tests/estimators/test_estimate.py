@@ -1,7 +1,5 @@
 """What an estimate says: values, intervals and verdict of parameters and ratios, and the record of a frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Newtons by one scale: closed forms, and intervals that hold as often as they say."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

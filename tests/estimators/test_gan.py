@@ -1,7 +1,5 @@
 """The parameter network's estimator on a drawn clip with networks whose answer is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """Sessions forget: what a session takes does not grow with the contacts that it has seen."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings read back from an exported network's metadata, and what the user chooses otherwise."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

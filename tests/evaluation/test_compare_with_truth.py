@@ -1,7 +1,5 @@
 """Estimates compared with the truth: numbers of what is determined only, and whether the interval holds."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

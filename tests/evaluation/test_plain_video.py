@@ -1,7 +1,5 @@
 """Plain videos: the summary of given rows, and one drawn press from its MP4 alone."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Every notebook in examples/ runs, and what it prints is true."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A small batch made by hand: two pairs of curved depth maps with their meshes, contacts and observed displacements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

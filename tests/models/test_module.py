@@ -1,7 +1,5 @@
 """The training step: who moves whom, and by which pathway gradients arrive (Bini 2026, section 3.4)."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The public face: the same numbers as the program's, and sentences for what can't be done."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command `palpate`."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 

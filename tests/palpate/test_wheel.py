@@ -1,7 +1,5 @@
 """What an installation gives: one package, whatever the user's own folders are called."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What was asked of the rollout as a whole: memory, several processes, bounds."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

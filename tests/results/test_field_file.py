@@ -1,7 +1,5 @@
 """Fields of stiffness in a file: every frame as it was said, and no memory that grows with them."""
 
-from __future__ import annotations
-
 import dataclasses
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the pictures of a clip and of its contacts hold."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from collections import Counter

@@ -1,7 +1,5 @@
 """What results were made of, and when they are out of date."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

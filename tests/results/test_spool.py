@@ -1,7 +1,5 @@
 """Frames that wait on disk come back in order, nearly as they were, and leave nothing behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A map of stiffness on the video: where it is known, where the tissue is by then, and nowhere else."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

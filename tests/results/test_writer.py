@@ -1,7 +1,5 @@
 """Folders of results: names, completeness, what is left after a failure."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """Pictures of a camera that moves: where places come to lie in the reference, and when there is another one."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Presses that no tool is seen to make, found by their dents; and what is no press."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2

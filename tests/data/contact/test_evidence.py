@@ -1,7 +1,5 @@
 """Contact by evidence, on drawn clips and real ones: tools that hold tissue, that pass over it, or stand still."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Which tissue the pixels around a contact show while it moves: cameras, ramps, and the renderer as their twins."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """ONNX depth networks through the preset path: sizes, preprocessing, every output kind, errors, parity with torch."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The one normalisation, the resize that never blends, and the scale that is frozen for a clip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Stored depth in every format, closed forms of each output kind, and what a clip freezes."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The automatic mode finds instruments by shape and abstains on tissue."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

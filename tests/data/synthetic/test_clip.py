@@ -1,7 +1,5 @@
 """Synthetic clips as files: layout, reading back, keeping, refusing; and as arrays: determinism."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

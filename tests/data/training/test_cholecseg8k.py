@@ -1,7 +1,5 @@
 """Clips, videos, splits, checks and the door."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which frames become samples, and what the simulation is compared with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Slabs beneath a surface, and depth-change sequences of their dents, for tests."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Direct fits recover what made the motion, and say how well they can know it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The residuals of a whole dent: what errors are expected, how they are weighed, and derivatives by all parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

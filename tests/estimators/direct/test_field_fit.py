@@ -1,7 +1,5 @@
 """Fits of whole dents recover what made them, and say how well they can know it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Presses of any shape: what their parameters mean, derivatives by them, and when they take the place of a step."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a fit says of a slab, of another damping, and of no slab."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """A slab beneath places of a surface: its motion, its derivatives, what modes and firm regions make of it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

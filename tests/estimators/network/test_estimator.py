@@ -1,7 +1,5 @@
 """The exported contact posterior on prepared clips: what every frame gets, and that streams and whole clips agree."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

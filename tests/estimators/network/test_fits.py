@@ -1,7 +1,5 @@
 """Material of the last training stages: contacts as arrays, the problem without noise, and the motion's slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Training the contact posterior: fits, drawn errors, and that the fine stage learns what a fit would say."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

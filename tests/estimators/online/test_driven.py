@@ -1,7 +1,5 @@
 """Tissue under an instrument: what is gripped, pinned and compared, what motion is taken from followed points."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import tracemalloc

@@ -1,7 +1,5 @@
 """`infer.py --estimator online` as a user runs it: fields of tissue that is pulled, and a sentence where none is."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

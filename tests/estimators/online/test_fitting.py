@@ -1,7 +1,5 @@
 """What one number each says of gripped tissue: found from motion that it made, and used from then on."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

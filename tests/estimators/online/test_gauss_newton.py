@@ -1,7 +1,5 @@
 """Recursive Gauss–Newton steps: what they rest on, and the field that they find, from wherever they begin."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

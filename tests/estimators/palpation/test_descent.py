@@ -1,7 +1,5 @@
 """The numeric descent, which arrives where Gauss–Newton does by many more solves where it arrives."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

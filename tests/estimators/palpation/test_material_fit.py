@@ -1,7 +1,5 @@
 """E and ν come back from a press whose truth is known, and the covariance says how well."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

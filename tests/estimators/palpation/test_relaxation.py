@@ -1,7 +1,5 @@
 """A ramp and hold against the closed form, and what a fit makes of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A scene's file: a surface or views of it, and what is wrong with it in a sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a term is worth: the ratio and its interval, the table, what is kept, and one real training."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One method on one pull: what is counted, and what is said of the paper's claims."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

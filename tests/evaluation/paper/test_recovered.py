@@ -1,7 +1,5 @@
 """Estimates compared with the truth of synthetic clips: factors, ranks, and what is said of files that are none."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`python -m evaluation.real` as a user runs it: what it writes, how it ends, and what it says."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable
 from pathlib import Path

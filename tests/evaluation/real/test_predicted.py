@@ -1,7 +1,5 @@
 """Drawn tissue predicted ahead: by what, from what, and how it is judged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Drawn tissue that a drawn tool pulls: what the session of users says of it, and what can't be said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Suites of grips: what is compared, the table, and one small clip from pictures to numbers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

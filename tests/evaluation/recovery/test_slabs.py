@@ -1,7 +1,5 @@
 """The suite of slabs: which clips it has, what is compared, and one press and one pull from pictures to numbers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

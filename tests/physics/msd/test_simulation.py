@@ -1,7 +1,5 @@
 """Forward simulation against closed forms, an adaptive integrator and conservation laws; compiled against plain."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import warnings

@@ -1,7 +1,5 @@
 """The torch reference: the stencil equals the edge list, and everything can be differentiated."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

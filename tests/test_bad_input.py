@@ -1,6 +1,5 @@
 """Bad input at infer.py's door: one sentence that names the file, no traceback, and the rest of the batch goes on."""
 
-import csv
 import dataclasses
 import os
 import shutil
@@ -29,6 +28,7 @@ from tests.inference_inputs import (
     write_model,
     write_video,
 )
+from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,8 +54,7 @@ def call(clips: Path, *options: str) -> int:
 
 
 def rows(clips: Path, name: str) -> list[dict[str, str]]:
-    with (clips.parent / "out" / name / "parameters.csv").open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return read_rows(clips.parent / "out" / name / "parameters.csv")
 
 
 def statuses(clips: Path, name: str) -> list[str]:

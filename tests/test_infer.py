@@ -1,6 +1,5 @@
 """The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
-import csv
 import dataclasses
 import json
 import shutil
@@ -19,6 +18,7 @@ from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
 from tests.data.clips import real_frames
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
+from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
@@ -51,8 +51,7 @@ def call(inputs: Path, output: Path, *options: str, clips: str = "clips") -> int
 
 
 def rows(folder: Path, table: str = "parameters.csv") -> list[dict[str, str]]:
-    with (folder / table).open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return read_rows(folder / table)
 
 
 def runs(folder: Path) -> list[dict[str, str]]:

@@ -79,7 +79,6 @@ def contact_of(
 
 def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
     """The same with another depth-change sequence [N, S, S] (or [N, P])."""
-    assert contact.sequence is not None
     change = np.asarray(change, np.float32).reshape(contact.sequence.change.shape)
     return dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
 
@@ -89,13 +88,11 @@ def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
 
 
 def noisy(contact: Interaction, errors: np.ndarray) -> Interaction:
-    assert contact.sequence is not None
     return with_change(contact, contact.sequence.change + errors)
 
 
 def shorter(contact: Interaction, frames: int = 5) -> Interaction:
     """Its depth-change sequence's first frames: all pixels' covariance is large."""
-    assert contact.sequence is not None
     return dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(frames)))
 
 

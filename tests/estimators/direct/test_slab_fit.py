@@ -126,7 +126,6 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
 @pytest.mark.slow
 def test_tissue_under_the_tip_does_not_count(recovered, monkeypatch) -> None:
     contact, found = recovered
-    assert contact.sequence is not None
     rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2
     near = np.hypot(rows, columns) < BLIND
     other = contact.sequence.change + np.where(near, np.float32(0.02), np.float32(0))

@@ -51,16 +51,7 @@ LIGHT_DOORS = {
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
-HEAVY = (
-    "torch",
-    "lightning",
-    "pytorch_lightning",
-    "kornia",
-    "mlflow",
-    "jsonargparse",
-    "torchmetrics",
-    "onnx",
-)
+HEAVY = ("torch", "lightning", "pytorch_lightning", "kornia", "mlflow", "jsonargparse", "torchmetrics", "onnx")
 """Libraries that are not installed, or too heavy, where only inference runs."""
 MOST_NAMES = 15
 """Names that a package's face exports, at most."""

@@ -52,11 +52,7 @@ EVENTS = 12
 """Of every sequence; more than half of them are runs."""
 ROW = "full-0"
 PLACES = {
-    "draw": (
-        "video01/notes.txt",
-        f"video01/{LIST}",
-        *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
-    ),
+    "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),

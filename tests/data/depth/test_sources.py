@@ -9,13 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.depth.sources import (
-    StoredDepth,
-    check_map,
-    from_inverse,
-    from_relative_inverse,
-    positive,
-)
+from palpate.data.depth.sources import StoredDepth, check_map, from_inverse, from_relative_inverse, positive
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 

@@ -1,8 +1,5 @@
 """The door from forces to constants."""
 
-from __future__ import annotations
-
-import csv
 import functools
 import json
 from pathlib import Path
@@ -24,13 +21,14 @@ from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
 from tests.evaluation.palpation.test_curves import write_hold, write_probes
+from tests.tables import read_rows
 
 
 @functools.cache
 def ball() -> tuple[dict[str, Any], str, str]:
     """The files of a pressed ball: scene, surface and points."""
-    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 5, law="corotational")
-    return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=600), 0.012, 5)
+    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 4, law="corotational")
+    return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=400), 0.012, 4)
 
 
 def write_scene(folder: Path, **changed: object) -> Path:
@@ -113,8 +111,7 @@ def test_curves_say_what_their_numbers_are(tmp_path):
     files = [str(tmp_path / "probes.csv"), str(tmp_path / "hold.csv")]
     for more, unit in (([], "N/mm"), (["--indenter", "sphere", "--size", "3"], "kPa")):
         assert calibrate.main(["curves", *files, *more, "--output", str(tmp_path / "out")]) == 0
-        with (tmp_path / "out" / "curves.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = read_rows(tmp_path / "out" / "curves.csv")
         probes = [row for row in rows if row["file"] == "probes.csv"]
         assert {row["unit"] for row in probes} == {unit}
         assert all(float(row["low"]) < float(row["value"]) < float(row["high"]) for row in probes)

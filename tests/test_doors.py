@@ -1,7 +1,5 @@
 """Every program of the project ends in the same way."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Whatever the order of runs, settings, interruptions and foreign files, of whichever doors: what is a user's stays."""
 
-from __future__ import annotations
-
 import functools
 import os
 import random
@@ -53,11 +51,7 @@ EVENTS = 12
 """Of every sequence; more than half of them are runs."""
 ROW = "full-0"
 PLACES = {
-    "draw": (
-        "video01/notes.txt",
-        f"video01/{LIST}",
-        *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
-    ),
+    "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
@@ -241,9 +235,7 @@ def interrupting(step: int | None) -> Iterator[None]:
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("door", PLACES)
-def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
-    door: str, seed: int, inputs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(door, seed, inputs, monkeypatch):
     """Of one door mostly, in a folder that others use as well."""
     chance, out, doors = random.Random(f"{door} {seed}"), inputs / "out", runs_of(inputs)
     theirs: dict[Path, bytes] = {}

@@ -1,7 +1,5 @@
 """The rollout's benchmark refuses to time what computes something else, and shows what it measured."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Values from files are what their field's annotation says."""
 
-from __future__ import annotations
-
 import math
 import re
 from types import SimpleNamespace
@@ -60,11 +58,7 @@ def test_an_annotation_in_words(kind: object, words: str):
             {"displacement": "guessed"},
             "geometry.displacement is 'guessed'; give one of tracked, redetected.",
         ),
-        (
-            SampleSettings,
-            {"observation": "all"},
-            "samples.observation is 'all'; give one of final, trajectory.",
-        ),
+        (SampleSettings, {"observation": "all"}, "samples.observation is 'all'; give one of final, trajectory."),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
         (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
     ],

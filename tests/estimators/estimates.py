@@ -1,7 +1,5 @@
 """A contact, and estimates of it, for what tells, draws and stores them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sessions of estimators over prepared clips."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence

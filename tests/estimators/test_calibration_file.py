@@ -1,7 +1,5 @@
 """Files of what is known in newtons: what they tell, and what is wrong with them in one sentence."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -46,7 +44,6 @@ def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> 
     scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
     assert (scale.homogeneous, scale.source) == (STIFFNESS, "forces measured at frame 10")
     assert math.exp(scale.log) == pytest.approx(3.0 * 0.5 / 0.2)
-    assert calibration.known is not None
     assert calibration.known.times.max() == pytest.approx(1.2)
     assert calibration.files == (tmp_path / "known.yaml", tmp_path / "forces.csv")
     with pytest.raises(NoEstimate, match="3 or more forces are known"):

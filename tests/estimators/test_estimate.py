@@ -1,7 +1,5 @@
 """What an estimate says: values, intervals and verdict of parameters and ratios, and the record of a frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -98,9 +96,7 @@ def test_what_an_estimator_does_not_give_is_missing() -> None:
         (np.diag([0.01, 4.0, 0.01]), "undetermined", ("stiffness", "force", "force_over_stiffness")),
     ],
 )
-def test_what_is_determined_goes_by_standard_deviations(
-    covariance: np.ndarray, verdict: str, determined: tuple[str, ...]
-) -> None:
+def test_what_is_determined_goes_by_standard_deviations(covariance, verdict, determined) -> None:
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(3), covariance, 20_000)
     sampled = {name for name, row in COMBINATIONS.items() if (drawn @ row).std() < LIMIT}
     assert sampled == set(determined)

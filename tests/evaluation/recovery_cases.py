@@ -1,7 +1,5 @@
 """Results of the benchmark whose scores are known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.data.synthetic.truth import REGIMES

@@ -1,7 +1,5 @@
 """Ringing measured, a standard linear solid found again, and another mass predicted."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import asdict
 from pathlib import Path

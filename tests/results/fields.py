@@ -1,7 +1,5 @@
 """Fields of stiffness, and what is found of one over a run of contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField

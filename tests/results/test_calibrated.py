@@ -1,7 +1,5 @@
 """Newtons of a clip: rows by known forces, curves beside measured ones, and their agreement."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

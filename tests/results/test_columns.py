@@ -1,7 +1,5 @@
 """The tables' columns, and their cells."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

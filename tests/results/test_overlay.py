@@ -1,7 +1,5 @@
 """What is drawn on a frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How pictures tell verdicts and numbers."""
 
-from __future__ import annotations
-
 import pytest
 
 from palpate.estimators.records import FrameEstimate

@@ -3,8 +3,6 @@
 The streamed side goes through `estimators.runs`, the stored one through `data.training.samples`, as users' do.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run of contact from pictures: what a pull tells, what a tool that only passes does not, and what is kept."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

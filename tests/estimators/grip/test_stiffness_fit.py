@@ -1,7 +1,5 @@
 """A sheet that is stiffer on one side of a line: where, is found again, and intervals say how well."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """E and ν come back from a press whose truth is known, and the covariance says how well."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -36,9 +34,7 @@ def test_starts_far_off_arrive(slab: tuple[Skin, np.ndarray, Palpation], start: 
     assert found.solves < 25
 
 
-def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulations(
-    slab: tuple[Skin, np.ndarray, Palpation],
-) -> None:
+def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulations(slab) -> None:
     skin, held, seen = slab
     one, two = (fit_material(skin, held, [seen], FitSettings(young=young)) for young in (1.0, 1e9))
     assert one.young == pytest.approx(two.young, rel=1e-6)
@@ -73,9 +69,7 @@ def test_the_path_begins_at_the_linear_law_and_ends_at_the_answer(slab: tuple[Sk
     assert (found.path[-1].young, found.path[-1].poisson) == (found.young, found.poisson)
 
 
-def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
-    slab: tuple[Skin, np.ndarray, Palpation],
-) -> None:
+def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(slab) -> None:
     """In the body's own frame, whose origin sees the surface from behind."""
     skin, held, seen = slab
     moved = dataclasses.replace(seen, points=placed(seen.pose, seen.points), pose=np.eye(4))

@@ -1,7 +1,5 @@
 """A trained generator on a clip: its θ is its head's, its picture its decoder's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

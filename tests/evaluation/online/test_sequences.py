@@ -1,7 +1,5 @@
 """Simulated pulls: who moves as the gripper does, who not at all, and where a stiff part shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import spearmanr

@@ -1,7 +1,5 @@
 """One clip against its truth: the same clip as the generator's, and every failure told."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 
@@ -197,7 +195,7 @@ class Telling:
     def __init__(self, *said: InteractionEstimate) -> None:
         self.said = said
 
-    def start(self, clip: object) -> Telling:
+    def start(self, clip: object) -> "Telling":
         return self
 
     def finish(self) -> tuple[InteractionEstimate, ...]:

@@ -1,7 +1,5 @@
 """Motion: energy balance, frequency, order, and a standard linear solid's closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

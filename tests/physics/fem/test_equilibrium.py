@@ -1,7 +1,5 @@
 """Rest under loads against closed forms, and all derivatives against finite differences."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

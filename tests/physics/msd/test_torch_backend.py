@@ -1,7 +1,5 @@
 """The torch reference: everything can be differentiated."""
 
-from __future__ import annotations
-
 import torch
 
 from palpate.physics.mechanics import Mechanics

@@ -3,6 +3,5 @@
 rollout        the differentiable rollout against plain torch
 inference      where the time of inference goes: encoder and head alone, and every stage of infer.py
 training_step  where the time of a training step goes
-newtons        forces of synthetic clips in newtons, of which the force of one is known
 shared         what all of them need: command line, timing, a table, the machine
 """

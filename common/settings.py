@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 import reprlib
 import types
+from collections.abc import Collection
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 WORDS: dict[Any, str] = {
@@ -97,3 +99,19 @@ def require_choices(settings: Any, group: str = "") -> None:
     for name, kind in get_type_hints(type(settings)).items():
         if get_origin(kind) is Literal and not fits(getattr(settings, name), kind):
             raise ValueError(f"{group}{name} is {getattr(settings, name)!r}; give {described(kind)}.")
+
+
+def require_numbers(
+    settings: Any, *, positive: Collection[str] = (), not_negative: Collection[str] = (), group: str = ""
+) -> None:
+    """Raise a ValueError where a field, by its name, is not finite or too small; None is no number, and passes.
+
+    Args:
+        positive: fields that are above 0.
+        not_negative: fields that are 0 or more.
+        group: of the settings, for the sentence.
+    """
+    for name in (*positive, *not_negative):
+        value, least = getattr(settings, name), "0 or more" if name in not_negative else "a positive number"
+        if value is not None and not (math.isfinite(value) and (value > 0 or (value == 0 and name in not_negative))):
+            raise ValueError(f"{group}{name} is {value}; give {least}.")

@@ -15,13 +15,7 @@ from palpate.common.doors import interruptible
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-LIMITS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-)
+LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """Variables that say how many native threads libraries use, which read them when they are loaded."""
 
 

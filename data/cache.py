@@ -42,6 +42,10 @@ MARKER = ".unfinished-clip"
 """File that distinguishes an unfinished folder of this module from a user's hidden folder."""
 ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
+AS_PREPARED = (
+    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position",
+)  # fmt: skip
+"""Values of a frame that are stored by their own names."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
 """Settings on which a prepared clip does not depend: where a model runs, and the force's direction of samples."""
 
@@ -254,21 +258,13 @@ def _frame_file(folder: Path, index: int) -> Path:
 def _row(prepared: PreparedFrame) -> dict[str, Any]:
     """Values of a frame other than depth, labels and mesh, by the names of PreparedClip's arrays."""
     geometry = prepared.geometry
-    return {
-        "status": prepared.status,
+    return {name: getattr(prepared, name) for name in AS_PREPARED} | {
         "contact": prepared.in_contact,
-        "out_of_contact": prepared.out_of_contact,
         "times": prepared.frame.time_s,
         "usable": prepared.has_depth,
-        "consecutive": prepared.consecutive,
         "vertex": -1 if geometry is None else geometry.vertex,
         "normal": np.full(3, np.nan) if geometry is None else geometry.normal,
         "noise": math.nan if geometry is None else geometry.noise,
-        "displacement": prepared.displacement,
-        "backward": prepared.backward,
-        "rigid": prepared.rigid,
-        "track_start": prepared.track_start,
-        "track_position": prepared.track_position,
     }
 
 

@@ -129,45 +129,25 @@ class ClipStream:
 
     def _judged(self) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry = self.settings.geometry
+        geometry, frames = self.settings.geometry, self._prepared()
         if geometry.contact == "motion":
-            yield from self._by_dents(DentContacts(self.camera, geometry))
-            return
-        if geometry.contact != "touching":
-            yield from self._prepared()
-            return
-        if self.guesses_depth:
-            yield from self._by_light(LightContacts(self.camera, geometry))
-            return
-        yield from self._by_evidence()
+            frames = self._decided(frames, DentContacts(self.camera, geometry))
+        elif geometry.contact == "touching":
+            near = geometry.contact_distance or math.inf
+            frames = self._decided(frames, ContactEvidence(near, measured=not self.guesses_depth))
+            if self.guesses_depth:
+                frames = self._decided(frames, LightContacts(self.camera, geometry))
+        return frames
 
-    def _by_light(self, contacts: LightContacts) -> Iterator[PreparedFrame]:
-        for prepared in self._by_evidence():
+    def _decided(
+        self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | DentContacts | LightContacts
+    ) -> Iterator[PreparedFrame]:
+        """Frames once it is decided whether they are in contact, which may be known some frames later."""
+        for prepared in frames:
             with self._timed("contact"):
                 decided = contacts.push(prepared)
             yield from decided
         yield from contacts.finish()
-
-    def _by_evidence(self) -> Iterator[PreparedFrame]:
-        geometry = self.settings.geometry
-        near = geometry.contact_distance or math.inf
-        evidence, before = ContactEvidence(near, measured=not self.guesses_depth), None
-        for prepared in self._prepared():
-            with self._timed("contact"):
-                evidence.judge(prepared)
-            # A frame may be decided anew by the one after it.
-            if before is not None:
-                yield before
-            before = prepared
-        if before is not None:
-            yield before
-
-    def _by_dents(self, dents: DentContacts) -> Iterator[PreparedFrame]:
-        for prepared in self._prepared():
-            with self._timed("contact"):
-                decided = dents.push(prepared)
-            yield from decided
-        yield from dents.finish()
 
     def _prepared(self) -> Iterator[PreparedFrame]:
         """Every frame by itself, in order."""

@@ -1,7 +1,7 @@
 """From prepared frames to estimates of θ, or of a field of stiffness: four estimators behind one contract.
 
 contract        Estimator and Session: opened once, a session a clip; open: an estimator by its name
-estimate        what is said of a frame, of a run of contact, and of θ
+estimate        what is said of θ; records: of a frame and of a run of contact
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
 grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palpate.common.files import read_file
-from palpate.common.settings import fits
+from palpate.common.settings import fits, require_numbers
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
@@ -72,7 +72,7 @@ class CalibrationFile:
     """Of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: float = 0.0
     """Its standard deviation [m]."""
-    alike: Literal["mass", "stiffness"] = MASS
+    homogeneous: Literal["mass", "stiffness"] = MASS
     """What contacts have in common where a force is known: the mass of a vertex, as the simulator has it, or the
     tissue's stiffness."""
     clip: str | None = None
@@ -96,16 +96,15 @@ class CalibrationFile:
             raise ValueError("rest_s needs known_s, whose dents tell the scale.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        if self.alike == STIFFNESS and given and given[0] not in ("force_N", "known_s"):
-            raise ValueError(f"alike is for a known force; leave it out beside {given[0]}.")
+        if self.homogeneous == STIFFNESS and given and given[0] not in ("force_N", "known_s"):
+            raise ValueError(f"homogeneous is for a known force; leave it out next to {given[0]}.")
         if self.clip is not None and given and given[0] not in ("force_N", "known_s"):
-            raise ValueError(f"clip names that of a known force; leave it out beside {given[0]}.")
-        for name in ("force_N", "stiffness", "thickness_m", "metres_per_depth"):
-            if getattr(self, name) is not None and not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; give a positive number.")
-        for name in ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; give 0 or more.")
+            raise ValueError(f"clip names that of a known force; leave it out next to {given[0]}.")
+        require_numbers(
+            self,
+            positive=("force_N", "stiffness", "thickness_m", "metres_per_depth"),
+            not_negative=("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"),
+        )
         for name in ("known_s", "rest_s"):
             part = getattr(self, name)
             if part is not None and not part[0] < part[1]:
@@ -178,7 +177,7 @@ class Calibration:
                 )
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
-            return scale_by_force(runs, [(frame, given.force_N, log_sd)], given.alike, source)
+            return scale_by_force(runs, [(frame, given.force_N, log_sd)], given.homogeneous, source)
         if given.known_s is not None and self.measured is not None:
             forces = measured_presses(runs, self.measured, given.known_s)
             if not forces:
@@ -187,7 +186,7 @@ class Calibration:
                     "are known."
                 )
             frames = ", ".join(str(frame) for frame, *_ in forces)
-            return scale_by_force(runs, forces, given.alike, f"forces measured at frame {frames}")
+            return scale_by_force(runs, forces, given.homogeneous, f"forces measured at frame {frames}")
         if given.stiffness is not None:
             source = f"known stiffness of {given.stiffness:g} {given.stiffness_unit}"
             log_sd, metric = given.stiffness_sd / given.stiffness, given.stiffness_unit == "N/m"

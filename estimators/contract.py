@@ -13,7 +13,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.layout import ClipLayout
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 SMOOTHING = 4.0
 """Default width over which the resting shape is smoothed, where no model tells [grid px]."""

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.estimators.estimate import InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import LIMIT, covariance
 from palpate.physics.mechanics import PARAMETERS
 
@@ -97,7 +98,7 @@ class ForceScale:
     """g: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
     variance: float
     """Variance of g."""
-    alike: str
+    homogeneous: str
     """The property that contacts share, MASS or STIFFNESS."""
     source: str
     """Where the scale comes from, in words."""
@@ -124,7 +125,7 @@ class ForceScale:
 
     def of(self, run: PressedRun, length: ClipLength) -> Physical:
         """A run in physical units."""
-        to_physical = np.eye(3) + EXPONENTS[self.alike]
+        to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
         metric = length.metres is not None
         mean = to_physical @ run.logs + self.log
         if length.metres is not None:
@@ -136,7 +137,7 @@ class ForceScale:
             if own is None:
                 return None
             # Where this run determined g, g = … - weight·(F's row)·φ.
-            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.alike])
+            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.homogeneous])
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
             return found + np.outer(length_error, length_error)
 
@@ -171,20 +172,20 @@ class Physical:
 
 
 def scale_by_force(
-    runs: Sequence[PressedRun], forces: Sequence[tuple[int, float, float]], alike: str, source: str
+    runs: Sequence[PressedRun], forces: Sequence[tuple[int, float, float]], homogeneous: str, source: str
 ) -> ForceScale:
     """Scale from forces that are known in some runs.
 
     Args:
         runs: the runs of a clip.
         forces: first frame of a run, its force [N] and the standard deviation of the force's logarithm.
-        alike: the property that contacts share, MASS or STIFFNESS.
+        homogeneous: the property that contacts share, MASS or STIFFNESS.
         source: where the forces come from, in words.
 
     Raises:
         NoEstimate: the estimated force of none of these runs is determined.
     """
-    by_frame, row = {run.onset_frame: run for run in runs}, FORCE_ROW + EXPONENTS[alike]
+    by_frame, row = {run.onset_frame: run for run in runs}, FORCE_ROW + EXPONENTS[homogeneous]
     found: dict[int, tuple[float, float]] = {}
     why = "no press was estimated in the run of contact whose force is known"
     for frame, force, log_sd in forces:
@@ -195,7 +196,7 @@ def scale_by_force(
             why = f"the model does not explain the motion of the run at frame {frame}, whose force is known"
             continue
         if run.expected is not None and not row @ run.expected @ row < LIMIT**2:
-            name = "force" if alike == MASS else "force over stiffness"
+            name = "force" if homogeneous == MASS else "force over stiffness"
             why = f"the estimated {name} of the run at frame {frame}, whose force is known, is not determined"
             continue
         own = 0.0 if run.covariance is None else float(row @ run.covariance @ row)
@@ -207,7 +208,7 @@ def scale_by_force(
     weights = {frame: value / total for frame, value in precise.items()}
     log = sum(weights[frame] * value for frame, (value, _) in found.items())
     variance = sum(weights[frame] ** 2 * spread for frame, (_, spread) in found.items())
-    return ForceScale(log, variance, alike, source, weights)
+    return ForceScale(log, variance, homogeneous, source, weights)
 
 
 def measured_presses(

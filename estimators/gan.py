@@ -18,8 +18,9 @@ from palpate.data.contact.geometry import force_direction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
@@ -110,7 +111,7 @@ class GanSession(RunSession):
             yield frame_estimate(
                 current,
                 self.clip,
-                Estimate(theta, told_verdict=_verdict(self._contacts)),
+                Estimate(theta, given_verdict=_verdict(self._contacts)),
                 lengths=lengths,
                 arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
             )
@@ -129,7 +130,7 @@ class GanSession(RunSession):
             return
         theta = np.exp(self._log_sum / self._count) * SIGNS
         self._log_sum, self._count = np.zeros(3), 0
-        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, told_verdict="undetermined")
+        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, given_verdict="undetermined")
         yield run.estimate(interaction=interaction, estimate=estimate, detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:

@@ -58,6 +58,21 @@ class ModelErrors:
     """Of its F/k_s."""
     brightness_scale: float
     """Of k_s, k_d and F by it, all alike, over the square of the damping ratio."""
+    hidden_force: float
+    """Of the force on the foundation of tissue that isn't visible, where the grip's motion is taken as it was seen; a
+    share of it."""
+    strained_motion: float
+    """Of followed points' motion, where stiffness is looked for place by place, as a share of it: windows are strained
+    with the tissue."""
+    patch_aside: float
+    """By how much what pixels of a dent show lies aside, by axis, where a pixel is the mean of several [grid px]."""
+    patch_depth: float
+    """Of the depth of a dent, there, as a share of it."""
+    dent_wall: float
+    """Of a pixel at a dent's wall, as a share of how much its neighbours differ from it: so much of a grid pixel may
+    show another patch than it seems."""
+    palpated_motion: float
+    """Of a palpated body's simulated displacement, as a share of it: mesh and law are not the body's."""
 
 
 def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:

@@ -18,8 +18,10 @@ from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.direct.brightness_fit import fit_brightness
-from palpate.estimators.estimate import LARGEST_SLAB_ERROR, Estimate, FrameEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.grip.grip_estimate import LARGEST_SLAB_ERROR
 from palpate.estimators.grip.recorder import GripRecorder
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."

@@ -130,7 +130,7 @@ class Benchmark(Experiment):
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         if self.direct_model == FEM and (kinds != {"slab"} or DIRECT not in self.estimator):
             raise ValueError(
-                "--direct-model fem is for --suite fem --estimator direct, whose clips tell the thickness; leave other "
+                "--direct-model fem is for --suite fem --estimator direct, whose clips give the thickness; leave other "
                 "suites out."
             )
         if self.direct_model == FEM and self.observation == CONTACT:

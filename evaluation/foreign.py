@@ -17,20 +17,20 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import functools
 import io
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
-from palpate.common.files import all_below, read_file
+from palpate.common.files import read_file
 from palpate.common.settings import LARGEST
 from palpate.data.source.layout import InputError
 from palpate.data.source.table import MOST_BYTES, reason
@@ -69,10 +69,10 @@ class Ringing:
 
 
 def tip_mass(path: Path) -> float:
-    """Mass that a run's file name tells [kg]; raises InputError where it tells none."""
+    """Mass that a run's file name gives [kg]; raises InputError where it gives none."""
     found = re.search(r"beam_(?:.*_)?(?:(gravity)|load[_-]?(\d+(?:\.\d+)?))", path.name, re.IGNORECASE)
     if found is None:
-        raise InputError(f"{path.name}: the name tells no load; call it beam_gravity… or beam_load52… with its grams.")
+        raise InputError(f"{path.name}: the name gives no load; call it beam_gravity… or beam_load52… with its grams.")
     return 0.0 if found[1] else float(found[2]) / 1000
 
 
@@ -243,17 +243,11 @@ def judge_beams(runs: Mapping[str, Ringing]) -> dict[str, dict[str, object]]:
 class Foreign(FileMeasurements):
     """Other people's data."""
 
-    def __post_init__(self) -> None:
-        """Raise a ValueError where there is nothing to judge."""
-        if not self.wanted:
-            raise ValueError(f"{self.data} holds no beam_*.csv; give --data that does.")
+    named: ClassVar = "beam_*.csv"
 
-    @functools.cached_property
-    def wanted(self) -> Mapping[str, Callable[[], Row]]:
-        """The runs of beams."""
-        found = all_below(self.data) if self.data.is_dir() else []
-        beams = [path for path in found if path.name.startswith("beam_") and path.suffix == ".csv"]
-        return {path.relative_to(self.data).as_posix(): functools.partial(measure_ringing, path) for path in beams}
+    def measure(self, path: Path) -> Callable[[Path], Row] | None:
+        """The ringing of runs of beams."""
+        return measure_ringing if path.name.startswith("beam_") and path.suffix == ".csv" else None
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
         """In place of beams as they were measured, what their runs say together."""

@@ -7,6 +7,7 @@ continues an interrupted run, and writes what the experiment makes of all rows: 
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
@@ -24,7 +25,7 @@ from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
-from palpate.common.files import as_json, read_file, replacing
+from palpate.common.files import all_below, as_json, read_file, replacing
 from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
@@ -33,7 +34,7 @@ from palpate.data.source.layout import InputError
 from palpate.evaluation.options import options
 from palpate.evaluation.page import render_page
 from palpate.models.onnx_session import ModelFileError
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 FORMAT_VERSION = 5
@@ -92,8 +93,8 @@ class Experiment:
         raise NotImplementedError
 
     def case(self, key: Any) -> Any:
-        """The case of a key, as `work` takes it."""
-        raise NotImplementedError
+        """The case of a key, as `work` takes it: what is asked for, and of it this."""
+        return self, key
 
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
@@ -196,10 +197,7 @@ class Store:
 
     def __init__(self, output: Path, wanted: Mapping[str, Any], keys: tuple[str, ...]) -> None:
         self.output, self._keys, self._results = output, keys, output / RESULTS
-        with writing(output):
-            if output.exists() and not output.is_dir():
-                raise OutputError(f"{output}: is a file; give a folder as --output.")
-            output.mkdir(parents=True, exist_ok=True)
+        make_output(output)
         code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
         recorded = self._recorded()
         for name, value in wanted.items():
@@ -378,6 +376,29 @@ class FileMeasurements(Measurements):
 
     data: Path
     """folder of the data"""
+
+    named: ClassVar[str]
+    """What such files are, for the sentence that there are none."""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where there is nothing to judge."""
+        if not self.wanted:
+            raise ValueError(f"{self.data} holds no {self.named}; give --data that does.")
+
+    def measure(self, path: Path) -> Callable[[Path], Row] | None:
+        """What measures a file; None for those that are left out."""
+        raise NotImplementedError
+
+    @functools.cached_property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Files that can be measured."""
+        below = all_below(self.data) if self.data.is_dir() else []
+        found = {path: self.measure(path) for path in below}
+        return {
+            path.relative_to(self.data).as_posix(): functools.partial(work, path)
+            for path, work in found.items()
+            if work is not None
+        }
 
     def record(self) -> Mapping[str, Any]:
         """When every file was changed last."""

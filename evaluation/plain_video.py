@@ -36,7 +36,8 @@ from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
 from palpate.evaluation.options import require_within

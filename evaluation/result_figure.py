@@ -31,7 +31,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import SYMBOLS, FrameEstimate
+from palpate.estimators.estimate import SYMBOLS
+from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.overlay import draw_overlay

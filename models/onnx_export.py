@@ -103,11 +103,7 @@ class _Posterior(nn.Module):
         return mean, factor @ factor.transpose(1, 2), bound @ bound.transpose(1, 2)
 
 
-def export(
-    network: Generator | ContactPosterior,
-    output: Path,
-    metadata: dict[str, Any],
-) -> float:
+def export(network: Generator | ContactPosterior, output: Path, metadata: dict[str, Any]) -> float:
     """Write encoder and parameter head, or a contact posterior, with a dynamic batch, and compare the file with torch.
 
     Args:

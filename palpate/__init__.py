@@ -20,7 +20,7 @@ from pathlib import Path
 
 _CHECKOUT = Path(__file__).resolve().parents[1]
 if (_CHECKOUT / "pyproject.toml").is_file():
-    # In a checkout the rooms lie beside this folder. The links in it are for type checkers, which don't run this.
+    # In a checkout the rooms lie next to this folder. The links in it are for type checkers, which don't run this.
     __path__.insert(0, str(_CHECKOUT))
 
 from palpate.common.lazy import exported  # noqa: E402  found by what stands above
@@ -30,7 +30,8 @@ __getattr__ = exported(
     {
         "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
         "palpate.data.contact.interaction": ("Interaction",),
-        "palpate.estimators.estimate": ("Estimate", "InteractionEstimate"),
+        "palpate.estimators.estimate": ("Estimate",),
+        "palpate.estimators.records": ("InteractionEstimate",),
         "palpate.physics.mechanics": ("Mechanics",),
         "palpate.physics.msd.rollouts": ("rollout",),
         "palpate.physics.msd.simulation": ("simulate",),

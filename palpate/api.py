@@ -8,12 +8,12 @@ from typing import Any
 from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
 from palpate.estimators.contract import ClipInfo, Estimator
-from palpate.estimators.estimate import InteractionEstimate
 from palpate.estimators.open import EstimatorOptions, preparation
 from palpate.estimators.open import open_estimator as open_by_options
 from palpate.estimators.palpation.descent import OPTIMIZERS
 from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.palpation.scene import read_scene
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.planning.cost_table import open_tables
 from palpate.planning.roadmap import EdgeCosts, Plan, find_plan

@@ -23,7 +23,7 @@ NOTHING = 1e-9
 Verdict = Literal["determined", "ratios", "undetermined"]
 
 
-def log_jacobian(jacobian: np.ndarray, theta: np.ndarray) -> np.ndarray:
+def log_jacobian(jacobian: np.ndarray, theta: ArrayLike) -> np.ndarray:
     """∂Φ/∂φ from ∂Φ/∂θ: φ = (log k_s, log k_d, log |F|) makes every column θ times as large, F's with its sign.
 
     Args:

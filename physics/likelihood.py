@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.identifiability import fisher_information
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.mesh import Mesh
-from palpate.physics.msd.simulation import is_chaotic, simulate_sensitivities
+from palpate.physics.msd.simulation import simulate_tangent
 from palpate.physics.observation import Observation
 
 
@@ -108,12 +108,7 @@ class Likelihood:
         return self.residual(logs) * self.noise + self.observed
 
     def _linearise(self, logs: np.ndarray) -> Linearised:
-        theta = self.theta(logs)
-        path, slopes = simulate_sensitivities(
-            theta, self.mesh, self.load, self.mechanics, watch=self.observation.vertices, dtype=self.dtype
-        )
-        slopes = log_jacobian(slopes.astype(np.float64), theta)
-        if is_chaotic(path, slopes):
-            slopes = np.zeros_like(slopes)
+        what = self.theta(logs), self.mesh, self.load, self.mechanics
+        path, slopes = simulate_tangent(*what, watch=self.observation.vertices, dtype=self.dtype)
         simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))
         return Linearised((simulated - self.observed) / self.noise, slopes / self.noise[:, None])

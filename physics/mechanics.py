@@ -14,6 +14,8 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import eigsh
 
+from palpate.common.settings import require_numbers
+
 PARAMETERS = ("stiffness", "damping", "force")
 """Order of θ = [k_s, k_d, F] everywhere."""
 SIGNS = (1.0, 1.0, -1.0)
@@ -54,10 +56,7 @@ class Mechanics:
     """Relative error of the contact's trajectory that compiled rollouts may trade for speed; 0 computes it exactly."""
 
     def __post_init__(self) -> None:
-        for name in ("mass", "time_step"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"mechanics.{name} is {value}; give a positive number.")
+        require_numbers(self, positive=("mass", "time_step"), group="mechanics.")
         if self.time_step > 1:
             raise ValueError(f"mechanics.time_step is {self.time_step:g}; give seconds, at most 1.")
         if not 1 <= self.steps <= MOST_STEPS:

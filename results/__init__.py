@@ -2,7 +2,7 @@
 
 run       a batch of clips: finding them, going on after a failure, the closing table
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
-columns   the columns of parameters.csv and interactions.csv, and their rows
+columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--calibration), and compared with measured forces
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is

@@ -12,40 +12,13 @@ import numpy as np
 from palpate.data.prepared import PreparedFrame
 from palpate.estimators.calibration_file import Calibration
 from palpate.estimators.dent import DentRecorder
-from palpate.estimators.estimate import NINETY, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
-CALIBRATED: dict[str, str] = {
-    "onset_frame": "number of the run's first frame in contact",
-    "onset_time_s": "s",
-    **{
-        column: text
-        for name, symbol in zip(PARAMETERS, ("k_s", "k_d", "|F|"), strict=True)
-        for column, text in (
-            (name, f"{symbol} in {name}_unit"),
-            (f"{name}_sd", f"standard deviation of {symbol}; empty: the estimator gives none"),
-            (f"{name}_low", f"lower end of the 90 % interval of {symbol}"),
-            (f"{name}_high", f"upper end of the 90 % interval of {symbol}"),
-            (f"{name}_unit", "unit, and what it was calibrated by"),
-        )
-    },
-    "determined": "which of them are determined, joined by ;",
-    "detail": "why there are no numbers",
-}
-"""Columns of `calibrated.csv`, in order; written with --calibration."""
-COMPARED: dict[str, str] = {
-    "onset_frame": "number of the first frame of the run, or of the press that no tool shows",
-    "time_s": "s",
-    "measured_N": "measured force",
-    "estimated": "estimated force, in estimated_unit",
-    "estimated_low": "lower end of its 90 % interval; empty: not known",
-    "estimated_high": "upper end of its 90 % interval",
-    "estimated_unit": "N, or scene units where nothing tells newtons",
-    "known": "1 where the measured force gave the scale, and nothing is to be learnt from the comparison",
-}
-"""Columns of `compared.csv`, in order; written where forces were measured."""
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
 NEWTONS, NORMALISED = "N", "scene units"
 LEAST_COMPARED = 3
@@ -117,7 +90,7 @@ class ClipCalibration:
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
-        found = run.told
+        found = run.main_estimate
         if self.known is not None and isinstance(found, GripEstimate) and "relative_force" in found.determined:
             self._grips.append((run.onset_frame, run.onset_time_s + found.times, found.force, found.force_sd))
 
@@ -194,7 +167,7 @@ class ClipCalibration:
         """What run.json keeps: where newtons come from, and how well estimates agree with what was measured."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None and self.length is not None:
-            kept = {name: getattr(self.scale, name) for name in ("variance", "alike", "source", "metric")}
+            kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source", "metric")}
             found["scale"] = {"log_newtons": self.scale.log, **kept}
             found["length"] = vars(self.length).copy()
         if self.reason:
@@ -210,7 +183,7 @@ def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
     if "scale" not in kept:
         return str(kept.get("reason", ""))
     scale = kept["scale"]
-    carried = scale["log_newtons"], scale["variance"], scale["alike"], scale["source"]
+    carried = scale["log_newtons"], scale["variance"], scale["homogeneous"], scale["source"]
     return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**kept["length"])
 
 

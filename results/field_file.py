@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.estimators.estimate import ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 
 
 class FieldFile:

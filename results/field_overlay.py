@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TOOL
-from palpate.estimators.estimate import ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 
 OPACITY = 0.55
 RANGE = 4.0
@@ -38,34 +38,44 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
         if not known.any():
             continue
         faces = field.faces[known[field.faces].all(axis=1)]
-        colored = painted(picture, share * places, faces, values, float(np.median(values[known])))
-        if labels is not None:
-            size = picture.shape[1], picture.shape[0]
-            tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-            colored[tool] = picture[tool]
-        picture[:] = colored
+        paint(picture, share * places, faces, values / float(np.median(values[known])), labels)
     margin = max(6, round(0.02 * width))
     rows, columns = slice(margin, margin + inset.shape[0]), slice(width - margin - inset.shape[1], width - margin)
     canvas[rows, columns] = inset
     cv2.rectangle(canvas, (columns.start, rows.start), (columns.stop, rows.stop), (203, 213, 225), 1)
 
 
-def painted(
-    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, middle: float, largest: float = RANGE
+def paint(
+    canvas: np.ndarray,
+    places: np.ndarray,
+    faces: np.ndarray,
+    values: np.ndarray,
+    labels: np.ndarray | None,
+    largest: float = RANGE,
 ) -> np.ndarray:
-    """A copy of the canvas with coloured triangles.
+    """Paint triangles on an RGB canvas in place, but for what an instrument hides.
 
     Args:
         canvas: uint8, shape [H, W, 3].
         places, faces: corners [N, 2] [px] and their triangles [F, 3].
-        values, middle: of the corners [N], and what is neither red nor blue.
-        largest: colours end at so many times the middle one.
+        values: of the corners [N]; 1 is neither red nor blue.
+        labels: label map of any resolution; None = nothing is hidden.
+        largest: colours end at so large a value.
+
+    Returns:
+        Where there is neither a triangle nor an instrument, bool [H, W].
     """
-    logs = np.log(values[faces].mean(axis=1) / middle) / np.log(largest)
-    found = canvas.copy()
-    for corners, color in zip(places[faces], colors(logs), strict=True):
-        cv2.fillConvexPoly(found, np.round(corners).astype(np.int32), color.tolist())
-    return cv2.addWeighted(found, OPACITY, canvas, 1 - OPACITY, 0)
+    found, covered = canvas.copy(), np.zeros(canvas.shape[:2], np.uint8)
+    logs = np.log(values[faces].mean(axis=1)) / np.log(largest)
+    for corners, color in zip(np.round(places[faces]).astype(np.int32), colors(logs), strict=True):
+        cv2.fillConvexPoly(found, corners, color.tolist())
+        cv2.fillConvexPoly(covered, corners, 1)
+    shown = np.ones_like(covered)
+    if labels is not None:
+        shown = cv2.resize((labels != TOOL).astype(np.uint8), covered.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    mixed = cv2.addWeighted(found, OPACITY, canvas, 1 - OPACITY, 0)
+    canvas[(covered & shown) > 0] = mixed[(covered & shown) > 0]
+    return shown > covered
 
 
 def colors(logs: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.estimate import FrameEstimate, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.stiffness_overlay import StiffnessMap
@@ -135,14 +136,14 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None:
-        notes.append(_told_of_field(estimate.field))
+        notes.append(_described_field(estimate.field))
     if estimate.estimate is None:
         return notes
     unsure = estimate.verdict != "determined" and "stiffness_low" in estimate.values
     return [*notes, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
 
 
-def _told_of_field(field: ParticleField) -> str:
+def _described_field(field: ParticleField) -> str:
     if math.isnan(field.skill):
         return "No tissue has moved so far: its stiffness isn't known."
     left = f"leaves {1 - field.skill:.0%} of the motion so far"

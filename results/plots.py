@@ -15,16 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import (
-    LEAST_SKILL,
-    NINETY,
-    FieldEstimate,
-    FrameEstimate,
-    GripEstimate,
-    InteractionEstimate,
-)
+from palpate.estimators.estimate import LEAST_SKILL, NINETY
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.known_force import KnownForce
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.calibrated import Curve
 from palpate.results.columns import UNITS
 from palpate.results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
@@ -69,7 +65,7 @@ def draw_summary(
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
-    Below them is what grips tell: how the force at each changed, and where the tissue is stiffer; and fields of
+    Below them is what is known of grips: how the force at each changed, and where the tissue is stiffer; and fields of
     stiffness over time and on the picture.
 
     Args:
@@ -82,9 +78,10 @@ def draw_summary(
     estimated = any(estimate.estimate is not None for estimate in estimates)
     heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
     gripped = [
-        (run, run.told)
+        (run, found)
         for run in runs
-        if isinstance(run.told, FieldEstimate) or (isinstance(run.told, GripEstimate) and run.told.determined)
+        if isinstance(found := run.main_estimate, FieldEstimate)
+        or (isinstance(found, GripEstimate) and found.determined)
     ]
     figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
     strip, *panels = rows[: len(heights)]
@@ -93,7 +90,7 @@ def draw_summary(
     for axes in rows[: len(heights) - 1]:
         axes.tick_params(labelbottom=False)
     for axes, (run, found) in zip(rows[len(heights) :], gripped, strict=True):
-        axes.set_title("\n".join(_lines(_told_of_run(run)[0], 120)), loc="left", fontsize=12)
+        axes.set_title("\n".join(_lines(_described_run(run)[0], 120)), loc="left", fontsize=12)
         if isinstance(found, GripEstimate):
             _draw_grip(axes, found)
         elif isinstance(found, FieldEstimate):
@@ -102,7 +99,7 @@ def draw_summary(
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_told(estimates, NO_RUNS if estimated else counts))
+    _head(strip, *_described(estimates, NO_RUNS if estimated else counts))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
@@ -126,7 +123,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     if len(runs) < total:
         subtitle += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
-    words = [_told_of_run(run) for run in panels]
+    words = [_described_run(run) for run in panels]
     heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
     figure, rows = _figure(heights, title, subtitle)
     for axes, words_of, run in zip(rows, words, panels, strict=True):
@@ -137,7 +134,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
     """Of a run's panel [inches]: its words, its motion, and its map."""
-    found = None if run is None else run.told
+    found = None if run is None else run.main_estimate
     motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
     field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
     return 0.9 + 0.2 * len(_lines(sentences)) + 2.8 * motion + 1.2 * field
@@ -200,11 +197,13 @@ def draw_surface_errors(
     near, drawn = np.linalg.norm(places, axis=1) < BESIDE * hole, []
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
-        seen = np.isfinite(distance)
-        drawn.append(axes.hexbin(*places[seen].T, C=distance[seen], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2))
+        visible = np.isfinite(distance)
+        drawn.append(
+            axes.hexbin(*places[visible].T, C=distance[visible], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2)
+        )
         axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
         axes.add_patch(Circle((0, 0), BESIDE * hole, fill=False, linestyle=":", color=MUTED))
-        mean = float(np.mean(distance[seen & near])) if (seen & near).any() else np.nan
+        mean = float(np.mean(distance[visible & near])) if (visible & near).any() else np.nan
         axes.set_title(f"{name}\n{mean:+.2f} mm next to the tool", fontsize=12)
         axes.set(xlabel="across the force [mm]", aspect="equal")
     rows[0].set_ylabel("across the force [mm]")
@@ -302,7 +301,7 @@ def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimat
     axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
 
 
-def _told(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
+def _described(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
     """Heading of a clip, sentences about it, and the one verdict of its runs of contact or frames in contact."""
     touching = [estimate for estimate in estimates if estimate.status == "ok"]
     counts = Counter(map(state, touching))
@@ -344,12 +343,12 @@ def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[Frame
     axes.set_ylim(0, _top(observed, simulated))
 
 
-def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
+def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     """Heading of a run of contact, the verdict first and no number surer than it, sentences, and a key of COLORS."""
     if run is None:
         return "no contact was found", "", "no_estimate"
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
-    if isinstance(grip := run.told, GripEstimate):
+    if isinstance(grip := run.main_estimate, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
         heading = f"{in_words(grip.verdict)}: {place}"
         for name, words in (("reaction_over_young", "F/E"), ("foundation_over_stiffness", "foundation over stiffness")):
@@ -357,7 +356,7 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
                 low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
                 heading += f", {words} {low} to {high}"
         return heading, f"{sentence} {run.detail}", grip.verdict
-    if isinstance(found := run.told, FieldEstimate):
+    if isinstance(found := run.main_estimate, FieldEstimate):
         words = [in_words(found.verdict)]
         if not np.isnan(found.skill):
             words.append(f"{found.skill:.0%} of the motion explained")
@@ -382,11 +381,11 @@ def _told_of_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
 
 def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     """Motion along the force, positive where it follows it: observed, with its noise, and simulated; the release."""
-    if run is not None and isinstance(run.told, GripEstimate):
-        _draw_grip(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, GripEstimate):
+        _draw_grip(axes, run.main_estimate)
         return
-    if run is not None and isinstance(run.told, FieldEstimate):
-        _draw_explained(axes, run.told)
+    if run is not None and isinstance(run.main_estimate, FieldEstimate):
+        _draw_explained(axes, run.main_estimate)
         return
     if run is None or run.simulated is None or run.interaction is None or run.estimate is None:
         axes.set_axis_off()
@@ -458,9 +457,9 @@ def _draw_explained(axes: Axes, found: FieldEstimate) -> None:
     _label(axes, "motion of the tissue around\n(root mean square) [px]", "upper left")
     shown = _picture_axes(whole.inset_axes((0.54, 0, 0.46, 1)), found.picture)
     apart = max(1, round(len(found.points) / MOST_ARROWS))
-    seen = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
+    visible = np.flatnonzero(np.isfinite(found.observed).all(axis=1))[::apart]
     for motion, color, name in ((found.observed, "white", "observed"), (found.predicted, SIMULATED, "simulated")):
-        (column, row), (right, down) = found.points[seen].T, motion[seen].T
+        (column, row), (right, down) = found.points[visible].T, motion[visible].T
         shown.quiver(
             column, row, right, down, angles="xy", scale_units="xy", scale=1, width=0.004, color=color,
             label=name, edgecolor=INK, lw=0.3,

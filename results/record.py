@@ -21,7 +21,7 @@ from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
 from palpate.estimators.contract import Estimator
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
 from palpate.results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
@@ -178,7 +178,7 @@ def warnings_of(
         )
     elif sources["masks"] == "automatic":
         found.append(
-            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is seen: "
+            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
             "contact here means in view, until the instrument has moved and tissue did not move with it"
         )
     for status in PERSISTENT:
@@ -224,7 +224,7 @@ def _file_sha256(path: Path, size: int, changed: int) -> str:
 
 
 def _named_files(settings: PrepareSettings) -> dict[str, str]:
-    """Hashes of the files outside the clip that the settings name, and of the YAML files beside their models."""
+    """Hashes of the files outside the clip that the settings name, and of the YAML files next to their models."""
     depth = settings.depth
     named = {"depth.source": depth.source, "depth.model": depth.model, "depth.preset": depth.preset}
     named |= {"masks": settings.masks, "camera": settings.layout.camera}

@@ -25,9 +25,9 @@ from palpate.data.source.frames import discover, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.known_force import read_forces
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
+from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.calibrated import ClipCalibration, carried_from, comparison_sentence

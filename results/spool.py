@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 
 QUALITY = 95
 """Of the waiting pictures' JPEG."""

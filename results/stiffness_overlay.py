@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from palpate.data.labels import TOOL
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
-from palpate.results.field_overlay import painted
+from palpate.results.field_overlay import paint
 
 STEP = 16
 """Side of the map's squares [px of the field's picture]."""
@@ -19,7 +17,7 @@ DARKENED = 0.5
 """What is left of the brightness where the stiffness is not known."""
 RANGE = 2.0
 """Colours end at this many times the mean, and at one over it."""
-UNKNOWN = "Stiffness map: unknown everywhere; the motion tells too little of it."
+UNKNOWN = "Stiffness map: unknown everywhere; the motion determines too little of it."
 KNOWN = f"Red: stiffer than the mean of tissue that moves, by {RANGE:g} times or more; blue: softer; dark: unknown."
 LOOSE = "The map is no determined result."
 
@@ -67,31 +65,22 @@ class StiffnessMap:
         """
         if not len(self._faces):
             return
-        factor = canvas.shape[1] / self._width
-        size = canvas.shape[1], canvas.shape[0]
-        shown = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
-        places = (self._corners + self._displacement(time)) * factor
-        colored = painted(canvas, places, self._faces, self._stiffness, 1.0, RANGE)
-        covered = np.zeros(canvas.shape[:2], np.uint8)
-        for corners in places[self._faces]:
-            cv2.fillConvexPoly(covered, np.round(corners).astype(np.int32), 1)
-        inside = (covered > 0) & (shown != TOOL)
-        dark = (covered == 0) & (shown != TOOL)
+        places = (self._corners + self._displacement(time)) * canvas.shape[1] / self._width
+        dark = paint(canvas, places, self._faces, self._stiffness, labels, RANGE)
         canvas[dark] = (DARKENED * canvas[dark]).astype(np.uint8)
-        canvas[inside] = colored[inside]
 
     def _displacement(self, time: float) -> np.ndarray:
         """Of the corners in a frame, by the followed points that were nearest at rest, shape [C, 2] [px]."""
         after = int(np.clip(np.searchsorted(self._times, time), 1, len(self._times) - 1))
         share = (time - self._times[after - 1]) / (self._times[after] - self._times[after - 1])
         moved = (1 - share) * self._moved[after - 1] + share * self._moved[after]
-        seen = np.isfinite(moved).all(axis=1)
-        if not seen.any():
+        visible = np.isfinite(moved).all(axis=1)
+        if not visible.any():
             return np.zeros_like(self._corners)
-        apart, nearest = KDTree(self._points[seen]).query(self._corners, k=min(NEIGHBOURS, int(seen.sum())))
+        apart, nearest = KDTree(self._points[visible]).query(self._corners, k=min(NEIGHBOURS, int(visible.sum())))
         apart, nearest = (item.reshape(len(self._corners), -1) for item in (apart, nearest))
         weights = 1 / np.maximum(apart, 1.0)
-        return np.einsum("ck,cki->ci", weights / weights.sum(axis=1, keepdims=True), moved[seen][nearest])
+        return np.einsum("ck,cki->ci", weights / weights.sum(axis=1, keepdims=True), moved[visible][nearest])
 
 
 def stiffness_map(grip: GripEstimate | None, start: float) -> StiffnessMap | None:

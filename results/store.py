@@ -61,6 +61,18 @@ def writing(folder: Path) -> Generator[None]:
         raise OutputError(f"{folder}: {problem} or choose another --output.") from error
 
 
+def make_output(output: Path) -> None:
+    """Make an output folder where there is none.
+
+    Raises:
+        OutputError: a file is in its place, or it can't be made.
+    """
+    with writing(output):
+        if output.exists() and not output.is_dir():
+            raise OutputError(f"{output}: is a file; give a folder as --output.")
+        output.mkdir(parents=True, exist_ok=True)
+
+
 def safe_name(name: str) -> str:
     """A clip's name as a folder name that every file system takes.
 
@@ -91,10 +103,8 @@ class ResultStore:
     def __init__(self, output: Path) -> None:
         self.output = output
         self._taken: dict[str, str] = {}
+        make_output(output)
         with writing(output):
-            if output.exists() and not output.is_dir():
-                raise OutputError(f"{output}: is a file; give a folder as --output.")
-            output.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=output).close()
 
     def folder(self, name: str, origin: Path) -> Path:

@@ -1,11 +1,12 @@
-"""How pictures tell a result: its verdict before its numbers, and no number surer than it is."""
+"""How pictures show a result: its verdict before its numbers, and no number surer than it is."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from palpate.estimators.estimate import SYMBOLS, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import SYMBOLS
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
@@ -38,8 +39,8 @@ MEANINGS = {
     "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
     "relative_force": "Only how the force at the grip changes over time is determined.",
     "stiffness_ratios": "Only where tissue is stiffer or softer is determined, where it is coloured.",
-    "onset_in_view": "The onset was seen; the model does not tell what is determined.",
-    "undetermined": "Not determined by what was seen so far.",
+    "onset_in_view": "The onset was observed; the model does not say what is determined.",
+    "undetermined": "Not determined by what was observed so far.",
 }
 """What the verdicts say, a sentence each."""
 FAR = "more than twice or less than half the observed one"

@@ -13,11 +13,12 @@ from typing import Any
 
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import open_video
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.known_force import KnownForce
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
-from palpate.results.calibrated import CALIBRATED, COMPARED, ClipCalibration
+from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
@@ -183,9 +184,9 @@ class ClipResults:
             store.publish(self._partial, self.folder)
 
     def _write_newtons(self, calibration: ClipCalibration, title: str) -> None:
-        tables = [(store.CALIBRATED, CALIBRATED, calibration.rows)]
+        tables = [(store.CALIBRATED, columns.CALIBRATED, calibration.rows)]
         if calibration.measured is not None:
-            tables.append((store.COMPARED, COMPARED, calibration.compared_rows()))
+            tables.append((store.COMPARED, columns.COMPARED, calibration.compared_rows()))
             figure = draw_comparison(calibration.measured, calibration.curves, calibration.known, title)
             write_figure(self._partial / store.COMPARISON, figure)
         for name, header, rows in tables:

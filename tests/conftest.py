@@ -1,7 +1,5 @@
 """Fixtures shared by all tests."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,9 +28,21 @@ def real_data() -> Path:
 @pytest.fixture
 def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures are drawn, which takes longer than all else about a short clip, where no test looks at them."""
+    draw_nothing(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def blank_module() -> Iterator[None]:
+    """The same for the results that a module's tests share."""
+    with pytest.MonkeyPatch.context() as patch:
+        draw_nothing(patch)
+        yield
+
+
+def draw_nothing(patch: pytest.MonkeyPatch) -> None:
     for draw in ("draw_summary", "draw_fits", "draw_comparison"):
-        monkeypatch.setattr(f"palpate.results.writer.{draw}", lambda *_, **__: None)
-    monkeypatch.setattr("palpate.results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
+        patch.setattr(f"palpate.results.writer.{draw}", lambda *_, **__: None)
+    patch.setattr("palpate.results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Small inputs of inference: parameter networks as ONNX files with the metadata of a real export, and drawn clips."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small networks as ONNX files, from graphs in ONNX's own text form."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

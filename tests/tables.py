@@ -1,7 +1,5 @@
 """Tables that doors write, read again."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

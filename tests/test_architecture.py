@@ -1,7 +1,5 @@
 """The layout's floors, fences and faces, read from the source, and the promise that inference never loads torch."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import importlib
@@ -53,16 +51,7 @@ LIGHT_DOORS = {
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
-HEAVY = (
-    "torch",
-    "lightning",
-    "pytorch_lightning",
-    "kornia",
-    "mlflow",
-    "jsonargparse",
-    "torchmetrics",
-    "onnx",
-)
+HEAVY = ("torch", "lightning", "pytorch_lightning", "kornia", "mlflow", "jsonargparse", "torchmetrics", "onnx")
 """Libraries that are not installed, or too heavy, where only inference runs."""
 MOST_NAMES = 15
 """Names that a package's face exports, at most."""
@@ -239,16 +228,16 @@ class Ban:
             raise ImportError(name + " is banned here")
 sys.meta_path.insert(0, Ban())
 from palpate.command import infer
-for name, model in (("network", []), ("gan", ["--model", {str(tmp_path / "parameters.onnx")!r}]), ("direct", [])):
+raw, model = ["--masks", "automatic", "--depth", "photometric"], ["--model", {str(tmp_path / "parameters.onnx")!r}]
+for name, options in (("network", raw), ("gan", [*model, "--no-overlay"]), ("direct", ["--onset", "stamp"])):
     output = {str(tmp_path)!r} + "/" + name
-    assert infer.main([{str(clip)!r}, "--output", output, "--estimator", name, *model]) == 0, name
-assert infer.main([{str(clip)!r}, "--output", output + "-raw", "--masks", "automatic", "--depth", "photometric"]) == 0
+    assert infer.main([{str(clip)!r}, "--output", output, "--estimator", name, *options]) == 0, name
 loaded = [name for name in sys.modules if any(name == entry or name.startswith(entry + ".") for entry in banned)]
 assert not loaded, loaded
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
-    for name in ("network", "gan", "direct", "direct-raw"):
+    for name in ("network", "gan", "direct"):
         assert (tmp_path / name / clip.name / "interactions.csv").is_file()
 
 

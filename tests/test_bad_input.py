@@ -1,8 +1,5 @@
 """Bad input at infer.py's door: one sentence that names the file, no traceback, and the rest of the batch goes on."""
 
-from __future__ import annotations
-
-import csv
 import dataclasses
 import os
 import shutil
@@ -31,6 +28,7 @@ from tests.inference_inputs import (
     write_model,
     write_video,
 )
+from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,8 +54,7 @@ def call(clips: Path, *options: str) -> int:
 
 
 def rows(clips: Path, name: str) -> list[dict[str, str]]:
-    with (clips.parent / "out" / name / "parameters.csv").open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return read_rows(clips.parent / "out" / name / "parameters.csv")
 
 
 def statuses(clips: Path, name: str) -> list[str]:
@@ -202,6 +199,81 @@ def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
         # Broken files are reported on the screen too; an empty scene is no fault.
         warned = f"{name}: 1 of 6 frames are {status}, the first is 13" in said
         assert warned == (status in ("unreadable", "no_mask", "bad_depth")), name
+
+
+def rewrite(clip: Path, suffix: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    for path in clip.glob(f"*{suffix}.png"):
+        path.write_bytes(encode(change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))))
+
+
+def classes(mask: np.ndarray) -> np.ndarray:
+    """Grey values of a colour mask (BGR)."""
+    values = np.full(mask.shape[:2], 50, np.uint8)
+    for color, value in ((TISSUE_COLOR, 22), (TOOL_COLOR, 31)):
+        values[(mask[..., ::-1] == color).all(axis=2)] = value
+    return values
+
+
+def cut_video(path: Path) -> None:
+    """Sixteen frames, of which the file holds 60 %."""
+    av = pytest.importorskip("av")
+    noise = np.random.default_rng(0)
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        for _ in range(16):
+            picture = noise.integers(0, 255, (*SIZE[::-1], 3), np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+
+
+def test_masks_of_other_formats_a_covered_lens_and_a_cut_video(clips, model, capsys):
+    rewrite(write_clip(clips / "rgba", FRAMES, 2), "_color_mask", lambda mask: cv2.cvtColor(mask, cv2.COLOR_BGR2BGRA))
+    rewrite(write_clip(clips / "grey", FRAMES, 2), "_color_mask", classes)
+    write_pictures(clips / "black", encode(np.zeros((*SIZE[::-1], 3), np.uint8)))
+    cut_video(clips / "cut.mp4")
+    assert call(clips) == 0
+    said = capsys.readouterr().err
+    assert is_plain(said)
+    assert statuses(clips, "rgba") == statuses(clips, "grey") == statuses(clips, "good")
+    assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
+    assert [(row["status"], row["detail"]) for row in rows(clips, "black")] == [
+        ("no_tool", "0 tool pixels, fewer than 8.")
+    ] * 3
+    found = rows(clips, "cut")
+    lost = [row for row in found if row["status"] == "unreadable"]
+    assert len(found) == 16
+    assert 2 < len(lost) < 14
+    for row in lost:
+        assert row["detail"] == f"{clips / 'cut.mp4'} ends before frame {row['frame']} or is damaged; copy it again."
+    assert f"cut: truncated: {16 - len(lost)} of 16 frames decoded" in said
+    assert f"cut: {len(lost)} of 16 frames are unreadable, the first is {lost[0]['frame']}: {clips / 'cut.mp4'}" in said
+
+
+def test_stored_depth_that_is_no_depth(clips, model, capsys):
+    """In one frame, or in all; the good clip lacks the files of the layout, and that is its failure."""
+    kinds = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0, "all nan": np.nan, "all zero": 0.0}
+    for name, value in kinds.items():
+        clip = write_clip(clips / name, FRAMES, 2)
+        for number in range(10, 10 + FRAMES):
+            depth = cv2.imread(str(clip / f"frame_{number}_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
+            bad = number == 13 or name.startswith("all")
+            np.save(clip / f"depth_{number}.npy", np.full_like(depth, value) if bad else depth)
+    (clips.parent / "layout.yaml").write_text("depth: 'depth_{number}.npy'\n")
+    assert call(clips, "--layout", str(clips.parent / "layout.yaml"), "--depth", "stored") == 1
+    said = capsys.readouterr().err
+    assert is_plain(said)
+    assert f"{clips / 'good'} has no stored depth (depth_{{number}}.npy); choose a depth model with --depth." in said
+    for name, value in kinds.items():
+        what = {0.0: "zero everywhere", 1.0: "the same everywhere (1)"}.get(value, "NaN or infinite everywhere")
+        if name.startswith("all"):
+            assert statuses(clips, name) == ["bad_depth"] * FRAMES
+            assert f"{clips / name} has no frame with usable depth; {clips / name / 'depth_10.npy'} is {what}" in said
+        else:
+            assert statuses(clips, name) == ["no_contact"] * 2 + ["ok", "bad_depth", "ok", "ok"], name
+        assert rows(clips, name)[3]["detail"].endswith("; check the depth source or choose another.")
+        assert f"{what}; the frame is left out" in rows(clips, name)[3]["detail"]
 
 
 def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, capsys):

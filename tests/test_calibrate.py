@@ -1,8 +1,5 @@
 """The door from forces to constants."""
 
-from __future__ import annotations
-
-import csv
 import functools
 import json
 from pathlib import Path
@@ -24,19 +21,20 @@ from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
 from tests.evaluation.palpation.test_curves import write_hold, write_probes
+from tests.tables import read_rows
 
 
 @functools.cache
 def ball() -> tuple[dict[str, Any], str, str]:
     """The files of a pressed ball: scene, surface and points."""
-    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 5, law="corotational")
-    return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=600), 0.012, 5)
+    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 4, law="corotational")
+    return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=400), 0.012, 4)
 
 
 def write_scene(folder: Path, **changed: object) -> Path:
     scene, surface, points = ball()
     (folder / "rest.obj").write_text(surface)
-    (folder / "seen.csv").write_text(points)
+    (folder / "observed.csv").write_text(points)
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene | changed))
     return folder / "scene.yaml"
 
@@ -113,8 +111,7 @@ def test_curves_say_what_their_numbers_are(tmp_path):
     files = [str(tmp_path / "probes.csv"), str(tmp_path / "hold.csv")]
     for more, unit in (([], "N/mm"), (["--indenter", "sphere", "--size", "3"], "kPa")):
         assert calibrate.main(["curves", *files, *more, "--output", str(tmp_path / "out")]) == 0
-        with (tmp_path / "out" / "curves.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = read_rows(tmp_path / "out" / "curves.csv")
         probes = [row for row in rows if row["file"] == "probes.csv"]
         assert {row["unit"] for row in probes} == {unit}
         assert all(float(row["low"]) < float(row["value"]) < float(row["high"]) for row in probes)
@@ -128,8 +125,11 @@ def test_curves_say_what_their_numbers_are(tmp_path):
         ({"surface": "none.obj"}, "none.obj is no .obj surface"),
         ({"cells": "many"}, "gives cells 'many'"),
         ({"held_below": -1.0}, "0 nodes lie below held_below"),
-        ({"palpations": [{"force": [0, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "force is to be"),
-        ({"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "seen.csv"}]}, "1e-06 to 10000 N"),
+        ({"palpations": [{"force": [0, 0, 0], "contact": [0, 0, 0.1], "points": "observed.csv"}]}, "force is to be"),
+        (
+            {"palpations": [{"force": [1e15, 0, 0], "contact": [0, 0, 0.1], "points": "observed.csv"}]},
+            "1e-06 to 10000 N",
+        ),
         ({"cells": 64}, "cells is 64; give 2 to 24"),
         ({"young": 1e-300}, "young is to be 1 to 1e+12 Pa"),
         ({"held_below": 1e15}, "all of the surface lies below the floor at 1e+15 m"),
@@ -146,10 +146,12 @@ def test_bad_scenes_are_a_sentence(tmp_path, capsys, changed, says):
 @pytest.mark.parametrize("rows", ["", "0,0,0\n" * 11, "nan,0,0\n" * 50])
 def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows):
     scene = write_scene(tmp_path)
-    (tmp_path / "seen.csv").write_text(f"x,y,z\n{rows}")
+    (tmp_path / "observed.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert f"seen.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
+    assert (
+        f"observed.csv holds {len(rows) // 6 if rows[:1] == '0' else 0} points; give the surface as it was seen" in said
+    )
 
 
 def test_an_indenter_needs_its_size(tmp_path):

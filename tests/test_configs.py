@@ -1,7 +1,5 @@
 """Every shipped configuration loads, and the paper's says what the paper says."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import re
@@ -197,9 +195,7 @@ def listed(head: list[str]) -> dict[str, set[str]]:
         ("online", "particles", ONLINE_STATED, {"thickness"}, ONLINE_IN_CODE, IN_EVALUATION),
     ],
 )
-def test_the_head_lists_what_differs_from_the_paper(
-    name: str, first: str, stated: dict[str, Any], ours: set[str], in_code: set[str], evaluated: set[str]
-):
+def test_the_head_lists_what_differs_from_the_paper(name, first, stated, ours, in_code, evaluated):
     text = (CHECKOUT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")
     head = [line for line in text.splitlines() if line.startswith("#")]
     fields, code, left_open = (listed(head)[heading] for heading in HEADINGS)

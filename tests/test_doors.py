@@ -1,7 +1,5 @@
 """Every program of the project ends in the same way."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -36,7 +34,6 @@ DOORS = {
     "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],
     "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
     "palpate.benchmarks.inference": ["-m", "benchmarks.inference"],
-    "palpate.benchmarks.newtons": ["-m", "benchmarks.newtons"],
     "palpate.benchmarks.rollout": ["-m", "benchmarks.rollout"],
     "palpate.benchmarks.training_step": ["-m", "benchmarks.training_step"],
 }

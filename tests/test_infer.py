@@ -1,8 +1,5 @@
 """The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
-from __future__ import annotations
-
-import csv
 import dataclasses
 import json
 import shutil
@@ -19,7 +16,9 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
+from tests.data.clips import real_frames
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
+from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
@@ -52,8 +51,7 @@ def call(inputs: Path, output: Path, *options: str, clips: str = "clips") -> int
 
 
 def rows(folder: Path, table: str = "parameters.csv") -> list[dict[str, str]]:
-    with (folder / table).open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return read_rows(folder / table)
 
 
 def runs(folder: Path) -> list[dict[str, str]]:
@@ -589,9 +587,9 @@ def test_real_clip_directly(real_data, tmp_path):
     tells how the force changes. How firmly the tissue is attached is not known under such a camera: far tissue may be
     pulled along, or carried.
     """
-    arguments = [str(real_data / "cholecseg8k"), "--output", str(tmp_path), "--estimator", "direct", "--onset", "stamp"]
-    assert infer.main(arguments) == 0
-    (row,) = runs(tmp_path / "video01_00080")
+    clip = real_frames(real_data, tmp_path / "video01" / "video01_00080", range(135, 160))
+    assert direct(clip, tmp_path / "out", "--no-overlay") == 0
+    (row,) = runs(tmp_path / "out" / "video01_00080")
     assert 149 <= int(row["onset_frame"]) <= 151
     assert (row["verdict"], row["determined"]) == ("relative_force", "relative_force")
     assert row["foundation_over_stiffness"] == row["reaction_over_stiffness"] == ""
@@ -604,7 +602,7 @@ def test_real_clip(real_data, tmp_path):
     """Judged: 80 rows, no tool on frames 80–148, and at least 9 of 149–159 in contact."""
     geometry = {"height": 120, "width": 214}
     write_model(tmp_path / "parameters.onnx", metadata(geometry=geometry))
-    assert call(tmp_path, tmp_path / "out", clips=str(real_data / "cholecseg8k")) == 0
+    assert call(tmp_path, tmp_path / "out", "--no-overlay", clips=str(real_data / "cholecseg8k")) == 0
     status = {int(row["frame"]): row["status"] for row in rows(tmp_path / "out" / "video01_00080")}
     assert sorted(status) == list(range(80, 160))
     assert {status[number] for number in range(80, 149)} == {"no_tool"}

@@ -1,7 +1,5 @@
 """The planner's door."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

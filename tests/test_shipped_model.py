@@ -1,8 +1,5 @@
 """The model that comes along, through the door that users take."""
 
-from __future__ import annotations
-
-import csv
 import json
 from pathlib import Path
 
@@ -16,6 +13,7 @@ from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.models.onnx_session import SHIPPED, PosteriorModel
+from tests.tables import read_rows
 
 GAN = SHIPPED.with_name("gan.onnx")
 LARGEST = 6e6
@@ -51,7 +49,7 @@ def test_the_gan_that_ships_beside_it_looks_at_the_picture() -> None:
 
 
 @pytest.fixture(scope="module", params=["default", "gan"])
-def results(request, tmp_path_factory) -> tuple[list[dict[str, str]], dict, Path]:
+def results(request, tmp_path_factory, blank_module) -> tuple[list[dict[str, str]], dict, Path]:
     """Rows and record of a synthetic clip, and the folder that holds its truth."""
     folder = tmp_path_factory.mktemp("shipped")
     settings = SceneSettings(width=214, height=120, depth_noise=0.001, regime="critical")
@@ -59,8 +57,7 @@ def results(request, tmp_path_factory) -> tuple[list[dict[str, str]], dict, Path
     model = ["--model", str(GAN)] if request.param == "gan" else []
     assert main([str(clip), "--output", str(folder / "out"), "--no-overlay", *model]) == 0
     output = folder / "out" / clip.name
-    with (output / "parameters.csv").open() as file:
-        return list(csv.DictReader(file)), json.loads((output / "run.json").read_text()), clip
+    return read_rows(output / "parameters.csv"), json.loads((output / "run.json").read_text()), clip
 
 
 def test_rows_carry_uncertainty_and_verdict(results) -> None:
@@ -88,8 +85,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     assert record["estimator"] == {"name": "network", "onset": "between", "observation": "auto", "horizon": None}
     model = ["--model", record["model"]["path"]]
     assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp", *model]) == 0
-    with (tmp_path / clip.name / "parameters.csv").open() as file:
-        exact = [row for row in csv.DictReader(file) if row["stiffness"]]
+    exact = [row for row in read_rows(tmp_path / clip.name / "parameters.csv") if row["stiffness"]]
     between = [row for row in rows if row["stiffness"]]
     assert len(between) == len(exact) > 3
     for name in ("stiffness", "damping", "force"):

@@ -1,7 +1,5 @@
 """Whatever the order of runs, settings, interruptions and foreign files, of whichever doors: what is a user's stays."""
 
-from __future__ import annotations
-
 import functools
 import os
 import random
@@ -18,7 +16,6 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
-from palpate.benchmarks import newtons
 from palpate.command import calibrate, infer, plan, train
 from palpate.common.files import replacing
 from palpate.common.output import LIST, ForeignFile
@@ -54,17 +51,12 @@ EVENTS = 12
 """Of every sequence; more than half of them are runs."""
 ROW = "full-0"
 PLACES = {
-    "draw": (
-        "video01/notes.txt",
-        f"video01/{LIST}",
-        *(f"video01/video01_00000/{n}" for n in ("truth.json", "x")),
-    ),
+    "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
-    "judge_newtons": ("table.csv", "calibration.yaml", "results/notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
@@ -116,9 +108,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
-    truths = {str(number): newtons.Truth(Path(str(number)), 1 + random.random(), 0.5) for number in range(3)}
-    patch(newtons, "read_truths", lambda folder: truths)
-    patch(newtons.infer, "main", newtons_of(infer.main))
     pull = SimpleNamespace(body=SimpleNamespace(count=9))
     sequence = SimpleNamespace(block=False, frames=60, pull=lambda particles, points, frames: pull)
     patch(online, "SEQUENCES", {"thin-shell-1": sequence})
@@ -151,11 +140,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
         return subprocess.CompletedProcess(command, 0, "", "")
 
     patch(terms.subprocess, "run", training)
-
-
-def newtons_of(door: Callable[[list[str]], int]) -> Callable[[list[str]], int]:
-    """The door of inference, that has nothing to do where it is given a known force."""
-    return lambda arguments: 0 if "--calibration" in arguments else door(arguments)
 
 
 def quick_material() -> SimpleNamespace:
@@ -193,10 +177,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_frank(chance: random.Random, out: Path) -> object:
         return palpation.main(["frank", "--quick", "--output", str(out)])
 
-    def judge_newtons(chance: random.Random, out: Path) -> object:
-        known = ["--known", chance.choice("012")]
-        return newtons.main(["--clips", str(inputs), *known, "--output", str(out)])
-
     def judge_online(chance: random.Random, out: Path) -> object:
         asked = f"--sequences thin-shell-1 --starts k1 --methods PBD --every {chance.choice((5, 10))}"
         return online.main([*asked.split(), "--output", str(out)])
@@ -227,7 +207,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         return prepare(inputs / "tiny", SETTINGS, out)
 
     every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    measured = (judge_frank, judge_newtons, judge_online, calibrate_curves, calibrate_palpation, plan_way)
+    measured = (judge_frank, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
 
@@ -255,9 +235,7 @@ def interrupting(step: int | None) -> Iterator[None]:
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("door", PLACES)
-def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(
-    door: str, seed: int, inputs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(door, seed, inputs, monkeypatch):
     """Of one door mostly, in a folder that others use as well."""
     chance, out, doors = random.Random(f"{door} {seed}"), inputs / "out", runs_of(inputs)
     theirs: dict[Path, bytes] = {}
@@ -302,7 +280,6 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
-        "judge_newtons": {"table.csv", "calibration.yaml"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
         "calibrate_curves": {"curves.csv"},
         "calibrate_palpation": {"calibration.json", "errors.csv", "errors.png"},

@@ -14,14 +14,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from palpate.data.contact.depth_change import (
-    MIN_REST,
-    SCALES,
-    DepthChange,
-    RestingTissue,
-    grid_motion,
-    picture_motion,
-)
+from palpate.data.contact.depth_change import MIN_REST, SCALES, DepthChange, RestingTissue, grid_motion, picture_motion
 from palpate.data.contact.geometry import (
     FrameGeometry,
     GeometrySettings,

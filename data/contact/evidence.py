@@ -46,7 +46,7 @@ ELSEWHERE = 1.5
 """And by so many times what it has grown by anywhere far from the tool."""
 CERTAIN = 0.9
 """Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
-HOVERS = "The tissue beside the tool does not move with it, so it hovers (probability of contact {:.2f})."
+HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
 """Of the tissue's points [px]."""
@@ -100,6 +100,18 @@ class ContactEvidence:
         """Whether the tool may have come to the tissue in the frame before, although it moved until then."""
         self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
         """The frame before, if its tool was found to hover, and the contact that its outlines show."""
+        self._last: list[PreparedFrame] = []
+        """The frame that was judged last, which the next one may decide anew."""
+
+    def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
+        """Judge the next frame; gives the one before it, which is decided now."""
+        self.judge(prepared)
+        decided, self._last = self._last, [prepared]
+        return decided
+
+    def finish(self) -> list[PreparedFrame]:
+        """The frame that is left at the clip's end."""
+        return self._last
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers.
@@ -122,7 +134,7 @@ class ContactEvidence:
         if not prepared.in_contact:
             return
         probability = self._push(_shown(prepared), prepared)
-        # A tool that was seen to come to the tissue has met it: a narrow dent hardly moves what is around it.
+        # A tool that was observed to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
         if self._arrives and self._hovering is not None:

@@ -108,10 +108,10 @@ class GeometrySettings:
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
     contact: Literal["touching", "nearest", "motion"] = "touching"
     """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
-    outlines touch, unless the tool is seen to hover (`data.contact.evidence`). nearest (paper): all that show tool and
+    outlines touch, unless the tool is found to hover (`data.contact.evidence`). nearest (paper): all that show tool and
     tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too. motion:
     those in which a dent is there that came while the tissue was watched (`data.contact.dents`); no tool needs to be
-    seen."""
+    visible."""
     contact_pixels: float = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: float = 0.02
@@ -161,7 +161,7 @@ class RestTissue(NamedTuple):
     known: np.ndarray
     """Where that is known of tissue, hidden by the tool now or not, shape [h, w], bool."""
     beyond: np.ndarray
-    """Where something else than tissue was seen, shape [h, w], bool: there the tissue ends, whatever hides it now."""
+    """Where something else than tissue was observed, bool [h, w]: there the tissue ends, whatever hides it now."""
 
 
 @dataclass(frozen=True)
@@ -190,24 +190,21 @@ class FrameGeometry:
 
 
 def frame_geometry(
-    depth: np.ndarray,
-    labels: np.ndarray,
-    camera: Camera,
-    settings: GeometrySettings,
-    rest: RestTissue | None = None,
+    depth: np.ndarray, labels: np.ndarray, camera: Camera, settings: GeometrySettings, rest: RestTissue | None = None
 ) -> FrameGeometry:
     """Contact and mesh of one frame.
 
     With `contact` touching a frame is in contact when the masks touch or the clouds are close. Monocular depth of a
     shiny tool is often wrong and its outline seldom, so where the masks touch only pixels along the touching outline
-    can form the contact pair: the contact then lies where the tool is seen to touch, whatever the depth of the rest of
+    can form the contact pair: the contact then lies where the tool visibly touches, whatever the depth of the rest of
     the tool. With nearest, the paper's, the closest pair over all points counts, however far apart it is.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
         camera: intrinsics of the grid.
-        rest: the tissue at rest; None = as it is seen. The mesh covers all of it, the contact lies on what is seen.
+        rest: the tissue at rest; None = as it is visible. The mesh covers all of it, the contact lies on
+            what is visible.
 
     Raises:
         GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order; with motion one frame alone
@@ -244,7 +241,7 @@ def smooth_rest(
     Args:
         depth, labels: of a frame, as of `frame_geometry`.
         settings: `smoothing` counts.
-        rest: the tissue at rest; None = as it is seen.
+        rest: the tissue at rest; None = as it is visible.
     """
     if rest is None:
         tissue = labels == TISSUE

@@ -1,4 +1,4 @@
-"""A run of contact as the simulator replays it: tissue at rest, what acts on it, what was seen of it.
+"""A run of contact as the simulator replays it: tissue at rest, what acts on it, what was observed of it.
 
 Frames are gathered one by one (`InteractionBuilder`), live or from a prepared clip, and the same code makes an
 `Interaction` of them at any moment (Bini 2026, sections 3.2.2 and 3.3).
@@ -35,12 +35,12 @@ SAME_INSTANT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Interaction:
-    """What the simulator needs to replay a run of contact, and what was seen of it."""
+    """What the simulator needs to replay a run of contact, and what was observed of it."""
 
     mesh: Mesh
     """Tissue at rest."""
     load: Press
-    """What acts on it; ``held`` to its last step where the release was not seen."""
+    """What acts on it; ``held`` to its last step where the release was not observed."""
     observation: Observation
     """The followed points."""
     time_step: float
@@ -48,7 +48,7 @@ class Interaction:
     sequence: DepthSequence | None = None
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
     brightness: BrightnessSequence | None = None
-    """Light around the contact; None where it wasn't kept, or nothing was seen of it at rest."""
+    """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
 
     @property
     def vertex(self) -> int:
@@ -96,7 +96,7 @@ class Interaction:
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """The same as seen at some of its instants only, a mask or indices; its sequence as far as the last of them."""
+        """The same, observed at some of its instants only, a mask or indices; its sequence as far as the last."""
         observation, sequence, brightness = self.observation.chosen(instants), self.sequence, self.brightness
         last = observation.times[-1] + SAME_INSTANT if len(observation) else -math.inf
         if sequence is not None:
@@ -108,14 +108,14 @@ class Interaction:
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """What one frame of a run of contact tells about it."""
+    """What is known of a run of contact by one frame."""
 
     time_s: float
     """Time stamp [s]."""
     contact: bool
     """Whether the tool touches the tissue."""
     out_of_contact: bool
-    """Whether the frame was seen out of contact; without depth or mask nobody knows."""
+    """Whether the frame was observed out of contact; without depth or mask nobody knows."""
     consecutive: bool
     """Whether the next frame bears the next number."""
     position: np.ndarray
@@ -131,7 +131,7 @@ class ContactFrame:
 
 
 class InteractionBuilder:
-    """Gathers the frames of one run of contact whose onset was seen; what counts no more is not kept.
+    """Gathers the frames of one run of contact whose onset was observed; what counts no more is not kept.
 
     Args:
         mesh, vertex, normal: tissue at rest, the contact vertex and its normal [3].
@@ -166,12 +166,12 @@ class InteractionBuilder:
         self.pressed = 0
         """The last frame in contact, counted from the onset; contact may flicker before it."""
         self.load_seconds: float | None = None
-        """Time from the onset to the first frame seen out of contact [s]; None where that was not seen.
+        """Time from the onset to the first frame observed out of contact [s]; None where that was not observed.
 
         A frame without depth or mask says nothing about contact: after it the load isn't known any more.
         """
         self._count, self._followed_on = 1, onset.consecutive
-        self._seen: list[tuple[int, float, np.ndarray]] = []
+        self._followed: list[tuple[int, float, np.ndarray]] = []
         known = math.isfinite(self.noise)
         self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
         self._sequence: list[tuple[int, float, np.ndarray]] = []
@@ -194,7 +194,7 @@ class InteractionBuilder:
         if since >= self.seconds:
             return
         if np.isfinite(position).all():
-            self._seen.append((index, since, position))
+            self._followed.append((index, since, position))
         change = self._sequence_of(frame)
         if change is not None:
             self._sequence.append((index, since, change))
@@ -212,7 +212,7 @@ class InteractionBuilder:
         return self._recorder.frame(frame.depth, frame.labels)
 
     def build(self, mechanics: Mechanics, horizon: Horizon = None, until: float | None = None) -> Interaction:
-        """The run as far as it was seen; maybe without any observation.
+        """The run as far as it was observed; maybe without any observation.
 
         Args:
             mechanics: its time step is the load's, its steps the longest observation.
@@ -227,15 +227,15 @@ class InteractionBuilder:
         def counts(index: int, since: float) -> bool:
             return index <= last and step / 2 <= since < mechanics.seconds and (until is None or since <= until)
 
-        seen = [(since, position) for index, since, position in self._seen if counts(index, since)]
-        moved = np.array([position - self.rest for _, position in seen], np.float32).reshape(-1, 3)
+        followed = [(since, position) for index, since, position in self._followed if counts(index, since)]
+        moved = np.array([position - self.rest for _, position in followed], np.float32).reshape(-1, 3)
         farthest = max(moved, key=np.linalg.norm, default=np.zeros(3, np.float32))
         loaded = steps if self.load_seconds is None else int(np.clip(round(self.load_seconds / step), 1, steps))
         if until is not None:
             loaded = min(loaded, round(until / step))
         direction = force_direction(self.normal, farthest, self.settings)
         press = Press.at(self.vertex, direction, held(loaded, steps))
-        observation = Observation.of_point(self.vertex, np.array([since for since, _ in seen]), moved, self.noise)
+        observation = Observation.of_point(self.vertex, np.array([since for since, _ in followed]), moved, self.noise)
         sequence = None
         if self._recorder is not None:
             kept = [(since, change) for index, since, change in self._sequence if counts(index, since)]

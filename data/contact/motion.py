@@ -19,13 +19,7 @@ from palpate.data.contact.outlines import frayed_share, inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.contact.tissue_points import (
-    grid_to_picture,
-    lift,
-    picture_to_grid,
-    reference_pixels,
-    rigid_motion,
-)
+from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, reference_pixels, rigid_motion
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
@@ -33,7 +27,7 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 FRAYED = (
-    "The masks' outlines disagree with the depth: {share:.0%} of the tissue beside the tool lies in front of it at "
+    "The masks' outlines disagree with the depth: {share:.0%} of the tissue next to the tool lies in front of it at "
     "rest; where and when contact began is less certain."
 )
 FRAYED_SHARE = 0.05

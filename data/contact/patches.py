@@ -28,7 +28,7 @@ ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
 FOCAL_VERTICES = 1000
-"""Vertices that tell the focal lengths."""
+"""Vertices that determine the focal lengths."""
 
 
 class Patches:

@@ -6,9 +6,11 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 from palpate.common.files import as_json
 from palpate.data.masks.class_table import CLASSES
@@ -17,46 +19,13 @@ from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import LAW, PressedSlab, SlabMotion
+from palpate.data.synthetic.slab import LAW, SlabMotion
 from palpate.data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
-from palpate.data.synthetic.truth import (
-    ABSOLUTE_TOLERANCE,
-    RELATIVE_TOLERANCE,
-    PressedMotion,
-    TrueMotion,
-    damping_ratio,
-    regime_of,
-)
+from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
-UNITS = {
-    "length": "scene units (stored depth divided by its type's largest value)",
-    "time": "s",
-    "stiffness": "normalised, per scene unit; not N/m",
-    "damping": "normalised",
-    "force": "normalised, signed; negative presses into the tissue",
-}
-ARRAYS = {
-    "trajectory": "displacement of the contact vertex at the frames' times [F, 3]",
-    "in_contact": "whether tool and tissue touch in each frame [F]",
-    "times": "time stamps [F]",
-    "mesh_*": "organ at rest, of a grip all tissue: vertices [N, 3], springs [S, 2], rim [N], pixels [N, 2]",
-    "moving, field": "vertices that move [M] and their displacement at the frames' times [F, M, 3], float16",
-}
-PRESS_ARRAYS = {
-    "response": "the same every 5 ms from the force's start (onset_s + force_delay_s), the first 5 ms after it [R, 3]",
-    "force": "signed force just after each frame's time [F]",
-}
-GRIP_ARRAYS = {
-    "log_stiffness": "relative to the mean at every grid pixel [h, w]",
-    "reaction": "what holds the tissue over k_s at the frames' times, along the picture's axes [F, 2] [scene units]",
-    "course": "the tool's tip from the contact vertex in the picture, columns and rows [F, 2] [grid px]",
-}
-SLAB_FORCE = {"force": "signed force at each frame's time, just after it [F]"}
-SLAB_REACTION = {
-    "reaction": "what holds the tissue at the frames' times, along the picture's axes [F, 2]",
-    "course": GRIP_ARRAYS["course"],
-}
+TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+"""What is said of units, and of arrays."""
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
 SLAB_INTEGRATOR = f"finite elements ({LAW}), trapezoidal rule, {SLAB_SUBSTEPS} steps a frame"
@@ -86,7 +55,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "depth_scale": 1.0,
         "times": motion.times.tolist(),
     }
-    own, names = _own_entries(scene, motion)
+    own = TEXTS[type(motion).__name__]
     np.savez(
         folder / "truth.npz",
         trajectory=motion.contact,
@@ -98,43 +67,35 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         mesh_pixels=mesh.pixels,
         moving=motion.moving.astype(np.int32),
         field=motion.field.astype(np.float16),
-        **{name: getattr(motion, name) for name in names},
+        **{name: getattr(motion, name) for name in own},
     )
-    truth = _truth_entries(scene, motion, seed, own, names)
+    truth = {
+        "seed": seed,
+        "action": settings.action,
+        "contact": motion.in_contact.tolist(),
+        "onset_frame": motion.onset_frame,
+        "release_frame": motion.release_frame,
+        **_own_entries(scene, motion),
+        "contact_vertex": scene.vertex,
+        "contact_pixel": dict(zip(("row", "column"), mesh.pixels[scene.vertex].tolist(), strict=True)),
+        "direction": scene.direction.tolist(),
+        "camera": dataclasses.asdict(scene.camera),
+        "units": TEXTS["units"],
+        "arrays": TEXTS["arrays"] | own,
+        "settings": dataclasses.asdict(settings),
+    }
     for name, content in (("truth.json", truth), ("clip.json", clip)):
         (folder / name).write_text(as_json(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> tuple[dict, dict[str, str]]:
-    """Entries of truth.json that one kind of motion alone has, and descriptions of its own arrays."""
-    if isinstance(motion, PressedMotion):
-        return _press_entries(scene, motion), PRESS_ARRAYS
+def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> dict[str, Any]:
+    """Entries of truth.json that one kind of motion alone has."""
     if isinstance(motion, GrippedMotion):
-        return _grip_entries(motion), GRIP_ARRAYS
-    known = {"slab": dataclasses.asdict(motion.tissue), "peak_displacement": motion.peak, "integrator": SLAB_INTEGRATOR}
-    return known, SLAB_FORCE if isinstance(motion, PressedSlab) else SLAB_REACTION
-
-
-def _truth_entries(scene: Scene, motion: TrueMotion, seed: int, own: dict, arrays: dict[str, str]) -> dict:
-    """Content of truth.json."""
-    return {
-        "seed": seed,
-        "action": scene.settings.action,
-        "contact": motion.in_contact.tolist(),
-        "onset_frame": motion.onset_frame,
-        "release_frame": motion.release_frame,
-        **own,
-        "contact_vertex": scene.vertex,
-        "contact_pixel": dict(zip(("row", "column"), scene.mesh.pixels[scene.vertex].tolist(), strict=True)),
-        "direction": scene.direction.tolist(),
-        "camera": dataclasses.asdict(scene.camera),
-        "units": UNITS,
-        "arrays": ARRAYS | arrays,
-        "settings": dataclasses.asdict(scene.settings),
-    }
-
-
-def _press_entries(scene: Scene, motion: PressedMotion) -> dict:
+        ratios = {"foundation_over_stiffness": motion.anchor, "damping_over_stiffness": motion.damping}
+        return ratios | {"integrator": GRIP_INTEGRATOR}
+    if isinstance(motion, SlabMotion):
+        slab = dataclasses.asdict(motion.tissue)
+        return {"slab": slab, "peak_displacement": motion.peak, "integrator": SLAB_INTEGRATOR}
     zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
     return {
         "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),
@@ -148,14 +109,6 @@ def _press_entries(scene: Scene, motion: PressedMotion) -> dict:
         "force_shape": dataclasses.asdict(motion.shape),
         "peak_displacement": motion.peak,
         "integrator": INTEGRATOR,
-    }
-
-
-def _grip_entries(motion: GrippedMotion) -> dict:
-    return {
-        "foundation_over_stiffness": motion.anchor,
-        "damping_over_stiffness": motion.damping,
-        "integrator": GRIP_INTEGRATOR,
     }
 
 

@@ -195,10 +195,7 @@ def _integrate(
     free = advanced[~held]
     # The matrix is symmetric and positive definite, so it needs no pivoting.
     factors = splu(
-        free[:, ~held].tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
+        free[:, ~held].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
     ties = free[:, held].sum(axis=1)[:, None]
     place, before, speed, speed_before = (np.zeros((rows * columns, 2)) for _ in range(4))

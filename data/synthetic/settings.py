@@ -145,7 +145,7 @@ class SceneSettings:
     """How far the camera turns to and fro about its lens within a second or two [degrees]; true
     places are those of the first frame's camera."""
     video_quality: Annotated[int, 0, 51] = 18
-    """Constant rate factor of the video file (H.264): 18 is hardly to be told from the pictures, 23 usual, 28 poor."""
+    """Constant rate factor of the video file (H.264): 18 hardly differs from the pictures, 23 usual, 28 poor."""
 
     def __post_init__(self) -> None:
         for name, (lowest, highest) in LIMITS.items():

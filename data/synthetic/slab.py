@@ -16,7 +16,7 @@ import numpy as np
 from palpate.data.synthetic.grip import draw_course, draw_tip_path
 from palpate.data.synthetic.scene import Scene, SceneError, require_room
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_factor
+from palpate.data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_after, force_factor
 from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
 from palpate.physics.fem.slab import Slab, layered
 from palpate.physics.load import Grip, Load, Press
@@ -218,11 +218,8 @@ def _press(
     force = -wanted / sunk.item()
     press = Press(nodes, shares[nodes], direction, factor)
     known, _ = _follow(scene, body, material, tissue, press, onset, force)
-    at = np.zeros(settings.frames)
     after = known["times"] - known["times"][onset]
-    loaded = (after > -1e-9) & (after < load - 1e-9)
-    at[loaded] = force * force_factor(shape, after[loaded], load)
-    return PressedSlab(**known, release_frame=release, force=at)
+    return PressedSlab(**known, release_frame=release, force=force * force_after(shape, after, load))
 
 
 def _pull(

@@ -208,9 +208,6 @@ def simulate_motion(
     field[onset:] = frames
     contact = np.zeros((settings.frames, 3))
     contact[onset:] = frames[:, window.contact]
-    force = np.zeros(settings.frames)
-    pressed = (after > -TIME_TOLERANCE) & (after < load - TIME_TOLERANCE)
-    force[onset:][pressed] = theta[2] * force_factor(shape, after[pressed], load)
     return PressedMotion(
         theta=theta,
         onset_frame=onset,
@@ -220,7 +217,7 @@ def simulate_motion(
         times=times,
         contact=contact,
         response=response,
-        force=force,
+        force=theta[2] * force_after(shape, times - times[onset] - delay, load),
         shape=shape,
         moving=window.vertices,
         field=field,
@@ -282,6 +279,12 @@ def force_factor(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray
     risen = np.clip(time / shape.rise, 0.0, 1.0) if shape.rise else np.ones_like(time)
     left = np.clip((load - time) / shape.fall, 0.0, 1.0) if shape.fall else np.ones_like(time)
     return np.minimum(risen, left)
+
+
+def force_after(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
+    """The same just after any times, 0 outside the load."""
+    loaded = (time > -TIME_TOLERANCE) & (time < load - TIME_TOLERANCE)
+    return np.where(loaded, force_factor(shape, time, load), 0.0)
 
 
 def _peak_under_load(

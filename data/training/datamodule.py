@@ -163,7 +163,7 @@ class ClipDataModule(LightningDataModule):
     def state_dict(self) -> dict[str, Any]:
         """Record of the data for a checkpoint: where depth and masks of the clips came from."""
         return {
-            "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")},
+            "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")}
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

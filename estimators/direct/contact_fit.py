@@ -66,7 +66,7 @@ def concluded(
     box: np.ndarray,
     optima: Sequence[Optimum],
     best: Optimum,
-    known: tuple[np.ndarray, np.ndarray],
+    posterior: tuple[np.ndarray, np.ndarray],
     draws: Draws | None,
     **more: Any,
 ) -> Estimate:
@@ -76,41 +76,50 @@ def concluded(
         problem: that was fitted.
         box: lower and upper ends of all parameters, shape [2, D].
         optima: all that were found, and the best of them.
-        known: mean [D] and covariance [D, D] of all parameters by these.
+        posterior: mean [D] and covariance [D, D] of all parameters by these.
         draws: of the posterior, which say them better; None = there are too few.
         more: further fields of the estimate.
     """
-    motion, prior, (mean, spread), judges = problem.motion, box_information(box), known, known[0][None]
+    motion, prior, (mean, spread), judges = problem.motion, box_information(box), posterior, posterior[0][None]
     if draws is not None:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
     information = problem.information(mean)
+    known = {"theta": motion.theta(mean), "covariance": spread[:3, :3], "shape": motion.shape(mean)}
+    trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
+    more |= {"expected_information": trusted, "modes": count_modes(optima, prior)}
+    return press_estimate(problem, box, best.logs, mean, information, **known, **more)
+
+
+def press_estimate(
+    problem: ContactProblem | SequenceProblem,
+    box: np.ndarray,
+    best: np.ndarray,
+    mean: np.ndarray,
+    information: np.ndarray,
+    **known: Any,
+) -> Estimate:
+    """The estimate of a press, with the covariance of a large noise added where the contact may hide its own bottom.
+
+    Args:
+        problem: that was fitted.
+        box: lower and upper ends of all parameters, those of the tissue first, shape [2, D].
+        best: parameters that explain it best, shape [D].
+        mean: parameters by which the delays are said, shape [D].
+        information: of all parameters, shape [D, D].
+        known: further fields of the estimate.
+    """
+    motion, prior = problem.motion, box_information(box)
     found = Estimate(
-        theta=motion.theta(mean),
-        covariance=spread[:3, :3],
         information=information[:3, :3],
         noise=problem.sigma,
-        misfit=problem.misfit(best.logs),
+        misfit=problem.misfit(best),
         largest_misfit=LARGEST_MISFIT,
-        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
+        at_bound=np.minimum(best - box[0], box[1] - best)[:3] < AT_BOUND,
         delays=tuple((motion.within * mean[motion.delays]).tolist()),
         delays_at_end=bool((np.abs(mean[motion.delays]) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
-        modes=count_modes(optima, prior),
-        shape=motion.shape(mean),
-        **more,
+        **known,
     )
-    return widened_if_oblique(found, information, prior)
-
-
-def widened_if_oblique(found: Estimate, information: np.ndarray, prior: np.ndarray) -> Estimate:
-    """An estimate of a contact that may hide its own bottom, with the covariance of so large a noise added.
-
-    Args:
-        found: the estimate; one of a contact that is not oblique stays as it is.
-        information: of all parameters, those of the tissue first, shape [D, D].
-        prior: of all parameters, shape [D, D].
-    """
     if not is_oblique(found):
         return found
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)

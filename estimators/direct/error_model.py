@@ -73,8 +73,8 @@ def log_likelihoods(observed: np.ndarray, simulated: np.ndarray) -> tuple[np.nda
     frames = len(observed)
     common = TRACKING**2 * np.eye(frames) + REST**2
     noisy = _log_density(apart, (np.eye(frames) + common)[None])
-    alike = _log_density(apart, rounding_covariance(simulated) + common) + math.log(ROUNDED_ODDS)
-    return np.stack([noisy, bounded_log_density(apart)], axis=1), np.stack([noisy, alike], axis=1)
+    rounded = _log_density(apart, rounding_covariance(simulated) + common) + math.log(ROUNDED_ODDS)
+    return np.stack([noisy, bounded_log_density(apart)], axis=1), np.stack([noisy, rounded], axis=1)
 
 
 def bounded_log_density(apart: np.ndarray) -> np.ndarray:

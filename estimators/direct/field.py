@@ -21,6 +21,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.error_model import rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.mechanics import Mechanics
 
 OUTLIER = 4.0
@@ -30,9 +31,8 @@ MOVED, SEVERAL = 3.0, 3
 the model, or in so many by what is observed, as one outlier is no motion."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
-WALL = 0.08
-"""Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it: so much
-of a grid pixel may show another patch than it seems."""
+WALL = MODEL_ERRORS.dent_wall
+"""Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
 HIDDEN = 1e6
 """Standard deviation of what isn't seen [σ]."""
 
@@ -182,10 +182,10 @@ class SequenceProblem(Generic[M]):
         covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]
         covariance += 0.5 * np.square(walls)[:, :, None] * np.eye(frames)
         if noise.in_place > 0:
-            alike = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
+            common = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
             if noise.rounded:
-                alike = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
-            covariance = covariance + noise.in_place**2 * alike
+                common = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
+            covariance = covariance + noise.in_place**2 * common
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
         smooth = still[:, :, None] * self._smooth[:, None, :]
@@ -216,6 +216,10 @@ class SequenceProblem(Generic[M]):
         moved = moved + self.offset
         tangent = self.patches.shown(self.patches.sunk_slopes(moved, slopes), self.covering)
         return self.change(moved, logs), tangent + self._turning
+
+    def left(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """Whitened simulated minus observed change; arguments as of `change`."""
+        return self.whitened(self.change(moved, logs) - self.observed)
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
         """The first of `linearise`."""

@@ -193,8 +193,7 @@ def _sample(
     def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = []
         for item in logs:
-            moved = problem.motion.quick(item) + error
-            left = problem.whitened(problem.change(moved, item) - problem.observed)
+            left = problem.left(problem.motion.quick(item) + error, item)
             values.append(-0.5 * float(left @ left) / scale)
         found = np.array(values).reshape(-1, 1)
         return found, found

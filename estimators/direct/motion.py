@@ -15,10 +15,9 @@ from typing import Self
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Mechanics, theta_of
-from palpate.physics.msd.simulation import is_chaotic, simulate, simulate_sensitivities
+from palpate.physics.msd.simulation import simulate, simulate_tangent
 
 FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
@@ -35,7 +34,64 @@ _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 
 _SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
-class PressMotion:
+class DelayedMotion:
+    """How a press whose instants may be unknown moves tissue: what its parameters after the tissue's own are.
+
+    Args:
+        contact: mesh and load.
+        times: instants since the time stamp at which the press was observed to begin, shape [N] [s].
+        within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
+    """
+
+    tissue = 3
+    """Parameters before the delays."""
+
+    def __init__(self, contact: Interaction, times: np.ndarray, within: float) -> None:
+        self.contact, self.times, self.within = contact, times, within
+
+    @property
+    def delays(self) -> slice:
+        """Which of the parameters are delays: none, that of the beginning, or both."""
+        return slice(self.tissue, self.tissue + (1 + self.contact.released if self.within else 0))
+
+    def with_delays(self, tissue: np.ndarray) -> np.ndarray:
+        """Lower and upper ends of tissue's parameters [2, …] and of the delays, shape [2, D]."""
+        return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - self.tissue)])
+
+    def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
+        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
+        if not self.contact.released:
+            return math.inf
+        delayed = self.within * (logs[self.tissue + 1] - logs[self.tissue]) if self.within else 0.0
+        return self.contact.load_seconds + delayed + longer
+
+    def since(self, logs: np.ndarray) -> np.ndarray:
+        """The instants since the beginning of the press, shape [N] [s]."""
+        return self.times - (self.within * logs[self.tissue] if self.within else 0.0)
+
+    def seen(self, curves: np.ndarray, step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N, …, D].
+
+        Args:
+            curves: displacements after every step, their derivatives by tissue's parameters, and by the load's duration
+                where that is unknown, shape [T, …, D].
+            step: [s].
+            logs: all parameters.
+        """
+        since = self.since(logs)
+        found, rate = between_steps(curves, step, since)
+        if not self.within:
+            return found[..., 0], found[..., 1:]
+        by_duration = found[..., 1 + self.tissue :]
+        # A later beginning moves all of the motion, and shortens the load.
+        delayed = -rate[..., :1] * (since > 0)[:, None, None, None]
+        if self.contact.released:
+            delayed = delayed - by_duration
+        parts = [found[..., 1 : 1 + self.tissue], self.within * delayed, self.within * by_duration]
+        return found[..., 0], np.concatenate(parts, axis=-1)
+
+
+class PressMotion(DelayedMotion):
     """Displacements of M vertices at N instants for any parameters, D = 3, 4 or 5.
 
     Args:
@@ -62,18 +118,12 @@ class PressMotion:
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, vertices: np.ndarray, times: np.ndarray, within: float = 0.0
     ) -> None:
-        self.contact, self.mechanics, self.vertices, self.within = contact, mechanics, vertices, within
+        self.mechanics, self.vertices = mechanics, vertices
         self.steps = np.rint(times / mechanics.time_step).astype(np.int64) - 1
         """Index into a trajectory that starts at the time stamp of the instants, shape [N]."""
-        self.times = (self.steps + 1) * mechanics.time_step
-        """The instants, to the nearest step, shape [N] [s]."""
+        super().__init__(contact, (self.steps + 1) * mechanics.time_step, within)
         self.longest = int(self.steps.max()) + 1 + math.ceil(within / mechanics.time_step)
         """Steps of a simulation: the press may have begun earlier."""
-
-    @property
-    def delays(self) -> slice:
-        """Which of the parameters are delays, those after φ: none, that of the beginning, or both."""
-        return slice(3, 3 if not self.within else 4 + self.contact.released)
 
     @property
     def centred(self) -> np.ndarray:
@@ -82,7 +132,7 @@ class PressMotion:
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
-        return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - 3)])
+        return self.with_delays(tissue)
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F], shape [3]."""
@@ -102,31 +152,15 @@ class PressMotion:
         """
         return dataclasses.replace(self.contact.load, factor=held(self.loaded(logs, longer) / time_step, steps))
 
-    def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
-        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
-        if not self.contact.released:
-            return math.inf
-        delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
-        return self.contact.load_seconds + delayed + longer
-
-    def since(self, logs: np.ndarray) -> np.ndarray:
-        """The instants since the beginning of the press, shape [N] [s]."""
-        return self.times - (self.within * logs[3] if self.within else 0.0)
-
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
 
         Exact by φ; by the delays of a press whose release was observed they are differences from then on, good to 5 %.
         Without derivatives where the motion is so chaotic that rounding decides them.
         """
-        theta, step = self.theta(logs), self.mechanics.time_step
-        load = self.load(logs, step, self.longest)
-        path, slopes = simulate_sensitivities(
-            theta, self.contact.mesh, load, self.mechanics, watch=self.vertices, dtype=np.float64
-        )
-        slopes = log_jacobian(slopes, theta)
-        if is_chaotic(path, slopes):
-            slopes = np.zeros_like(slopes)
+        step, load = self.mechanics.time_step, self.load(logs, self.mechanics.time_step, self.longest)
+        what = self.theta(logs), self.contact.mesh, load, self.mechanics
+        path, slopes = simulate_tangent(*what, watch=self.vertices, dtype=np.float64)
         others = self._others(logs)
         if not self.within:
             return path[self.steps], np.concatenate([slopes[self.steps], others], axis=-1)
@@ -135,15 +169,8 @@ class PressMotion:
             longer = LATER * step
             later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
             curves.append((later - path)[..., None] / longer)
-        since = self.since(logs)
-        found, rate = between_steps(np.concatenate(curves, axis=-1), step, since)
-        velocity = rate[..., :1] * (since > 0)[:, None, None, None]
-        # A later beginning moves all of the motion, and shortens the load.
-        by_duration = found[..., 4:]
-        delayed = -velocity - by_duration if self.contact.released else -velocity
-        return found[..., 0], np.concatenate(
-            [found[..., 1:4], self.within * delayed, self.within * by_duration, others], axis=-1
-        )
+        found, slopes = self.seen(np.concatenate(curves, axis=-1), step, logs)
+        return found, np.concatenate([slopes, others], axis=-1)
 
     def _others(self, logs: np.ndarray) -> np.ndarray:
         """Derivatives of the displacements by all parameters besides φ and the delays, shape [N, M, 3, D']."""
@@ -166,23 +193,23 @@ class PressMotion:
         """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
         mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / FINER)
         path = self._path(logs, mechanics, FINER * self.longest, np.float64)
-        if not self.within:
-            return path[FINER * (self.steps + 1) - 1]
-        return between_steps(path, mechanics.time_step, self.since(logs))[0]
+        return self._shown(path, FINER * (self.steps + 1), mechanics, logs)
 
     def coarse(self, logs: np.ndarray) -> np.ndarray:
         """The displacements with a coarse time step and in single precision, shape [N, M, 3]."""
         path, ratio = self.coarse_path(logs)
-        if not self.within:
-            return path[(self.steps + 1) // ratio - 1].astype(np.float64)
-        return between_steps(path, ratio * self.mechanics.time_step, self.since(logs))[0]
+        return self._shown(path, (self.steps + 1) // ratio, self.coarse_mechanics()[0], logs)
 
     def quick(self, logs: np.ndarray) -> np.ndarray:
         """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
         mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
         path = self._path(logs, mechanics, self.longest, np.float32)
+        return self._shown(path, self.steps + 1, mechanics, logs)
+
+    def _shown(self, path: np.ndarray, after: np.ndarray, mechanics: Mechanics, logs: np.ndarray) -> np.ndarray:
+        """A path [T, M, 3] at the instants, which without delays are after so many of its steps [N]: [N, M, 3]."""
         if not self.within:
-            return path[self.steps].astype(np.float64)
+            return path[after - 1].astype(np.float64)
         return between_steps(path, mechanics.time_step, self.since(logs))[0]
 
     def coarse_path(self, logs: np.ndarray) -> tuple[np.ndarray, int]:

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
@@ -36,9 +37,8 @@ class PatchMotion(PressMotion):
     parts = 3
     """Whole pixels jump from patch to patch at a dent's wall, many at once, and that looks like another course of the
     force: from the truth itself fits of two clips ended 1.2 to 2.9 bounds off in the ratios, 0.1 to 1.2 with parts."""
-    astray, uneven = 0.02, 0.008
-    """Measured on 13 clips of 854x480 at the true motion: vertices' patches end in steps, and whole pixels show these.
-    Without them, 71 % of the 90 % intervals of F/k_s held on 24 clips."""
+    astray, uneven = MODEL_ERRORS.patch_aside, MODEL_ERRORS.patch_depth
+    """Vertices' patches end in steps, and whole pixels show these."""
     sampled = False
     """In ten dimensions they shrink to a few: one of ten clips got a sixth of the bound for its standard deviation, and
     an error of 15 of these. The optima's own covariance counts instead."""

@@ -78,7 +78,7 @@ class ContactProblem(Likelihood):
         """Starts among candidates [C, 3] whose motions [C, N, 3] are known.
 
         Displacement is about proportional to the force, so each candidate is tried with the force that suits it best;
-        and with the delay that does, of the release alike.
+        and with the delay that does, of the release likewise.
         """
         if self.motion.within:
             candidates, paths = self._delayed(candidates)

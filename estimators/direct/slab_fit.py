@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END, LARGEST_MISFIT, widened_if_oblique
+from palpate.estimators.direct.contact_fit import press_estimate
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.direct.slab_posterior import (
@@ -29,10 +29,8 @@ from palpate.estimators.direct.slab_posterior import (
 from palpate.estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.estimators.oblique import view_angle
 from palpate.physics.fem import NoBody
 from palpate.physics.fem.slab import Slab, slab_beneath
-from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import theta_of
 
 BLIND = 4.5
@@ -79,14 +77,14 @@ def fit_slab(
             pixels = contact.mesh.pixels[vertices]
             return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
 
-        return SequenceProblem(beside, motion, noise)
+        return SequenceProblem(visible, motion, noise)
 
-    beside = _beside_tip(contact)
+    visible = _without_tip(contact)
     place = find_tip(problem_of, slab.place)
     problem = problem_of(place)
     logs, valley, scale = settled(problem)
-    misfit, box = problem.misfit(logs), problem.motion.box
-    if not misfit > 0:
+    box = problem.motion.box
+    if not problem.misfit(logs) > 0:
         raise NoEstimate("No pixel of the dent moves clearly, so that nothing shows whether a slab explains it.")
     coarse = moved_by_mesh(problem, problem_of(place, body=finer).motion, logs)
     regions = firm_regions(problem, logs, thickness, scale)
@@ -95,22 +93,10 @@ def fit_slab(
     spread = valley.covariance + np.outer(coarse, coarse) + unsure + (1 - firm) * UNLIKE + firm * UNLIKE_FIRM
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
-    information = problem.information(logs)
-    found = Estimate(
-        theta=theta_of(np.clip(valley.mean + shift, *box[:, :3])),
-        covariance=spread,
-        information=information[:3, :3],
-        noise=problem.sequence.noise.total,
-        misfit=misfit,
-        largest_misfit=LARGEST_MISFIT,
-        at_bound=np.minimum(logs - box[0], box[1] - logs)[:3] < AT_BOUND,
-        delays=tuple((within * logs[3:]).tolist()),
-        delays_at_end=bool((np.abs(logs[3:]) > DELAY_AT_END).any()),
-        view_angle=view_angle(contact),
-        outliers=problem.outliers,
-        refuted=relaxation(problem, logs, problem_of(place, relaxing=True), fits, scale),
-    )
-    found = widened_if_oblique(found, information, box_information(box))
+    theta = theta_of(np.clip(valley.mean + shift, *box[:, :3]))
+    known = {"theta": theta, "covariance": spread, "outliers": problem.outliers}
+    refuted = relaxation(problem, logs, problem_of(place, relaxing=True), fits, scale)
+    found = press_estimate(problem, box, logs, logs, problem.information(logs), refuted=refuted, **known)
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
 
 
@@ -132,7 +118,7 @@ def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, f
     return logs, valley, scale
 
 
-def _beside_tip(contact: Interaction) -> Interaction:
+def _without_tip(contact: Interaction) -> Interaction:
     """The contact with a depth-change sequence that doesn't show the tissue under the tip."""
     if contact.sequence is None:
         raise ValueError("the contact has no depth-change sequence; gather it with frames that have depth and labels.")

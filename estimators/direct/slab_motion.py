@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import between_steps
+from palpate.estimators.direct.motion import DelayedMotion, between_steps
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
 from palpate.physics.fem.dynamics import Direction
@@ -80,7 +80,7 @@ def _stiffer(slab: Slab, region: FirmRegion | None) -> np.ndarray | float:
     return 1.0 if region is None else region.stiffer(slab.solid)
 
 
-class SlabMotion:
+class SlabMotion(DelayedMotion):
     """Displacements of V places at N instants for any parameters, D of them.
 
     Args:
@@ -107,9 +107,8 @@ class SlabMotion:
         place: tuple[float, float] | None = None,
         region: FirmRegion | None = None,
     ) -> None:
-        self.contact, self.slab, self.times, self.within, self.relaxing = contact, slab, times, within, relaxing
-        self.tissue = 4 if relaxing else 3
-        """Parameters before the delays."""
+        super().__init__(contact, times, within)
+        self.slab, self.relaxing, self.tissue = slab, relaxing, 4 if relaxing else 3
         self.step = float(np.diff(times, prepend=0.0).min()) / SUBSTEPS
         """Of the simulation [s]."""
         self.longest = math.ceil((times[-1] + within) / self.step - 1e-6)
@@ -122,10 +121,7 @@ class SlabMotion:
     @property
     def box(self) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D]."""
-        tissue = RELAXING_BOX if self.relaxing else SLAB_BOUNDS.log_box
-        if not self.within:
-            return tissue
-        return np.hstack([tissue, np.tile([[-1.0], [1.0]], 2 if self.contact.released else 1)])
+        return self.with_delays(RELAXING_BOX if self.relaxing else SLAB_BOUNDS.log_box)
 
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements [N, V, 3] and their derivatives by all parameters [N, V, 3, D], those of the discrete motion.
@@ -142,16 +138,8 @@ class SlabMotion:
         except NoEquilibrium:
             shape = (len(self.times), self._shown.shape[0], 3)
             return np.full(shape, np.nan), np.full((*shape, len(logs)), np.nan)
-        since = self._since(logs)
-        found, rate = between_steps(np.concatenate([path[..., None], slopes], axis=-1), self.step, since)
-        if not self.within:
-            return self._corrected(logs, found[..., 0], found[..., 1:])
-        by_duration = found[..., 1 + self.tissue :]
-        delayed = -rate[..., :1] * (since > 0)[:, None, None, None]
-        if self.contact.released:  # a later beginning shortens the load
-            delayed = delayed - by_duration
-        parts = [found[..., 1 : 1 + self.tissue], self.within * delayed, self.within * by_duration]
-        return self._corrected(logs, found[..., 0], np.concatenate(parts, axis=-1))
+        found = self.seen(np.concatenate([path[..., None], slopes], axis=-1), self.step, logs)
+        return self._corrected(logs, *found)
 
     def _corrected(self, logs: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A motion of the body and its derivatives with what its elements get wrong in small motions put right."""
@@ -173,7 +161,7 @@ class SlabMotion:
             region: that is firmer; None = the motion's own.
         """
         firm = self.region if region is None else region
-        return between_steps(self._followed(logs, "linear", False, firm)[0], self.step, self._since(logs))[0]
+        return between_steps(self._followed(logs, "linear", False, firm)[0], self.step, self.since(logs))[0]
 
     def by_modes(self, logs: np.ndarray) -> np.ndarray:
         """The same of the fine elements where there are such, in milliseconds once modes are known."""
@@ -184,11 +172,9 @@ class SlabMotion:
         young, second, force = theta_of(logs[:3])
         relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
         damping = 0.0 if self.relaxing else second / DENSITY
-        course = force * held(self._loaded(logs), self.longest)
+        course = force * held(self.loaded(logs) / self.step, self.longest)
         amplitudes = modes.follow(young, damping, course, self.step, relaxation)
-        return np.einsum(
-            "vam,nm->nva", shown, between_steps(amplitudes, self.step, self._since(logs))[0], optimize=True
-        )
+        return np.einsum("vam,nm->nva", shown, between_steps(amplitudes, self.step, self.since(logs))[0], optimize=True)
 
     @cached_property
     def _modes(self) -> tuple[Modes, np.ndarray]:
@@ -222,17 +208,6 @@ class SlabMotion:
         cells = ring[:, None] * (1 + part.max()) + part
         return MODEL_ERRORS.slab_motion * sunk.T[..., None] * (cells[..., None] == np.unique(cells))
 
-    def _since(self, logs: np.ndarray) -> np.ndarray:
-        """The instants since the beginning of the press, shape [N] [s]."""
-        return self.times - (self.within * logs[self.tissue] if self.within else 0.0)
-
-    def _loaded(self, logs: np.ndarray) -> float:
-        """Steps under load."""
-        if not self.contact.released:
-            return math.inf
-        delayed = self.within * (logs[self.tissue + 1] - logs[self.tissue]) if self.within else 0.0
-        return (self.contact.load_seconds + delayed) / self.step
-
     def _followed(
         self, logs: np.ndarray, law: str, slopes: bool, region: FirmRegion | None
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +215,7 @@ class SlabMotion:
         young, second, force = theta_of(logs[:3])
         relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
         damping = 0.0 if self.relaxing else second / DENSITY
-        loaded = self._loaded(logs)
+        loaded = self.loaded(logs) / self.step
         factor = held(loaded, self.longest)
         direction = np.asarray(self.contact.direction, np.float64)
         nodes = np.flatnonzero(self._shares)
@@ -264,9 +239,9 @@ class SlabMotion:
             directions=along if slopes else (),
             tolerance=TOLERANCE,
         )
-        return self._seen(found.displacement[1:]), self._seen(found.slopes[1:])
+        return self._at_places(found.displacement[1:]), self._at_places(found.slopes[1:])
 
-    def _seen(self, values: np.ndarray) -> np.ndarray:
+    def _at_places(self, values: np.ndarray) -> np.ndarray:
         """Of nodes [T, N, ...] at the places, shape [T, V, ...]."""
         flat = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1)
         shape = (self._shown.shape[0], values.shape[0], *values.shape[2:])

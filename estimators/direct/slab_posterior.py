@@ -31,7 +31,7 @@ DIFFERENCE = 0.02
 """Of a parameter, for derivatives."""
 YOUNG, DAMPING = np.log(np.geomspace(20.0, 2000.0, 11)), np.log(np.geomspace(5e3, 8e5, 7))
 """log E and log d among whose pairs a start is looked for."""
-BESIDE, ASTRAY = 0.5, 2.0
+NEARBY, ASTRAY = 0.5, 2.0
 """A step of the tip's middle, for derivatives; and its standard deviation around the contact's vertex, which is a pixel
 or two off [grid px]."""
 ROUGH, DONE = 3.0, 0.2
@@ -81,16 +81,16 @@ def find_tip(
         problem_of: the depth-change sequence with the tip in some place.
         place: where it is taken to be.
     """
-    problem, *beside = (problem_of((place[0] + x, place[1] + y)) for x, y in ((0, 0), (BESIDE, 0), (0, BESIDE)))
+    problem, *nearby = (problem_of((place[0] + x, place[1] + y)) for x, y in ((0, 0), (NEARBY, 0), (0, NEARBY)))
     logs = slab_start(problem)
     problem.look(logs)
 
-    def whitened(motion: SlabMotion, tried: np.ndarray) -> np.ndarray:
-        return problem.whitened(problem.change(motion.by_modes(tried), tried) - problem.observed)
+    def by_modes(motion: SlabMotion, tried: np.ndarray) -> np.ndarray:
+        return problem.left(motion.by_modes(tried), tried)
 
-    left = whitened(problem.motion, logs)
-    slopes = [(whitened(problem.motion, logs + step) - left) / DIFFERENCE for step in DIFFERENCE * np.eye(len(logs))]
-    slopes += [(whitened(other.motion, logs) - left) / BESIDE for other in beside]
+    left = by_modes(problem.motion, logs)
+    slopes = [(by_modes(problem.motion, logs + step) - left) / DIFFERENCE for step in DIFFERENCE * np.eye(len(logs))]
+    slopes += [(by_modes(other.motion, logs) - left) / NEARBY for other in nearby]
     jacobian = np.stack(slopes, axis=1)
     prior = np.zeros((len(slopes), len(slopes)))
     prior[:-2, :-2] = box_information(problem.motion.box)
@@ -140,7 +140,7 @@ def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: n
     strained = motion.at(logs)[0] - motion.by_modes(logs)
 
     def residual(tried: np.ndarray) -> np.ndarray:
-        return problem.whitened(problem.change(strained + motion.by_modes(tried), tried) - problem.observed)
+        return problem.left(strained + motion.by_modes(tried), tried)
 
     def settled(tried: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """With all but E as they suit it, χ²/2, and the covariance of log d and log |F| there."""
@@ -177,9 +177,9 @@ def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: n
     path = np.stack([np.interp(fine, young, [item[0][index] for item in points]) for index in range(3)], axis=1)
     mean = weights @ path
     covariance = np.einsum("w,wi,wj->ij", weights, path - mean, path - mean)
-    beside = np.array([item[2][:2, :2] for item in points])
+    others = np.array([item[2][:2, :2] for item in points])
     nearest = np.abs(fine[:, None] - young).argmin(axis=1)
-    covariance[1:, 1:] += np.einsum("w,wij->ij", weights, beside[nearest])
+    covariance[1:, 1:] += np.einsum("w,wij->ij", weights, others[nearest])
     best = min(points, key=lambda item: item[1])
     value = 0.5 * float(np.square(residual(logs)).sum()) / scale
     return Valley(mean, covariance, best[0], scale * (value - best[1]))

@@ -66,7 +66,7 @@ def firm_regions(
     def suiting(values: np.ndarray) -> np.ndarray:
         return -np.linalg.solve(matrix, jacobian.T @ values)
 
-    alike, left = motion.linear(logs), residual + jacobian @ suiting(residual)
+    homogeneous, left = motion.linear(logs), residual + jacobian @ suiting(residual)
     normal = np.asarray(contact.direction, np.float64)
     focal = float(motion.slab.focal_lengths.mean())
     radius = REGION * float(contact.mesh.vertices[contact.vertex, 2]) / focal
@@ -76,7 +76,7 @@ def firm_regions(
         for angle in 2 * np.pi * np.arange(WAYS) / WAYS:
             centre = below + aside * radius * np.array([math.cos(angle), math.sin(angle), 0.0])
             region = FirmRegion(centre, radius, math.log(USUAL))
-            change = shown_change(problem, motion.linear(logs, region) - alike)
+            change = shown_change(problem, motion.linear(logs, region) - homogeneous)
             freed = change + jacobian @ suiting(change)
             # Its firmness has a normal prior around 1, in units of the usual one.
             known = float(freed @ freed) / scale + 1 / USUAL_SD**2
@@ -116,7 +116,7 @@ def with_firm_regions(
 
 
 def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Over tissue that is homogeneous and that with a firm region, alike likely beforehand.
+    """Over tissue that is homogeneous and that with a firm region, equally likely beforehand.
 
     Returns:
         the probability that there is one; the mean shift of (log E, log d, log |F|), shape [3]; what it adds to their

@@ -18,10 +18,11 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.sparse import csr_array
 
 from palpate.common.robust import affine_terms
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import Equilibrium, equilibrium
 
 PIECE = 7
-"""Side of a piece of tissue, in grid spacings of the points, over which what a sheet can't explain is alike."""
+"""Side of a piece of tissue, in grid spacings of the points, over which what a sheet can't explain is the same."""
 TYPICAL_ANCHOR, SPREAD = 0.01, 3.0
 """Foundation over spring stiffness of tissue, and the standard deviation of its logarithm: almost anything."""
 BEYOND = 5
@@ -36,8 +37,6 @@ LEAST_GRIPPED, LEAST_AROUND = 20, 50
 """Fewer points at the instrument, or around it, are too few."""
 PRECISION = 1e-5
 """Of the likeliest log foundation, relative."""
-HIDDEN = 0.1
-"""Relative standard deviation of the force on the foundation of tissue that is not visible."""
 RADIUS = 2.1459660262893474
 """Standard deviations of a two-dimensional normal distribution that hold 90 % of it, √(-2 log 0.1)."""
 
@@ -153,14 +152,14 @@ class SheetFit:
         """Log of what holds the gripped tissue over the springs' stiffness, and its standard deviation [px].
 
         Tissue behind the instrument is not visible: the share of the force that it takes, on its foundation, counts as
-        known to HIDDEN of itself.
+        known to `hidden_force` (`estimators.model_errors`) of itself.
         """
         found = self.held(frame).found
         force = found.reaction.sum(axis=0)
         unseen = np.exp(self.log_anchor) * found.displacement[self.count :].sum(axis=0)
         either = [np.log(np.linalg.norm(sheet._forces([frame])[0])) for sheet in self._either()]
         share = unseen @ force / (force @ force)
-        return float(np.log(np.linalg.norm(force))), float(np.hypot(np.std(either), HIDDEN * share))
+        return float(np.log(np.linalg.norm(force))), float(np.hypot(np.std(either), MODEL_ERRORS.hidden_force * share))
 
     def _either(self) -> list[SheetFit]:
         """Two whose log foundations have its standard deviation."""

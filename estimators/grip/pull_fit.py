@@ -38,6 +38,8 @@ STEPS = 3
 """Of the simulation from one knot to the next."""
 
 _BUMP = BSpline.basis_element(np.arange(5.0), extrapolate=False)
+_NATURAL = np.vstack([np.eye(KNOTS - 1), np.eye(KNOTS - 1)[-2:].T @ [-1, 2]])
+"""Of the bumps at all knots by the way's numbers, shape [KNOTS, P]: without curvature at its end."""
 
 
 class PullMotion:
@@ -102,17 +104,10 @@ class PullMotion:
 
     def _spline(self, answer: np.ndarray) -> np.ndarray:
         """What a bump does [S + 1, ..., 2], begun at every knot, seen at the instants [T, ..., 2P]."""
-        parts = []
-        for knot in range(KNOTS):
-            late = np.zeros_like(answer)
-            late[knot * STEPS :] = answer[: len(answer) - knot * STEPS]
-            parts.append(late)
-        # Without curvature at its end.
-        last = parts.pop()
-        parts[-1] = parts[-1] + 2 * last
-        parts[-2] = parts[-2] - last
+        none, steps = np.zeros((1, *answer.shape[1:])), np.arange(len(answer))[:, None]
+        late = np.concatenate([none, answer])[np.maximum(steps + 1 - STEPS * np.arange(KNOTS), 0)]
+        whole = np.einsum("sk...a,kp->s...pa", late, _NATURAL)
         share = self._share.reshape(-1, *[1] * answer.ndim)
-        whole = np.stack(parts, axis=-2)
         found = (1 - share) * whole[self._after] + share * whole[self._after + 1]
         return found.reshape(*found.shape[:-2], -1)
 
@@ -123,7 +118,7 @@ RADII = 6.0, 10.0, 14.0
 """Of the tissue that moves as one with the instrument, of which the one that explains most is taken [grid px]."""
 YOUNG, DAMPING = np.log([100.0, 1000.0]), np.log([3e3, 2e4, 1.5e5])
 """log E and log d among whose pairs a start is looked for."""
-ALIKE = PIECE**2 / THIRD**2
+TOGETHER = PIECE**2 / THIRD**2
 """So many of the points that count err together."""
 INSTANTS = 4.0
 """So many frames err independently: what a slab can't explain stays."""
@@ -201,7 +196,7 @@ class _Problem:
     def solve(self, motion: PullMotion, logs: np.ndarray) -> _Solved:
         """The likeliest way and background, as the points count by now."""
         answer, held = motion.at(logs)
-        root = np.sqrt(self._weights / (self._given + self.scale) * INSTANTS / ALIKE / len(answer))
+        root = np.sqrt(self._weights / (self._given + self.scale) * INSTANTS / TOGETHER / len(answer))
         rows, right = [], []
         for columns, seen, weight in zip(answer, self._moved, root, strict=True):
             # What the background could do as well tells nothing.
@@ -276,8 +271,8 @@ def _concluded(problem: _Problem, motion: PullMotion, logs: np.ndarray, covarian
     """What a fit at φ [2], known with a covariance [2, 2], says of the force."""
     here = problem.solve(motion, logs)
     length, along, _ = along_last(here.force)
-    beside = [along_last(problem.solve(motion, logs + step).force) for step in DIFFERENCE * np.eye(2)]
-    slopes = np.array([[np.log(more / length), *(ratios - along)] for more, ratios, _ in beside]) / DIFFERENCE
+    nearby = [along_last(problem.solve(motion, logs + step).force) for step in DIFFERENCE * np.eye(2)]
+    slopes = np.array([[np.log(more / length), *(ratios - along)] for more, ratios, _ in nearby]) / DIFFERENCE
     spread = np.einsum("pt,pq,qt->t", slopes, covariance, slopes)
     variance = here.force_variance / length**2
     relative = variance + along**2 * variance[-1] + spread[1:] + np.square(MODEL_ERRORS.pull_course * along)

@@ -18,10 +18,11 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, Shown, shrunk
-from palpate.estimators.estimate import NINETY, GripEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from palpate.estimators.grip.pull_fit import CELLS, fit_pull
-from palpate.estimators.grip.sheet import Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
+from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.grip.stiffness_fit import fit_stiffness
 from palpate.estimators.model_errors import MODEL_ERRORS
@@ -104,19 +105,15 @@ class GripRecorder:
             dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
         ]
         judged = fit_sheet(points, spacing, against[:half])
-        anchor, wide, pull, pull_wide, force, force_sd = self._determined(frames)
+        fit = self._determined(frames)
         found = GripEstimate(
-            foundation_over_stiffness=float(np.exp(anchor)),
-            foundation_over_stiffness_low=float(np.exp(anchor - wide)),
-            foundation_over_stiffness_high=float(np.exp(anchor + wide)),
             skill=_mean_skill(judged, against[half:]),
             rival=_rival_skill(points, spacing, distance, against),
             times=np.array([item.time_s for item in kept]),
-            force=force,
-            force_sd=force_sd,
-            reaction_over_stiffness=float(np.exp(pull)),
-            reaction_over_stiffness_low=float(np.exp(pull - pull_wide)),
-            reaction_over_stiffness_high=float(np.exp(pull + pull_wide)),
+            force=fit.force,
+            force_sd=fit.force_sd,
+            **_interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd),
+            **_interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd),
         )
         if not found.explained:
             return found
@@ -144,15 +141,8 @@ class GripRecorder:
             np.array([item.time_s for item in self._kept]),
             [SeenFrame(item.frame.moved, item.noise) for item in self._kept],
         )
-        wide = NINETY * fit.log_force_sd
-        return {
-            "reaction_over_young": math.exp(fit.log_force),
-            "reaction_over_young_low": math.exp(fit.log_force - wide),
-            "reaction_over_young_high": math.exp(fit.log_force + wide),
-            "slab_error": fit.error,
-            "force": fit.force,
-            "force_sd": fit.force_sd,
-        }
+        known = _interval("reaction_over_young", fit.log_force, fit.log_force_sd)
+        return {**known, "slab_error": fit.error, "force": fit.force, "force_sd": fit.force_sd}
 
     def _stiffness(self) -> StiffnessField | None:
         """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""
@@ -163,8 +153,8 @@ class GripRecorder:
         except NoSheet:
             return None
 
-    def _determined(self, frames: Sequence[GripFrame]) -> tuple[float, float, float, float, np.ndarray, np.ndarray]:
-        """Log foundation, half its 90 % interval, the same of the force, and the force's course with its deviation.
+    def _determined(self, frames: Sequence[GripFrame]) -> FoundationFit:
+        """Foundation and force of a sheet.
 
         Points at the tool are followed badly. Where a sheet explains the others to within their noise, the grip's own
         motion is not taken from them; where it does not, unknown forces would explain too much, and it is.
@@ -177,15 +167,18 @@ class GripRecorder:
 
         again = Measuring(follower.everywhere, measure)
         try:
-            fit = fit_foundation(self._grid, seen, again)
+            return fit_foundation(self._grid, seen, again)
         except NoSheet:
             held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            return held.log_anchor, NINETY * sd, pull, NINETY * pull_sd, *held.relative_force(frames)
-        sd, pull_sd = fit.log_anchor_sd, fit.log_force_sd
-        return fit.log_anchor, NINETY * sd, fit.log_force, NINETY * pull_sd, fit.force, fit.force_sd
+            return FoundationFit(held.log_anchor, float(sd), pull, float(pull_sd), *held.relative_force(frames))
+
+
+def _interval(name: str, log: float, sd: float) -> dict[str, Any]:
+    """A quantity of that name and its 90 % interval, by its logarithm and the standard deviation of that."""
+    return {f"{name}{end}": math.exp(log + way * NINETY * sd) for end, way in (("", 0), ("_low", -1), ("_high", 1))}
 
 
 def _mean_skill(fit: SheetFit, frames: Sequence[GripFrame]) -> float:

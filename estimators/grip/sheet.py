@@ -6,7 +6,7 @@ observations as all others are, with their given noise, and the forces on every 
 also on tissue that it hides; an endless sheet (`physics.sheet`) answers these, and an affine background moves on its
 own. Far points tell the sum of the forces, and how fast the motion dies away, whatever happens at the grip. Errors of
 points are Student's (`common.robust`), whose scale is found in every frame: a sheet is not tissue. Neighbours' errors
-are alike (`estimators.grip.whitening`).
+are correlated (`estimators.grip.whitening`).
 
 Followed points are filtered, which biases them where neighbours lie on one side. So once a sheet explains them, they
 are measured again where it says they are. Should more points err together than expected, they count for less.
@@ -46,7 +46,7 @@ LINK = 0.05
 """Least standard deviation of a point by axis [px]."""
 LEAST_SCALE = LINK**2 / 100
 """Of errors besides the given noise: a smaller variance by axis is none [px²]."""
-ALIKE = PIECE**2 / THIRD**2
+TOGETHER = PIECE**2 / THIRD**2
 """So many points are taken to err together where they are weighted: what a sheet can't explain is smooth over a
 piece."""
 ROUNDS, AGAIN, CONVERGED = 15, 4, 1e-3
@@ -74,7 +74,7 @@ STEP = 0.1
 EXCESS = 0.03
 """Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15
 drawn clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
-MOST_ALIKE = 2.0
+MOST_TOGETHER = 2.0
 """Where what is left of the motion goes together over so many times as many points as following errs together (1.0
 times on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either."""
 
@@ -241,7 +241,7 @@ class SheetProblem:
         weights = np.ones(len(given)) if start is None else start.weights[seen]
         for _ in range(ROUNDS if start is None else AGAIN):
             before = weights
-            root = np.sqrt(weights / (given + scale) / ALIKE)[:, None]
+            root = np.sqrt(weights / (given + scale) / TOGETHER)[:, None]
             factor = _factor(rows * root, design.precision)
             found = cho_solve(factor, (rows * root).T @ (moved * root), check_finite=False)
             squares = np.square(moved - rows @ found).sum(axis=1)
@@ -251,8 +251,9 @@ class SheetProblem:
                 break
         whole = np.zeros(len(self.counted))
         whole[seen] = weights
+        loss = student_loss(squares, given + scale) / TOGETHER
         return Solved(
-            student_loss(squares, given + scale) / ALIKE + float(0.5 * design.precision @ np.square(found).sum(axis=1)),
+            loss + float(0.5 * design.precision @ np.square(found).sum(axis=1)),
             np.vstack([design.loads @ found[:-3], found[-3:]]),
             whole,
             scale,
@@ -343,7 +344,7 @@ def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Meas
     """
     problem = SheetProblem(grid)
     if not 0 < problem.loaded <= MOST_LOADED:
-        raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be told apart.")
+        raise NoSheet(f"Forces may act on {problem.loaded} places; from 1 to {MOST_LOADED} can be distinguished.")
     spread = evenly(len(frames), MOST_FITTED)
     found = _search(problem, [frames[place] for place in spread])
     excess = float(np.sqrt(found.solved[-1].scale))
@@ -373,7 +374,7 @@ def _with_forces(
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     errors = MODEL_ERRORS
-    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > MOST_ALIKE else (0.0, 0.0)
+    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > MOST_TOGETHER else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (
@@ -464,8 +465,8 @@ def _measured_again(
 def information(curvatures: np.ndarray, correlation: np.ndarray) -> float:
     """What J frames tell whose mean loss is minimised, by their curvatures [J] and their errors' correlation [J, J].
 
-    Scores err as far as the curvatures say, and alike as far as the errors do. Nothing is determined where no curvature
-    is positive.
+    Scores err as far as the curvatures say, and together as far as the errors do. Nothing is determined where no
+    curvature is positive.
     """
     scores = np.sqrt(np.maximum(curvatures, 0.0))
     return float(np.square(scores).sum() ** 2 / max(scores @ correlation @ scores, TINY))

@@ -22,7 +22,7 @@ MOVES = 5.0
 class StiffnessField:
     """Log stiffness of a sheet, bilinear between the K knots of a grid, beyond these as at their edge.
 
-    Known but for a factor: only ratios between places count. It is taken for granted that tissue is attached alike
+    Known but for a factor: only ratios between places count. It is taken for granted that tissue is attached the same
     everywhere, which a picture doesn't show.
     """
 

@@ -35,6 +35,7 @@ from palpate.estimators.grip.sheet import (
     SeenFrame,
 )
 from palpate.estimators.grip.stiffness_field import MOVES, StiffnessField
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import Equilibrium, equilibrium
 
 LOADED = 24.0
@@ -51,11 +52,11 @@ KNOT, MOST_KNOTS = 32.0, 160
 """Least distance between knots [px]; most knots."""
 ROUGHNESS = 0.55
 """Standard deviation of the difference between neighbouring knots: intervals hold at a step by a factor 3, too."""
-ALIKE = 24.0
+TOGETHER = 24.0
 """So many points err together: neighbours share what flow sees of them."""
 UNEXPLAINED = 2.0
 """Where a sheet does not explain the motion to within its noise, so many times as many do."""
-STRAINED = 0.03
+STRAINED = MODEL_ERRORS.strained_motion
 """Following errs by this share of the motion besides the given noise: windows are strained with the tissue."""
 LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
 """Times that points are weighted anew, in so many rounds, evaluations between, and the relative fall of χ² that ends
@@ -107,7 +108,8 @@ class _Problem:
             if self.count <= MOST_NODES and self._loaded.sum() <= MOST_LOADED:
                 break
         if not 0 < self._loaded.sum() <= MOST_LOADED:
-            raise NoSheet(f"Forces may act on {self._loaded.sum()} places; from 1 to {MOST_LOADED} can be told apart.")
+            found = int(self._loaded.sum())
+            raise NoSheet(f"Forces may act on {found} places; from 1 to {MOST_LOADED} can be distinguished.")
         self._springs = lattice_springs(nodes, self.spacing)
         apart, self.shape = KNOT, np.array([MOST_KNOTS + 1, 1])
         while self.shape.prod() > MOST_KNOTS:
@@ -128,7 +130,7 @@ class _Problem:
         given = np.square(np.maximum(frame.noise[kept][seen], LINK))
         self._given = given + np.square(STRAINED * far[kept][seen])
         self._terms = affine_terms(self.points)
-        self.alike = max(ALIKE / step**2, 1.0)
+        self.together = max(TOGETHER / step**2, 1.0)
         self.scale = 0.0
         """Of the errors besides the given noise, variance by axis [px²]."""
         self._weights = np.ones(len(self.seen))
@@ -143,9 +145,9 @@ class _Problem:
         """Which nodes the tool hides, or may touch, bool: only where the tissue around moves clearly."""
         loaded = np.zeros(len(nodes), bool)
         loaded[: self.count] = distance < LOADED
-        under = {tuple(cell) for cell in np.rint(hidden / spacing).astype(int).tolist()}
-        behind = np.rint(nodes[self.count :] / spacing).astype(int).tolist()
-        loaded[self.count :] = [tuple(cell) in under for cell in behind]
+        # Cells as complex numbers, so that each is one value.
+        under, behind = (np.rint(places / spacing) @ [1, 1j] for places in (hidden, nodes[self.count :]))
+        loaded[self.count :] = np.isin(behind, under)
         return loaded & np.all((nodes >= self._pulled[0] - LOADED) & (nodes <= self._pulled[1] + LOADED), axis=1)
 
     def look(self, numbers: np.ndarray) -> None:
@@ -190,7 +192,7 @@ class _Problem:
             prior += TINY * prior.max() * np.eye(held + 3)
             self._latest = np.array(numbers), unit, cholesky(prior, check_finite=False)
         _, unit, loads = self._latest
-        root = np.sqrt(self._weights / (self._given + self.scale) / self.alike)[:, None]
+        root = np.sqrt(self._weights / (self._given + self.scale) / self.together)[:, None]
         rows = np.hstack([unit.displacement[: self.count], self._terms])[self.seen] * root
         factor = cho_factor(rows.T @ rows + loads.T @ loads, check_finite=False)
         found = cho_solve(factor, rows.T @ (self._moved * root), check_finite=False)
@@ -229,8 +231,8 @@ def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> Sti
     numbers, covariance = problem.fit(problem.mean)
     excess = math.sqrt(problem.scale)
     if excess > EXCESS:
-        # What a sheet can't explain is alike over a larger piece of it.
-        problem.alike *= UNEXPLAINED
+        # What a sheet can't explain is the same over a larger piece of it.
+        problem.together *= UNEXPLAINED
         numbers, covariance = problem.fit(numbers)
     return StiffnessField(
         (int(problem.shape[0]), int(problem.shape[1])),

@@ -76,32 +76,39 @@ def alike_points(spacing: float, reach: float = REACH) -> float:
     return 6 * np.pi * (reach / spacing) ** 2
 
 
-def correlated_points(points: np.ndarray, spacing: int, errors: np.ndarray) -> float:
-    """How many points on a square grid have the same error, effectively: the sum of its autocorrelation.
+def pair_products(points: np.ndarray, spacing: int, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of pairs of points on a square grid, by the way from one to the other, W ways there and back.
 
     Args:
         points: shape [N, 2] [px].
         spacing: of the grid [px].
         errors: by axis, shape [N, 2] [px]; not a number where a point is lost.
+
+    Returns:
+        length of every way in spacings, rounded; how many pairs have it; sum of their errors' products; shape [W] each.
     """
     cells = np.rint(points / spacing).astype(int)
     cells -= cells.min(axis=0)
-    shape = 2 * (cells.max(axis=0) + 1)
+    shape = tuple(2 * (cells.max(axis=0) + 1))
     known = np.isfinite(errors).all(axis=1)
-    counts, products = np.zeros(tuple(shape)), np.zeros(tuple(shape))
-    counts[tuple(cells[known].T)] = 1
-    pairs = np.fft.irfft2(np.square(np.abs(np.fft.rfft2(counts))), tuple(shape)).round()
-    for axis in range(errors.shape[1]):
-        field = np.zeros(tuple(shape))
-        field[tuple(cells[known].T)] = errors[known, axis]
-        products += np.fft.irfft2(np.square(np.abs(np.fft.rfft2(field))), tuple(shape))
+    fields = np.zeros((3, *shape))
+    fields[(0, *cells[known].T)] = 1
+    fields[(slice(1, 3), *cells[known].T)] = errors[known].T
+    pairs, *products = np.fft.irfft2(np.square(np.abs(np.fft.rfft2(fields))), shape)
+    steps = (np.minimum(np.arange(side), side - np.arange(side)) for side in shape)
+    lengths = np.rint(np.hypot(*np.meshgrid(*steps, indexing="ij"))).astype(int)
+    return lengths.ravel(), pairs.round().ravel(), sum(products).ravel()
+
+
+def correlated_points(points: np.ndarray, spacing: int, errors: np.ndarray) -> float:
+    """How many points on a square grid have the same error, effectively: the sum of its autocorrelation.
+
+    Arguments as of `pair_products`.
+    """
+    rings, pairs, products = pair_products(points, spacing, errors)
     correlation = np.where(pairs > 0, products / np.maximum(pairs, 1), 0.0)
-    correlation /= correlation[0, 0]
-    away = np.hypot(
-        *np.meshgrid(*(np.minimum(np.arange(side), side - np.arange(side)) for side in shape), indexing="ij")
-    )
-    rings = np.rint(away).astype(int)
-    mean = np.bincount(rings.ravel(), correlation.ravel()) / np.bincount(rings.ravel())
+    correlation /= correlation[0]
+    mean = np.bincount(rings, correlation) / np.bincount(rings)
     # Beyond the first ring without correlation there is only chance.
     end = int(np.argmax(mean <= 0)) if (mean <= 0).any() else len(mean)
     return max(float(correlation[rings < end].sum()), 1.0)

@@ -15,11 +15,12 @@ from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_featu
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import Estimate, FrameEstimate, NoEstimate, mixture
+from palpate.estimators.estimate import Estimate, NoEstimate, mixture
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from palpate.estimators.onset import onset_error, onset_perturbations
+from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.physics.load import Press, held

@@ -19,10 +19,10 @@ from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.field import MOVED, WALL
 from palpate.estimators.direct.motion import between_steps
 from palpate.estimators.direct.problem import DELAYS
-from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.identifiability import fisher_information
 from palpate.physics.load import held
 from palpate.physics.mechanics import Mechanics, theta_of
-from palpate.physics.msd.simulation import is_chaotic, simulate_sensitivities
+from palpate.physics.msd.simulation import simulate_tangent
 
 LARGEST_MISFIT = 1.5
 """A motion farther from the simulated one than this many σ is unlike those of the training, and the network's
@@ -142,10 +142,7 @@ def compared(
     def simulated(seconds: float) -> np.ndarray:
         """Displacements and their derivatives by φ under a press of this duration, shape [T, M, 3, 4]."""
         press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
-        path, slopes = simulate_sensitivities(theta, contact.mesh, press, mechanics, watch=comparison.vertices)
-        slopes = log_jacobian(slopes, theta)
-        if is_chaotic(path, slopes):
-            slopes = np.zeros_like(slopes)
+        path, slopes = simulate_tangent(theta, contact.mesh, press, mechanics, watch=comparison.vertices)
         return np.concatenate([path[..., None], slopes], axis=-1)
 
     motion, prior = simulated(loaded), np.linalg.inv(covariance)

@@ -8,6 +8,7 @@ given      a mask of what is pinned and the gripper's path, of a user
 surface    particles of the tissue in a frame, and which the camera sees; driven: these under an instrument
 determined what the instrument alone explains of the motion, and where that tells the stiffness
 fitting    time step, foundation and bending of one clip, by its first frames
+particle_field what is said of the field in a frame and over a run
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """
 

@@ -4,10 +4,9 @@ A simulation is led by the instrument from rest on and never taken to what is ob
 it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
 derivatives of what is observed, and these with a normal prior the posterior of log stiffness at the knots
 (Gauss–Newton's: linear least squares around the fields of each frame). The noise is what the likeliest leave of the
-motion. Where a
-model is wrong it is wrong alike in neighbouring places and in one frame after the other: on the one real pull what is
-left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames together count as one, and in
-a frame points by as much as their means over the cells around the knots vary.
+motion. Where a model is wrong it is wrong in the same way in neighbouring places and in one frame after the other: on
+the one real pull what is left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames
+together count as one, and in a frame points by as much as their means over the cells around the knots vary.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.grip.stiffness_fit import ROUGHNESS
 from palpate.estimators.online.fitting import LEAST
-from palpate.estimators.online.gauss_newton import KNOTS, bumps
+from palpate.estimators.online.gauss_newton import knot_shares
 from palpate.estimators.online.objective import Objective
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.stiffness import Stiffness
@@ -65,11 +64,8 @@ class Determined:
         """
         self._objective, self._shown = objective, shown
         rest = objective.body.rest
-        parts = [bumps(rest, knots) for knots in KNOTS]
-        counts = [part.shape[1] for part in parts]
-        total = sum(counts) + len(STEPPED)
-        self._shares = np.zeros((2, len(rest), total))
-        self._shares[0, :, : counts[0]], self._shares[1, :, counts[0] : sum(counts)] = parts
+        (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
+        total = self._shares.shape[2]
         stepping = objective.stepping
         self._others = [
             dataclasses.replace(
@@ -79,11 +75,11 @@ class Determined:
         ]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
-        self._cell = cells(parts[0]).argmax(axis=1)
+        self._cell = cells(stretch).argmax(axis=1)
         self._carried = np.repeat(rest[None], total + 2, axis=0)
-        self._squares = np.zeros((counts[0], total + 1, total + 1))
+        self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
-        self._points = np.zeros(counts[0])
+        self._points = np.zeros(stretch.shape[1])
         """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
         fields to begin with would show, then of its derivatives; the same of their means over points, times their
         number; and that."""
@@ -184,9 +180,9 @@ class Determined:
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]
         for _ in range(ROUNDS if some.any() else 0):
             way = np.append(1.0, -likeliest)
-            left, alike = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
+            left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
-            together = np.maximum(points * alike.sum() / max(left.sum(), 1e-300), self._frames)
+            together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
             weight = 1 / (together * (left / (2 * points) + NOISE**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])

@@ -159,7 +159,7 @@ class DrivenTissue:
                 where it doesn't tell.
         """
         frame = _Given(moved, cloud, seen, led)
-        found = self._taken(*frame)
+        found = self._taken(frame)
         if self._awaited > 0:
             self._awaited -= 1
             self._first.append(frame)
@@ -167,7 +167,7 @@ class DrivenTissue:
                 if self._fitted():
                     self._begin()
                     for frame in self._first:
-                        found = self._taken(*frame)
+                        found = self._taken(frame)
                 self._first = []
         return found
 
@@ -189,10 +189,8 @@ class DrivenTissue:
         self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
         return True
 
-    def _taken(
-        self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None, led: np.ndarray | None
-    ) -> Frame:
-        places = led
+    def _taken(self, given: _Given) -> Frame:
+        moved, cloud, seen, places = given
         if self.settings.path is None:
             places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud))
         matches: list[Match] = []

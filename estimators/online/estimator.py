@@ -28,11 +28,13 @@ from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.estimate import FieldEstimate, InteractionEstimate, NoEstimate, ParticleField
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
+from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
@@ -166,7 +168,11 @@ class _Followed:
         moved = follower.moved
         if self._settings.background == "subtract":
             still = without_background(follower.points, moved, follower.distance)
-            self._background = _continued(follower.points, moved - still, self._driven.surface.pixels)
+            motion, places = moved - still, self._driven.surface.pixels
+            known = np.asarray(np.isfinite(motion).all(axis=1))
+            self._background = np.zeros_like(places)
+            if known.any():
+                self._background = affine_motion(follower.points, motion, known, places)
             moved = still
         cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, seen, self._led(frame.frame.time_s)).gap
@@ -268,9 +274,3 @@ class _Followed:
 
 def _described(path: Path) -> dict[str, str]:
     return {"path": str(path.resolve()), "sha256": file_sha256(path)}
-
-
-def _continued(points: np.ndarray, motion: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """An affine motion that is known at some points [P, 2], not a number elsewhere, at places [N, 2]."""
-    known = np.asarray(np.isfinite(motion).all(axis=1))
-    return affine_motion(points, motion, known, places) if known.any() else np.zeros_like(places)

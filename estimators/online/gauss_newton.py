@@ -9,7 +9,7 @@ norm ‖r‖ has at r no more than the quadratic ½‖r‖²/‖r₀‖ + ½‖r
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve
+from scipy.linalg import block_diag, solve
 
 from palpate.estimators.online.objective import Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
@@ -53,6 +53,18 @@ def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
     return shares / shares.sum(axis=1, keepdims=True)
 
 
+def knot_shares(rest: np.ndarray, more: int = 0) -> tuple[list[np.ndarray], np.ndarray]:
+    """Of distances and of shapes: `bumps` of either, and shares in the knots of both, shape [2, N, knots of both].
+
+    Args:
+        rest: positions at rest, shape [N, 3].
+        more: numbers behind the knots, in which no particle shares.
+    """
+    parts = [bumps(rest, knots) for knots in KNOTS]
+    both = block_diag(*parts).reshape(2, len(rest), -1)
+    return parts, np.pad(both, ((0, 0), (0, 0), (0, more)))
+
+
 def roughness(rest: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """R of Σ wᵢⱼ (θᵢ - θⱼ)² = θᵀRθ over knots, w a normal density as wide as knots are apart, shape [knots, knots].
 
@@ -79,16 +91,10 @@ class GaussNewton:
         self._objective, self._volume = objective, float(begun.volume)
         self._begun = objective.bounds.logits(begun)
         rest = objective.body.rest
-        shares = [bumps(rest, knots) for knots in KNOTS]
-        counts = [part.shape[1] for part in shares]
-        total = sum(counts)
-        self._shares = np.zeros((2, len(rest), total))
-        prior = ANCHOR * np.eye(total)
-        for which, part in enumerate(shares):
-            own = slice(sum(counts[:which]), sum(counts[: which + 1]))
-            self._shares[which, :, own] = part
-            prior[own, own] += SMOOTHNESS * objective.weights.smoothness * roughness(rest, part)
-        self._prior = prior
+        parts, self._shares = knot_shares(rest)
+        total = self._shares.shape[2]
+        rough = block_diag(*(roughness(rest, part) for part in parts))
+        self._prior = ANCHOR * np.eye(total) + SMOOTHNESS * objective.weights.smoothness * rough
         self._curvature, self._pull = np.zeros((total, total)), np.zeros(total)
         self._knots = np.zeros(total)
         self._carried = np.repeat(rest[None], total + 1, axis=0)

@@ -7,7 +7,6 @@ Once its pairs are fixed a term is quadratic in positions.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,6 +15,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
+from palpate.common.settings import require_numbers
 from palpate.physics.pbd.potential import Potential
 
 
@@ -113,8 +113,7 @@ class Mapping:
         """Check ranges."""
         if self.steps < 1:
             raise ValueError(f"steps is {self.steps}; give 1 at least.")
-        if not (self.rate > 0 and math.isfinite(self.rate)):
-            raise ValueError(f"rate is {self.rate}; give a positive number.")
+        require_numbers(self, positive=("rate",))
 
 
 class _Step(NamedTuple):

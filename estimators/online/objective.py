@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
+from palpate.common.settings import require_numbers
 from palpate.estimators.online.mapping import Mapping, Match, Residual, map_residual
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
@@ -35,9 +35,7 @@ class Bounds:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name, bound in (("distance", self.distance), ("shape", self.shape)):
-            if not (bound > 0 and math.isfinite(bound)):
-                raise ValueError(f"the bound of {name} is {bound}; give a positive number.")
+        require_numbers(self, positive=("distance", "shape"), group="the bound of ")
 
     def logits(self, fields: Stiffness) -> np.ndarray:
         """What `fields` makes those fields of, shape [2, N]: distances, then shapes.
@@ -92,10 +90,7 @@ class Weights:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name in ("gap", "history", "smoothness"):
-            value = getattr(self, name)
-            if not (value >= 0 and math.isfinite(value)):
-                raise ValueError(f"the weight of {name} is {value}; give 0 or more.")
+        require_numbers(self, not_negative=("gap", "history", "smoothness"), group="the weight of ")
 
 
 class Terms(NamedTuple):
@@ -139,8 +134,7 @@ class Objective:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if not (self.elastic >= 0 and math.isfinite(self.elastic)):
-            raise ValueError(f"elastic is {self.elastic}; give 0 or more.")
+        require_numbers(self, not_negative=("elastic",))
 
     @cached_property
     def edge(self) -> float:
@@ -216,8 +210,8 @@ class Objective:
             matches: what was observed, one at least.
             snapshots: earlier states, mapped, each [N, 3] [m].
         """
-        with ThreadPoolExecutor(1) as beside:  # compiled loops let two run at once
-            past = beside.submit(self._history, fields, snapshots)
+        with ThreadPoolExecutor(1) as other:  # compiled loops let two run at once
+            past = other.submit(self._history, fields, snapshots)
             motion = self.stepped(fields, start, places[None])
             simulated = motion.positions[0, -1]
             residual = self.mapped(simulated, matches)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.estimators.online.gauss_newton import GaussNewton
 from palpate.estimators.online.mapping import Match, Residual
 from palpate.estimators.online.objective import Objective, Terms
@@ -37,8 +36,7 @@ class Adam:
 
     def __post_init__(self) -> None:
         """Check the range."""
-        if not (self.rate > 0 and math.isfinite(self.rate)):
-            raise ValueError(f"rate is {self.rate}; give a positive number.")
+        require_numbers(self, positive=("rate",))
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Values after one step against slopes of the same shape."""
@@ -128,8 +126,8 @@ class Session:
             self._logits = self._adam.step(self._logits, slopes)
             self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
         elif self._newton is not None:
-            with ThreadPoolExecutor(1) as beside:
-                carried = beside.submit(self._newton.carry, places)
+            with ThreadPoolExecutor(1) as other:
+                carried = other.submit(self._newton.carry, places)
                 simulated, residual = self._followed(places, matches)
                 carried.result()
             if residual is not None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_type_hints
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.data.source.layout import from_mapping, read_mapping
 from palpate.estimators.online.mapping import Mapping
 from palpate.estimators.online.objective import Bounds, Objective, Weights
@@ -37,9 +36,7 @@ class Start:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name in ("distance", "shape"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"the start of {name} is {getattr(self, name)}; give a positive number.")
+        require_numbers(self, positive=("distance", "shape"), group="the start of ")
 
 
 @dataclass(frozen=True)
@@ -101,10 +98,7 @@ class OnlineSettings:
             raise ValueError(f"points is {self.points}; give 1 at least.")
         if not 0 <= self.fitted <= MOST_FITTED:
             raise ValueError(f"fitted is {self.fitted}; give 0 to {MOST_FITTED} frames.")
-        for name in ("strain", "elastic"):
-            value = getattr(self, name)
-            if not (value >= 0 and math.isfinite(value)):
-                raise ValueError(f"{name} is {value}; give 0 or more.")
+        require_numbers(self, not_negative=("strain", "elastic"))
         for name in ("distance", "shape"):
             begun, bound = getattr(self.start, name), getattr(self.bounds, name)
             if not begun < bound:
@@ -126,5 +120,5 @@ def load_settings(path: Path) -> OnlineSettings:
         if dataclasses.is_dataclass(kind):
             values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
     settings = from_mapping(OnlineSettings, values, str(path))
-    beside = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
-    return dataclasses.replace(settings, **beside)
+    files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
+    return dataclasses.replace(settings, **files)

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, fit_material, require_along
+from palpate.estimators.palpation.linearised import POISSON
+from palpate.estimators.palpation.material_fit import FitSettings, MaterialFit, fit_material, require_along
 from palpate.estimators.palpation.registration import placed, register
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
@@ -51,10 +52,11 @@ def descend(
         NoEquilibrium: the body bears the forces at no stiffness that was tried.
         ValueError: a reversed force.
     """
-    require_along(Bench(skin, held, palpations, settings.law), settings)  # a bench of its own: it counts equilibria
+    values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])
+    judge = Bench(skin, held, palpations, settings.law)  # of its own, since a bench counts equilibria
+    require_along(judge, settings.young, judge.linear(settings.young, values[1]))
     error = _Error(Bench(skin, held, palpations, settings.law))
     bench = error.bench
-    values = np.array([np.log(settings.young), np.clip(settings.poisson, *POISSON)])
     for stiffer in 4.0 ** np.arange(TRIES + 1):
         values[0] = np.log(stiffer * settings.young)
         path = [bench.progress(np.exp(values[0]), values[1])]  # with what softer starts took
@@ -67,8 +69,8 @@ def descend(
     while bench.solves < most:
         error.begin(here)
         sides = [np.array([ASIDE, 0.0]), np.array([0.0, ASIDE if values[1] + ASIDE < POISSON[1] else -ASIDE])]
-        beside = [error.at(values + side, aligned=False).total for side in sides]
-        gradient = np.array([(total - here.total) / side.sum() for total, side in zip(beside, sides, strict=True)])
+        nearby = [error.at(values + side, aligned=False).total for side in sides]
+        gradient = np.array([(total - here.total) / side.sum() for total, side in zip(nearby, sides, strict=True)])
         gradient[~np.isfinite(gradient)] = 0.0  # where nothing rests there is nothing to learn
         if values[1] == POISSON[0 if gradient[1] > 0 else 1]:
             gradient[1] = 0.0  # ν would leave its range

@@ -14,34 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
-from palpate.estimators.palpation.registration import turned
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.palpation.bench import Bench, Palpation, Progress
+from palpate.estimators.palpation.linearised import POISSON, ROUGH, SHORTEST, State, System, states_of
 from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
 from palpate.physics.identifiability import LIMIT
 
-POISSON = (0.0, 0.495)
-"""Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
 KNOWN = 0.025
 """A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05."""
-ROUNDS, INNER = 15, 20
-"""Simulations of every press at most, and steps between two of them."""
-CLOSE = 0.3
-"""Change of log E and ν over their standard deviations by the noise, that needs no further simulation: it is made all
-the same, by the derivatives, and what is left is of its square."""
-ROUGH = 1.02
-"""By what factor the error may grow in a step: which points count changes, which roughens it."""
+ROUNDS = 15
+"""Simulations of every press at most."""
 TURNED = 0.25
 """Share of a step that the next one takes back, from which on steps are halved."""
-SHORTEST = 0.01
-"""Share of a step, below which none is tried."""
 STIFFEST = 4.0**5
 """Over what the linear law says, from where no equilibrium is looked for any more."""
-FARTHEST, WIDEST = 10.0, 0.15
-"""Factor by which a step changes E at most, and by how much ν moves between two simulations."""
-STRIDE = 0.1
-"""Of a pose's standard deviation as the tool tells it: what a step moves it by where the body leaves it open, as a ball
-its turns. Facets pull it to and fro there."""
 NOTHING = "nothing determined"
 """The verdict where not even E is."""
 REVERSED = 5.0
@@ -64,8 +51,8 @@ class FitSettings:
     """E to begin at [Pa]."""
     poisson: float = 0.3
     """ν to begin at."""
-    model_error: float = 0.02
-    """By what share displacements of mesh and law are off, alike within a quarter of the body: what the covariance
+    model_error: float = MODEL_ERRORS.palpated_motion
+    """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
 
 
@@ -110,24 +97,6 @@ class MaterialFit:
         return "determined" if self.poisson_sd < KNOWN else "young"
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """How a press moves the body close to what was simulated."""
-
-    moved: np.ndarray
-    """Displacement of the surface's vertices, shape [V, 3] [m]."""
-    slopes: np.ndarray
-    """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
-    nodes: np.ndarray
-    """Displacement of the body's nodes, shape [N, 3] [m]."""
-    node_slopes: np.ndarray
-    """Its derivatives likewise, shape [N, 3, 2] [m]."""
-
-    def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes with a change of relative compliance and ν, shape [N, 3] [m]."""
-        return self.nodes + self.node_slopes @ change
-
-
 def fit_material(
     skin: Skin,
     held: np.ndarray,
@@ -150,11 +119,12 @@ def fit_material(
     """
     bench = Bench(skin, held, palpations, settings.law)
     poisson = float(np.clip(settings.poisson, *POISSON))
-    rests, scale = begun(bench, settings.young, poisson)
-    _require_along(bench, settings.young, rests)
+    rests = bench.linear(settings.young, poisson)
+    require_along(bench, settings.young, rests)
+    scale = _scale(bench, rests)
     young = settings.young / scale
-    system = found = _System(bench, _states(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
-    path = [_progress(bench, young, poisson, found)]
+    system = found = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
+    path = [found.progress(young)]
     steps, trust, stiffer = 0, 1.0, 1.0
     while True:
         aim = stiffer * young / (1 + trust * found.change[0]), poisson + trust * float(found.change[1])
@@ -171,7 +141,7 @@ def fit_material(
             if trust < SHORTEST or stiffer > STIFFEST:
                 raise
             continue
-        following = _System(bench, _states(bench, tried, 1.0), np.zeros(2), found.poses, aim[1])
+        following = System(bench, states_of(bench, tried, 1.0), np.zeros(2), found.poses, aim[1])
         if steps and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
@@ -181,7 +151,7 @@ def fit_material(
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
-        path.append(_progress(bench, young, poisson, found))
+        path.append(found.progress(young))
         report(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             break
@@ -189,33 +159,17 @@ def fit_material(
     return MaterialFit(path[-1].young, path[-1].poisson, covariance, found.poses, rests, found.noise, path)
 
 
-def _progress(bench: Bench, young: float, poisson: float, found: _System) -> Progress:
-    """By the derivatives, from what was simulated."""
-    return bench.progress(young / (1 + found.change[0]), poisson + found.change[1])
-
-
-def begun(bench: Bench, young: float, poisson: float) -> tuple[list[Equilibrium], float]:
-    """The bodies by the linear law, and by how much E is too high for them to move by BEGUN of their size."""
-    rests = bench.linear(young, poisson)
-    return rests, _scale(bench, rests)
-
-
-def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
-    farthest = max(float(np.abs(rest.displacement).max()) for rest in rests)
-    return BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
-
-
-def require_along(bench: Bench, settings: FitSettings) -> None:
+def require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
     """Require forces onto the body: the reaction, which a sensor in the tool's handle feels, is their negative.
+
+    Args:
+        bench: the body.
+        young: E [Pa] of
+        rests: the bodies by the linear law.
 
     Raises:
         ValueError: a surface moved against its force, whatever ν is.
     """
-    _require_along(bench, settings.young, bench.linear(settings.young, float(np.clip(settings.poisson, *POISSON))))
-
-
-def _require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
-    """The same, of bodies by the linear law."""
     against = _against(bench, rests)
     for poisson in LIKELY:
         if against.any():
@@ -226,6 +180,12 @@ def _require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> 
             f"the surface moved against the force of palpation {names}; give what the tool does to the body, the "
             "negative of what a sensor in its handle feels."
         )
+
+
+def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
+    """By how much E is too high for bodies by the linear law to move by BEGUN of their size."""
+    farthest = max(float(np.abs(rest.displacement).max()) for rest in rests)
+    return BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
 
 
 def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
@@ -239,16 +199,13 @@ def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
     for rest in rests:
         moved = scale * (bench.skin.shares @ rest.displacement)
         slopes = np.stack([moved, still], axis=-1)
-        states.append(_State(still, slopes, np.zeros(0), np.zeros(0)))
-    system = _System(bench, states, np.zeros(2), bench.poses, 0.0)
+        states.append(State(still, slopes, np.zeros(0), np.zeros(0)))
+    system = System(bench, states, np.zeros(2), bench.poses, 0.0)
     against = np.zeros(len(rests), bool)
     for which, each in enumerate(bench.palpations):
         own = system.which == which
-        jacobian, weight, residual = (
-            np.delete(system.jacobian[own], 1, axis=1),
-            system.weight[own],
-            system.residual[own],
-        )
+        jacobian, weight = np.delete(system.jacobian[own], 1, axis=1), system.weight[own]
+        residual = system.residual[own]
         known = np.diag([0.0, *[each.pose_turn**-2] * 3, *[each.pose_shift**-2] * 3])
         weighted = weight[:, None] * jacobian
         normal, right = jacobian.T @ weighted, -weighted.T @ residual
@@ -258,166 +215,3 @@ def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
         shown = float(np.quantile(np.abs(found[0] * jacobian[:, 0]), 0.95))
         against[which] = found[0] < -REVERSED * sd and shown > VISIBLE * noise
     return against
-
-
-def information(bench: Bench, rest: Equilibrium, noise: float) -> np.ndarray:
-    """What one palpation tells of (log E, ν) at best where the sensor errs by that much [m]: Fisher's, shape [2, 2].
-
-    The pose is unknown but for what the tool tells of it.
-    """
-    system = _System(bench, _states(bench, [rest], 1.0), np.zeros(2), bench.poses, rest.material.poisson).solved()
-    system.noise = noise
-    normal = system._normal()[0]
-    sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
-    return sign @ (normal[:2, :2] - normal[:2, 2:] @ np.linalg.solve(normal[2:, 2:], normal[2:, :2])) @ sign
-
-
-def _states(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[_State]:
-    """Of simulated bodies, as they would be with all displacements so many times larger."""
-    states: dict[int, _State] = {}
-    for rest in rests:
-        if id(rest) in states:  # one press seen several times
-            continue
-        by_young, by_poisson = np.moveaxis(bench.slopes(rest), -1, 0)
-        # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
-        slopes = np.stack([-float(np.mean(rest.material.young)) * by_young, by_poisson], axis=-1)
-        on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
-        moved = bench.skin.shares @ rest.displacement
-        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
-        states[id(rest)] = _State(*surface, scale * rest.displacement, scale * slopes)
-    return [states[id(rest)] for rest in rests]
-
-
-def _unknowns(which: int) -> np.ndarray:
-    """Indices of what a palpation's points tell of, shape [8]."""
-    return np.concatenate([[0, 1], np.arange(2 + 6 * which, 8 + 6 * which)])
-
-
-class _System:
-    """Residuals with a change of (relative 1/E, ν) from what was simulated, linearised by it and every pose's six."""
-
-    def __init__(
-        self,
-        bench: Bench,
-        states: Sequence[_State],
-        change: np.ndarray,
-        poses: Sequence[np.ndarray],
-        poisson: float,
-        chosen: Sequence[np.ndarray] | None = None,
-    ) -> None:
-        self.bench, self.states, self.change, self.poses, self.poisson = bench, states, change, list(poses), poisson
-        self.chosen: list[np.ndarray] = []
-        """Which points count, of each press [P]: the same ones until something is simulated again."""
-        skin, triangles = bench.skin, bench.skin.triangles
-        residuals, blocks, sinks, places = [], [], [], []
-        for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
-            moved = state.moved + state.slopes @ change
-            match, cosine = bench.matched(skin.vertices + moved, which, pose)
-            self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
-            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
-            if np.count_nonzero(counts) < 12:
-                raise ValueError(
-                    "fewer than 12 points lie on the surface beside the hole; give more, or a smaller hole."
-                )
-            along = match.normal[counts] / cosine[counts, None]
-            met = match.at(triangles, skin.vertices + moved)[counts]
-            by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
-            # A sight turns about its eye together with its point: what moves is where it meets the surface.
-            blocks.append(np.hstack([by_material, np.cross(met, along), along]))
-            residuals.append(match.distance[counts])
-            sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
-            places.append(match.at(triangles, skin.vertices)[counts])
-        self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
-        self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
-        self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
-        limit, size = OUTLIER * bench.noise, np.abs(self.residual)
-        self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
-        self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
-        self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
-
-    def solved(self) -> _System:
-        """By Gauss–Newton steps, without a simulation."""
-        system, trust = self, 1.0
-        for _ in range(INNER):
-            step, sd = system.step()
-            step = trust * step
-            compliance = 1 + system.change[0]
-            change = np.array(
-                [
-                    np.clip(compliance + step[0], compliance / FARTHEST, FARTHEST * compliance) - 1,
-                    np.clip(system.change[1] + step[1], *self._bounds()),
-                ]
-            )
-            poses = [turned(pose, part) for pose, part in zip(system.poses, step[2:].reshape(-1, 6), strict=True)]
-            following = _System(self.bench, self.states, change, poses, self.poisson, self.chosen)
-            if following.cost > ROUGH * system.cost and trust > SHORTEST:
-                trust /= 3
-                continue
-            moved, system, trust = change - system.change, following, min(1.0, 2 * trust)
-            if (np.abs(moved) < CLOSE / 6 * sd).all():
-                break
-        return system
-
-    def _bounds(self) -> tuple[float, float]:
-        """Of ν's change."""
-        return max(POISSON[0] - self.poisson, -WIDEST), min(POISSON[1] - self.poisson, WIDEST)
-
-    def _normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrix [U, U] and right-hand side [U], with what the tool tells of the poses.
-
-        ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
-        """
-        off = [0.0, 0.0]
-        for pose, each in zip(self.poses, self.bench.palpations, strict=True):
-            gone = pose @ np.linalg.inv(each.pose)
-            turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
-            off += [*turn, *gone[:3, 3]]
-        normal, right = np.diag(self._precision()), -self._precision() * off
-        weighted = self.jacobian * (self.weight / self.noise**2)[:, None]
-        for which in range(len(self.poses)):
-            own, unknowns = self.which == which, _unknowns(which)
-            normal[np.ix_(unknowns, unknowns)] += weighted[own].T @ self.jacobian[own]
-            right[unknowns] -= weighted[own].T @ self.residual[own]
-        return normal, right
-
-    def _precision(self) -> np.ndarray:
-        """What is known of the unknowns beforehand, shape [U]."""
-        poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
-        return np.concatenate([[0.0, 0.0], *poses])
-
-    def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss–Newton's, shape [U], of ν none where it would leave its range; sd of (log E, ν) by the noise, [2]."""
-        normal, right = self._normal()
-        sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
-        normal += np.diag(self._precision()) / STRIDE**2
-        found = np.linalg.solve(normal, right)
-        low, high = self._bounds()
-        if (self.change[1] <= low and found[1] < 0) or (self.change[1] >= high and found[1] > 0):
-            free = np.arange(len(right)) != 1
-            found = np.zeros(len(right))
-            found[free] = np.linalg.solve(normal[free][:, free], right[free])
-        return found, sd
-
-    def still(self) -> bool:
-        """Whether what was simulated is as good."""
-        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
-        return bool((np.abs(self.change) < CLOSE * sd).all())
-
-    def covariance(self, model_error: float) -> np.ndarray:
-        """Of (log E, ν): the sensor's noise, and displacements that mesh and law have wrong by that share."""
-        normal = self._normal()[0]
-        normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
-        inverse = np.linalg.inv(normal)
-        # Beyond so many points sums over pairs gain nothing: errors are correlated among neighbours.
-        count = len(self.sinks)
-        some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
-        own = inverse[:2, np.stack([_unknowns(which) for which in self.which[some]])]
-        gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.weight[some] / self.noise**2
-        reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
-        apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
-        alike = np.exp(-apart / (2 * reach**2))
-        lever = gain * self.sinks[some] * (count / len(some))
-        found = inverse[:2, :2] + model_error**2 * lever @ alike @ lever.T
-        sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
-        return sign @ found @ sign

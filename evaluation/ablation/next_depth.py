@@ -22,9 +22,9 @@ import numpy as np
 import pandas as pd
 
 from palpate.common.settings import LARGEST
-from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.records import FrameEstimate
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.harness import Experiment, Report, Row

@@ -37,30 +37,17 @@ SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
 
 
-@dataclass(frozen=True)
-class OnlineCase:
-    """One method from one start on a sequence; the fields are those of `Online`."""
-
-    key: Key
-    frames: int
-    match: str
-    optimizer: Optimizer
-    particles: int
-    points: int
-    every: int
-
-
 @functools.lru_cache(maxsize=len(SEQUENCES))
 def pull_of(sequence: str, particles: int, points: int, frames: int) -> Pull:
     """A sequence's pull, simulated once a process."""
     return SEQUENCES[sequence].pull(particles, points, frames)
 
 
-def follow(case: OnlineCase) -> list[Row]:
-    """The row of a case."""
-    sequence, start, method = case.key
-    pull = pull_of(sequence, case.particles, case.points, case.frames)
-    found = run_case(pull, STARTS[start], method, case.match, case.every, case.optimizer)
+def follow(case: tuple[Online, Key]) -> list[Row]:
+    """The row of one method from one start on a sequence."""
+    asked, (sequence, start, method) = case
+    pull = pull_of(sequence, asked.particles, asked.points, asked.frames_of[sequence])
+    found = run_case(pull, STARTS[start], method, asked.match, asked.every, asked.optimizer)
     return [{"sequence": sequence, "start": start, "method": method, **dataclasses.asdict(found)}]
 
 
@@ -120,11 +107,6 @@ class Online(Experiment):
         names = ("match", "optimizer", "particles", "points", "every")
         found = {name: getattr(self, name) for name in names}
         return found | {f"frames of {name}": count for name, count in self.frames_of.items()}
-
-    def case(self, key: Key) -> OnlineCase:
-        """One method from one start on a sequence."""
-        rest = self.match, self.optimizer, self.particles, self.points, self.every
-        return OnlineCase(key, self.frames_of[key[0]], *rest)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """Table II, and what holds of the paper's claims."""

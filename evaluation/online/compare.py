@@ -94,7 +94,7 @@ def run_case(
         begun = time.perf_counter()
         state = session.step(pull.places[frame], pull.matches(frame, match))
         spent.append(time.perf_counter() - begun)
-        chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.seen).slope(state.positions)[0]))
+        chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.visible).slope(state.positions)[0]))
         if frame % every == every - 1 and frame + HORIZON < frames:
             ahead.append(frame)
             states = session.ahead(pull.places[frame + 1 : frame + 1 + HORIZON])

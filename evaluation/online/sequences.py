@@ -58,7 +58,7 @@ class Pull:
     body: Body
     gripped: np.ndarray
     """Particles, shape [G]."""
-    seen: np.ndarray
+    visible: np.ndarray
     """Particles that the camera sees, shape [n]: all of a sheet's, a block's upper side."""
     places: np.ndarray
     """Of the gripper, shape [T, G, 3] [m]."""
@@ -81,7 +81,7 @@ class Pull:
         """What the estimator is given of a frame: `chamfer`, `tracks` or `both`."""
         found: list[Match] = []
         if kind != "tracks":
-            found.append(Chamfer(self.clouds[frame], self.seen))
+            found.append(Chamfer(self.clouds[frame], self.visible))
         if kind != "chamfer":
             found.append(Tracks(self.shares, self.tracks[frame]))
         return found
@@ -121,7 +121,7 @@ class Sequence:
         body = _block_body(particles) if self.block else _sheet_body(particles)
         random = np.random.default_rng(0)
         top = BLOCK[2] if self.block else 0.0
-        seen = np.flatnonzero(body.rest[:, 2] > top - 1e-9)
+        visible = np.flatnonzero(body.rest[:, 2] > top - 1e-9)
         gripped = np.flatnonzero(_held(body.rest, self.block))
 
         def surface(count: int) -> np.ndarray:
@@ -137,10 +137,10 @@ class Sequence:
         return Pull(
             body,
             gripped,
-            seen,
+            visible,
             body.rest[gripped] + path[:, None],
             np.stack(clouds),
-            _shares(body, seen, followed),
+            _shares(body, visible, followed),
             true[1:] + random.normal(0, NOISE, true[1:].shape),
             true,
             _spread_out(true),
@@ -247,9 +247,9 @@ def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     return states
 
 
-def _shares(body: Body, seen: np.ndarray, points: np.ndarray) -> csr_array:
+def _shares(body: Body, visible: np.ndarray, points: np.ndarray) -> csr_array:
     """Points of the flat upper side at rest as shares of the particles of the triangle that holds each, [P, N]."""
-    faces = body.faces[np.isin(body.faces, seen).all(axis=1)]
+    faces = body.faces[np.isin(body.faces, visible).all(axis=1)]
     corners = body.rest[faces][..., :2]
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     two = np.einsum("fij,pfj->pfi", np.linalg.inv(edges), points[:, None, :2] - corners[None, :, 0])

@@ -7,14 +7,13 @@ what the measures mean is in docs/reports/palpation.md.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
@@ -38,24 +37,12 @@ SUMMARISED = {
 class Curves(FileMeasurements):
     """Tables of forces."""
 
-    def __post_init__(self) -> None:
-        """Raise a ValueError where there is nothing to judge."""
-        if not self.wanted:
-            known = "; ".join(", ".join(columns) for columns in JUDGES)
-            raise ValueError(
-                f"{self.data} holds no CSV file with the columns of any of: {known}. Give --data that does."
-            )
+    named: ClassVar = f"CSV file with the columns of any of: {'; '.join(map(', '.join, (PROBES, HOLD)))}"
 
-    @functools.cached_property
-    def wanted(self) -> Mapping[str, Callable[[], Row]]:
-        """What each file shows whose columns are known."""
-        below = all_below(self.data) if self.data.is_dir() else []
-        kinds = {path: kind_of(path) for path in below if path.suffix.lower() == ".csv"}
-        return {
-            path.relative_to(self.data).as_posix(): functools.partial(JUDGES[kind], path)
-            for path, kind in kinds.items()
-            if kind is not None and kind in JUDGES
-        }
+    def measure(self, path: Path) -> Callable[[Path], Row] | None:
+        """By the columns of a table."""
+        kind = kind_of(path) if path.suffix.lower() == ".csv" else None
+        return None if kind is None else JUDGES.get(kind)
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
         """Also medians over the files of a kind."""

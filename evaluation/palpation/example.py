@@ -3,8 +3,8 @@
     python -m evaluation.palpation.example --output OUT
     python calibrate.py palpation OUT/scene.yaml --output RESULTS
 
-Writes scene.yaml, rest.obj and seen.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of 0.5 N,
-observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
+Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of
+0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
 from palpate.evaluation.options import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
-FILES = ("scene.yaml", "rest.obj", "seen.csv")
+FILES = ("scene.yaml", "rest.obj", "observed.csv")
 YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
 """The truth, co-rotational [Pa], and with what [N] and where is pressed, as `Body.contact` takes it."""
 CELLS, EDGE, SPACING = 4, 0.6 * TOOL, 0.003
@@ -37,27 +37,27 @@ CELLS, EDGE, SPACING = 4, 0.6 * TOOL, 0.003
 POINTS, SEED = 4000, 73600
 
 
-def scene_files(surface: tuple[np.ndarray, np.ndarray], seen: Palpation, held_below: float, cells: int) -> tuple:
+def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, held_below: float, cells: int) -> tuple:
     """Content of FILES, in their order: fields of the scene, and two texts.
 
     Args:
         surface: at rest, vertices [V, 3] [m] and triangles [F, 3].
-        seen: the one palpation.
+        observed: the one palpation.
         held_below: as `SceneFile.held_below` [m].
         cells: of the fit's mesh.
     """
     palpation = {
-        "force": seen.force.tolist(),
-        "contact": seen.contact.tolist(),
+        "force": observed.force.tolist(),
+        "contact": observed.contact.tolist(),
         "points": FILES[2],
-        "pose": seen.pose.tolist(),
-        "tool_radius": seen.tool_radius,
-        "hole": seen.hole,
+        "pose": observed.pose.tolist(),
+        "tool_radius": observed.tool_radius,
+        "hole": observed.hole,
     }
     scene = {"surface": FILES[1], "held_axis": "z", "held_below": held_below, "cells": cells, "palpations": [palpation]}
     rows = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in surface[0]]
     rows += [f"f {a} {b} {c}" for a, b, c in surface[1] + 1]
-    points = [f"{x:.7g},{y:.7g},{z:.7g}" for x, y, z in seen.points]
+    points = [f"{x:.7g},{y:.7g},{z:.7g}" for x, y, z in observed.points]
     return scene, "\n".join([*rows, ""]), "\n".join(["x,y,z", *points, ""])
 
 
@@ -77,11 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(output):
             require_own(*(output / name for name in FILES))
         truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, CELLS, "corotational", SPACING, EDGE)
-        seen = observe(*truth, "stereo", SEED, count=POINTS)
-        scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), seen, 0.0, 5)
+        observed = observe(*truth, "stereo", SEED, count=POINTS)
+        scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), observed, 0.0, 5)
         head = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
+        make_output(output)
         with writing(output):
-            output.mkdir(parents=True, exist_ok=True)
             for name, text in zip(FILES, [head + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
                 with replacing_own(output / name) as partial:
                     partial.write_text(text, encoding="utf-8")

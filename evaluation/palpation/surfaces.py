@@ -112,8 +112,8 @@ def fit_six(name: str, coarse: bool) -> Row:
     """How far E differs between the six forces, one palpation each."""
     fits = []
     for number, force in enumerate(SIX[:2] if coarse else SIX):
-        seen = observe(*true_press(name, force, coarse), "stereo", SEED + 10 + number)
-        fits.append(fit_material(*fitted_mesh(name, coarse), [seen], FitSettings(young=YOUNG / 30)))
+        observed = observe(*true_press(name, force, coarse), "stereo", SEED + 10 + number)
+        fits.append(fit_material(*fitted_mesh(name, coarse), [observed], FitSettings(young=YOUNG / 30)))
     values = np.array([fit.young for fit in fits])
     return {
         "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),

@@ -163,5 +163,5 @@ def observe(
     believed = np.eye(4)
     believed[:3, :3] = Rotation.from_rotvec(chance.normal(0, POSE_TURN, 3)).as_matrix()
     believed[:3, 3] = chance.normal(0, POSE_SHIFT, 3)
-    seen = (points - true[:3, 3]) @ true[:3, :3]
-    return Palpation(force, contact, seen, believed @ true, TOOL, 1.1 * TOOL)
+    observed = (points - true[:3, 3]) @ true[:3, :3]
+    return Palpation(force, contact, observed, believed @ true, TOOL, 1.1 * TOOL)

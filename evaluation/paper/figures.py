@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from palpate.evaluation.paper.simulated import distances
 from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
 
 PERCENTILES = (10, 25, 50, 75, 90)
@@ -50,9 +51,8 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
         release: when each load ends, shape [n] [s].
         mechanics: time step of the rollout.
     """
-
-    distance = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
-    finite = np.flatnonzero(np.isfinite(distance).all(axis=1))
+    distance = distances(trajectories)
+    finite = np.flatnonzero(~np.isnan(distance[:, 0]))
     order = finite[np.argsort(-distance[finite].max(axis=1), kind="stable")]
     peak = distance[order].max(initial=0.0)
     figure = Figure(figsize=(11, 4.6), dpi=150, layout="constrained")

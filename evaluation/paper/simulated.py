@@ -148,6 +148,12 @@ def fit_constant_theta(
     return to_theta(torch.from_numpy(best.x), bounds).numpy(), float(best.fun) * scale / len(contacts)
 
 
+def distances(trajectories: np.ndarray) -> np.ndarray:
+    """Lengths [n, T] of displacements [n, T, 3]; not a number throughout a trajectory that isn't finite."""
+    found = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
+    return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.nan)
+
+
 def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanics) -> pd.DataFrame:
     """Find when simulated displacements enter the 5 % band after release for good.
 
@@ -161,8 +167,7 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
         within 5 % of the peak; 0 where it already was), `release_s` (since first contact), `peak` [scene units] and
         `end_fraction_of_peak` (displacement at the end of the horizon). What doesn't exist is not a number.
     """
-    distance = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
-    distance[~np.isfinite(distance).all(axis=1)] = np.nan
+    distance = distances(trajectories)
     peak, step = distance.max(axis=1), np.arange(1, distance.shape[1] + 1)
     outside = (distance > SETTLED_FRACTION * peak[:, None]) & (step >= load_steps[:, None])
     last = (outside * step).max(axis=1)
@@ -186,8 +191,8 @@ def median_share(trajectories: np.ndarray) -> float:
     Args:
         trajectories: as in `settle`; those that aren't finite are left out.
     """
-    distance = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
-    distance = distance[np.isfinite(distance).all(axis=1)]
+    distance = distances(trajectories)
+    distance = distance[~np.isnan(distance[:, 0])]
     peak = distance.max(initial=0.0)
     return float(np.median(distance, axis=0).max() / peak) if peak > 0 else np.nan
 

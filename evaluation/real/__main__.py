@@ -19,9 +19,9 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import base64
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -48,28 +48,19 @@ KNOWN = {
 """Pulled clips, below the data's folder."""
 
 
-@dataclass(frozen=True)
-class RealCase:
-    """A clip, and how it is judged."""
-
-    name: str
-    pulled: PulledClip
-    online: OnlineSettings | None = None
-    """Of the estimator that predicts a pulled clip ahead; None = the session of direct is asked."""
-
-
-def judge(case: RealCase) -> list[Row]:
-    """What is measured, by name, as far as it comes; `figure` is a PNG file in base 64."""
-    row: Row = {"clip": case.name, "status": ""}
+def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
+    """What is measured of a clip, by name, as far as it comes; `figure` is a PNG file in base 64."""
+    asked, (name,) = case
+    clip, row = asked.wanted[name,], Row(clip=name, status="")
     try:
         with interruptible():
-            if case.online is None:
-                pull = evaluate_pull(case.pulled, row)
+            if asked.online is None:
+                pull = evaluate_pull(clip, row)
                 row |= pull.measures
-                figure = draw_summary(pull.frames, runs=[pull.run], title=case.name)
+                figure = draw_summary(pull.frames, runs=[pull.run], title=name)
                 row["figure"] = base64.b64encode(as_png(figure)).decode()
             else:
-                row |= evaluate_prediction(case.pulled, case.online)
+                row |= evaluate_prediction(clip, asked.online)
     except Exception as error:  # of one clip; the others still are judged
         known = isinstance(error, InputError | NoEstimate | NothingMoves)
         unexpected = f"unexpected {type(error).__name__} ({error}); please report it with the clip."
@@ -92,8 +83,6 @@ class Real(Experiment):
     settings: Path | None = None
     """of online (default: as configs/online.yaml)"""
 
-    asked: list[RealCase] = field(init=False, repr=False, compare=False)
-    """What to do."""
     keys: ClassVar = ("clip",)
     work: ClassVar = staticmethod(judge)
 
@@ -103,44 +92,50 @@ class Real(Experiment):
             raise ValueError(f"--layout {self.layout} is of a clip of --pulled; give both, or leave it out.")
         if self.settings is not None and self.estimator != "online":
             raise ValueError(f"--settings {self.settings} is for --estimator online; leave it out.")
-        online = OnlineSettings() if self.settings is None else load_settings(self.settings)
-        for name in FILES:
-            if getattr(online, name) is not None:
+        for name in FILES if self.online is not None else ():
+            if getattr(self.online, name) is not None:
                 raise ValueError(f"{self.settings} names a file of {name}, which is for infer.py; leave it out here.")
-        object.__setattr__(self, "asked", list(self._cases(online if self.estimator == "online" else None)))
-        if not self.asked:
+        if not self.wanted:
             where = "" if self.data is None else f"; {self.data} holds none of {', '.join(KNOWN)}"
             raise ValueError(f"there is nothing to judge{where}. Give --data or --pulled.")
 
-    def _cases(self, online: OnlineSettings | None) -> Iterator[RealCase]:
+    @functools.cached_property
+    def online(self) -> OnlineSettings | None:
+        """Of the estimator that predicts a pulled clip ahead; None = the session of direct is asked."""
+        if self.estimator != "online":
+            return None
+        return OnlineSettings() if self.settings is None else load_settings(self.settings)
+
+    @functools.cached_property
+    def wanted(self) -> dict[tuple[str], PulledClip]:
+        """Clips by their names; a second one of a name is numbered."""
         clips = []
         if self.data is not None:
             below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
             clips += [(name, clip) for name, clip in below.items() if clip.path.exists()]
         if self.pulled is not None:
             clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout)))
-        names: Counter[str] = Counter()
+        found: dict[tuple[str], PulledClip] = {}
         for name, clip in clips:
-            names[name] += 1
-            yield RealCase(f"{name} ({names[name]})" if names[name] > 1 else name, clip, online)
+            found[f"{name} (2)" if (name,) in found else name,] = clip
+        return found
 
     @property
     def writes(self) -> list[str]:  # ty: ignore[incompatible-property-override]  nobody sets it
         """Files of the results."""
-        return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.asked) + 1))]
+        return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.wanted) + 1))]
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
-        return {f"clip {case.name}": repr(case) for case in self.asked}
+        return {f"clip {name}": repr((clip, self.online)) for (name,), clip in self.wanted.items()}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[RealCase], int]:
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """Those that could not be judged are tried again."""
-        left = [case for case in self.asked if done.get((case.name,), {"status": ""})["status"] != OK]
-        return left, len(self.asked)
+        return super().cases({key: row for key, row in done.items() if row["status"] == OK}, progress)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """A row a clip and measure, and a figure a clip."""
-        found = [dict(rows[case.name,]) for case in self.asked if (case.name,) in rows]
+        found = [dict(rows[key]) for key in self.wanted if key in rows]
         drawn = [base64.b64decode(row.pop("figure")) for row in found if "figure" in row]
         figures = {f"{number}.png": content for number, content in enumerate(drawn, 1)}
         frame = by_measure(found, "clip")

@@ -148,12 +148,14 @@ def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
 
     It is made of the points that are in view; elsewhere not a number.
     """
-    seen = np.isfinite(frame.moved).all(axis=1)
-    springs = lattice_springs(follow.points[seen].astype(int), follow.spacing)
-    gripped, count = frame.gripped[seen], int(seen.sum())
+    visible = np.isfinite(frame.moved).all(axis=1)
+    springs = lattice_springs(follow.points[visible].astype(int), follow.spacing)
+    gripped, count = frame.gripped[visible], int(visible.sum())
     found = np.full(frame.moved.shape, np.nan)
     anchor = np.full(count, ratio)
-    found[seen] = equilibrium(springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped]).displacement
+    found[visible] = equilibrium(
+        springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped]
+    ).displacement
     return found
 
 

@@ -15,8 +15,10 @@ from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 
 
@@ -80,7 +82,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
 
 
 def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> dict[str, object]:
-    """What a run's grip tells, by name."""
+    """What is known of a run's grip, by name."""
     found: dict[str, object] = {
         "run from frame": run.onset_frame,
         "frames that move": len(grip.times),

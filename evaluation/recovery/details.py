@@ -1,20 +1,16 @@
 """Everything about a benchmark beyond its table, one quantity a row: `details.csv`.
 
 quantity                      meaning
-median_abs_error              of the logarithms
 mean_error                    of the logarithms: the bias
-error_over_bound_variance     mean square of error / Cramér–Rao bound: 1 is the best an unbiased estimate can do
 error_over_sd_variance        mean square of error / the estimate's own standard deviation: 1 is calibrated
-gap_closed                    share of the way from the best constant's error (for these clips) to the bound
 ratio, coverage90             as in the table, with 95 % intervals from a bootstrap over clips
 rank_uniformity               p-value of the ranks of the truths in their posteriors being evenly spread (Kolmogorov and
                               Smirnov; simulation-based calibration, Talts 2018): small where posteriors are off
-coverage90_narrow, _wide      coverage90 of the third of the clips with the narrowest, and with the widest, intervals
 spread, true_spread           standard deviation of log θ over all estimated clips, estimated and true
 collapse                      spread / true_spread: near 0 for an estimator that ignores its input
 at_bound                      share of estimated clips where a parameter lies at the end of its range
 clips, failed                 number of clips, and of those without an estimate, with the reasons
-sigma, sigma_rms              measured tracking noise [scene units] (see `evaluation.recovery.scores.Noise`)
+sigma, sigma_rms              measured tracking noise [scene units] (see `evaluation.recovery.scores.measure_noise`)
 verdict_accuracy              share of clips where the estimated verdict is the true one
 verdict_accuracy_clear        the same where no bound lies within a factor 1.5 of the limit
 warned                        share of clips whose estimate says that its model doesn't explain the motion, or that the
@@ -36,7 +32,7 @@ from scipy.stats import bootstrap, kstest, norm
 
 from palpate.estimators.estimate import NINETY
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery.scores import QUANTITIES, Scores, constant_error, rms
+from palpate.evaluation.recovery.scores import QUANTITIES, Scores
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 
@@ -60,7 +56,7 @@ def detail_table(judged: Sequence[Scores]) -> pd.DataFrame:
 
 def _rows(scores: Scores) -> Iterator[Row]:
     named = {"estimator": scores.estimator, "suite": scores.suite}
-    arrays = scores.errors, scores.truth, scores.bounds, scores.sd
+    arrays = scores.errors, scores.bounds, scores.sd
     for column, parameter in enumerate(QUANTITIES):
         for regime, used in scores.groups(column).items():
             if used.any():
@@ -74,23 +70,14 @@ def _rows(scores: Scores) -> Iterator[Row]:
         yield {**named, "regime": "all", "parameter": "all", **quantity}
 
 
-def _errors(errors: np.ndarray, truth: np.ndarray, bounds: np.ndarray, sd: np.ndarray) -> Iterator[Row]:
+def _errors(errors: np.ndarray, bounds: np.ndarray, sd: np.ndarray) -> Iterator[Row]:
     """Quantities of one parameter's errors in some clips, one at least, shape [n] each; not a number where none."""
-    worst = constant_error(truth)
-    gap = worst - rms(bounds)
-    yield {"quantity": "median_abs_error", "value": float(np.median(np.abs(errors)))}
     yield {"quantity": "mean_error", "value": float(errors.mean())}
-    yield {"quantity": "error_over_bound_variance", "value": float(np.square(errors / bounds).mean())}
     yield {"quantity": "error_over_sd_variance", "value": float(np.square(errors / sd).mean())}
-    yield {"quantity": "gap_closed", "value": (worst - rms(errors)) / gap if gap > 0 else math.nan}
     yield {"quantity": "ratio", **_with_interval(_ratio, errors, bounds)}
     if np.isfinite(sd).all():
         yield {"quantity": "coverage90", **_with_interval(_held, errors, sd)}
         yield {"quantity": "rank_uniformity", "value": float(kstest(ranks(errors, sd), "uniform").pvalue)}
-    if len(sd) >= 3 * LEAST_CLIPS and np.ptp(sd) > 0:
-        narrow, _, wide = np.array_split(np.argsort(sd, kind="stable"), 3)
-        for quantity, third in (("coverage90_narrow", narrow), ("coverage90_wide", wide)):
-            yield {"quantity": quantity, "n": len(third), **_with_interval(_held, errors[third], sd[third])}
 
 
 def ranks(errors: np.ndarray, sd: np.ndarray) -> np.ndarray:

@@ -85,7 +85,7 @@ def constant_estimate(split: str, seed: int, workers: int, progress: Progress) -
     drawn = run_tasks(draw_log_theta, tasks, workers, ordered=True)
     bar = progress.track(drawn, total=CONSTANT_CLIPS, description=f"truths of the {fitted_on} split")
     logs = np.array([logs for logs in bar if logs is not None])
-    return Estimate(theta_of(logs.mean(axis=0)), np.cov(logs.T), told_verdict="undetermined")
+    return Estimate(theta_of(logs.mean(axis=0)), np.cov(logs.T), given_verdict="undetermined")
 
 
 def draw_log_theta(task: tuple[int, int]) -> np.ndarray | None:

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import norm
 
+from palpate.data.synthetic.truth import REGIMES
 from palpate.evaluation.recovery.estimators import CONSTANT
 from palpate.evaluation.recovery.scores import QUANTITIES, Scores, rms
-from palpate.evaluation.recovery.suites import REGIMES
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 

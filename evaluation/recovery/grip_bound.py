@@ -25,7 +25,7 @@ from scipy.spatial.distance import cdist
 
 from palpate.common.robust import affine_terms, median_sd
 from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
-from palpate.estimators.grip.whitening import matern
+from palpate.estimators.grip.whitening import matern, pair_products
 from palpate.physics.sheet import response
 
 STEP = 0.01
@@ -98,16 +98,8 @@ def measure_following(
 
 def ring_correlation(points: np.ndarray, spacing: int, errors: np.ndarray) -> np.ndarray:
     """Correlation of errors [n, 2] of points on a grid [n, 2] by their distance, in spacings rounded, shape [R]."""
-    cells = np.rint(points / spacing).astype(np.int64)
-    cells -= cells.min(axis=0)
-    shape = tuple(2 * (cells.max(axis=0) + 1))
-    fields = np.zeros((3, *shape))
-    fields[(0, *cells.T)] = 1
-    fields[(slice(1, 3), *cells.T)] = errors.T
-    pairs, *products = np.fft.irfft2(np.square(np.abs(np.fft.rfft2(fields))), shape)
-    steps = (np.minimum(np.arange(side), side - np.arange(side)) for side in shape)
-    rings = np.rint(np.hypot(*np.meshgrid(*steps, indexing="ij"))).astype(int).ravel()
-    mean = np.bincount(rings, sum(products).ravel()) / np.maximum(np.bincount(rings, pairs.round().ravel()), 1)
+    rings, pairs, products = pair_products(points, spacing, errors)
+    mean = np.bincount(rings, products) / np.maximum(np.bincount(rings, pairs), 1)
     return mean / mean[0]
 
 

@@ -17,11 +17,11 @@ import numpy as np
 import pandas as pd
 
 from palpate.data.contact.interaction import FIELD
+from palpate.data.synthetic.truth import REGIMES
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.onset import STAMP
 from palpate.evaluation.harness import OK, Row
 from palpate.evaluation.recovery.bounds import known
-from palpate.evaluation.recovery.suites import REGIMES
 from palpate.physics.identifiability import LIMIT, RATIOS, covariance
 from palpate.physics.mechanics import PARAMETERS
 

@@ -69,9 +69,10 @@ from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import Estimate, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
@@ -95,7 +96,7 @@ class Trial:
     """Seed of the clip."""
     wanted: Mapping[str, Mapping[str, Candidate]]
     """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
-    seen: Horizon = None
+    horizon: Horizon = None
     """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
     """Width and height of pictures of presses on a sheet [px]."""
@@ -176,7 +177,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
             return known, functools.partial(pulled, clip.scene, motion)
     if not isinstance(motion, PressedMotion):
         raise TypeError(f"{type(motion).__name__} is no motion of a suite.")
-    contacts = observed_contacts(clip.frames, clip.info, trial.seen)
+    contacts = observed_contacts(clip.frames, clip.info, trial.horizon)
     if not contacts:
         return {"status": "no contact", "reason": "no onset of contact was found."}, None
     onset = min(contacts, key=lambda found: abs(found - motion.onset_frame))
@@ -229,11 +230,11 @@ def _pressed(onset: int, answer: Estimate | list) -> Row:
     return {
         "estimate": np.asarray(found.theta, np.float64),
         "covariance": found.covariance,
-        "verdict": "" if found.told_verdict else found.verdict,
+        "verdict": "" if found.given_verdict else found.verdict,
         "noise": found.noise,
         "misfit": found.misfit,
         "at_bound": found.at_bound,
-        "warned": None if found.told_verdict else not found.explained or is_oblique(found),
+        "warned": None if found.given_verdict else not found.explained or is_oblique(found),
     }
 
 
@@ -256,17 +257,19 @@ def as_stamped(motion: PressedMotion, onset: int) -> PressedMotion:
     return dataclasses.replace(motion, onset_frame=onset, delay=delay)
 
 
-def observed_contacts(frames: Sequence[PreparedFrame], clip: ClipInfo, seen: Horizon = None) -> dict[int, Interaction]:
+def observed_contacts(
+    frames: Sequence[PreparedFrame], clip: ClipInfo, horizon: Horizon = None
+) -> dict[int, Interaction]:
     """Every run of contact whose onset was observed and whose tissue was followed, by the frame of its onset.
 
     Args:
         frames: of the whole clip.
-        seen: how much of each counts.
+        horizon: how much of each counts.
     """
     runs = RunTracker(clip, MECHANICS.seconds)
     ended = [*(runs.push(frame) for frame in frames), runs.finish()]
     found = {
-        run.index: run.builder.build(MECHANICS, seen) for run in ended if run is not None and run.builder is not None
+        run.index: run.builder.build(MECHANICS, horizon) for run in ended if run is not None and run.builder is not None
     }
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}
 

@@ -38,7 +38,7 @@ from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import draw_surface_errors, write_figure
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,8 +103,7 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
-    with writing(output):  # before what takes minutes
-        output.mkdir(parents=True, exist_ok=True)
+    make_output(output)  # before what takes minutes
     try:
         problem = scene.skin, scene.held, scene.palpations, scene.settings
         found = OPTIMIZERS[optimizer](*problem, report=lambda line: say(console, line))
@@ -198,7 +197,6 @@ def _curves(files: list[Path], indenter: Indenter | None, output: Path, console:
 
 
 def _write(output: Path, name: str, text: str) -> None:
-    with writing(output):
-        output.mkdir(parents=True, exist_ok=True)
-        with replacing_own(output / name) as partial:
-            partial.write_text(text, encoding="utf-8")
+    make_output(output)
+    with writing(output), replacing_own(output / name) as partial:
+        partial.write_text(text, encoding="utf-8")

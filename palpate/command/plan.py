@@ -27,7 +27,7 @@ from palpate.planning import Blocked, find_plan, open_tables, read_plan_scene, s
 from palpate.planning.pictures import Pressed, draw_plan, force_along
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
 from palpate.planning.scene import PlanScene
-from palpate.results.store import OutputError, writing
+from palpate.results.store import OutputError, make_output, writing
 
 NAMES = ("plan.json", "plan.png")
 
@@ -68,8 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
-    with writing(output):  # before what takes minutes
-        output.mkdir(parents=True, exist_ok=True)
+    make_output(output)  # before what takes minutes
     simulated = dict.fromkeys(scene.kinds, 0)
     with progress_bars(console) as progress, writing(cache):
         bars = {name: progress.add_task(f"presses on {name}", total=None) for name in scene.kinds}

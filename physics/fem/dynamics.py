@@ -94,7 +94,7 @@ class Motion:
     """From rest, shape [T + 1, N, 3] [m]."""
     reaction: np.ndarray
     """Force on what is prescribed, shape [T, N, 3], zero elsewhere [N]: the mean over each time step, which rings where
-    a grip's velocity jumps; without inertia, at its end."""
+    a grip's velocity jumps."""
     slopes: np.ndarray
     """Derivatives of the displacement along D directions, shape [T + 1, N, 3, D] [m]."""
 
@@ -106,7 +106,7 @@ def simulate(
     load: Load,
     step: float,
     *,
-    inertia: Inertia | None,
+    inertia: Inertia,
     force: float = 0.0,
     relaxation: Relaxation | None = None,
     directions: Sequence[Direction] = (),
@@ -120,7 +120,7 @@ def simulate(
         held: components that don't move, shape [N, 3], bool.
         load: a press of `force`, or a grip whose displacement is from rest; its steps are the time steps.
         step: duration of one [s].
-        inertia: density and damping; None = slowly, each step in equilibrium.
+        inertia: density and damping.
         force: F of a press [N].
         relaxation: of a standard linear solid.
         directions: along which derivatives are wanted.
@@ -134,9 +134,8 @@ def simulate(
         raise ValueError(f"a time step of {step:g} s; give a positive one.")
     nodes = len(solid.rest)
     now, velocity = np.zeros((nodes, 3)), np.zeros((nodes, 3))
-    mass = (0.0 if inertia is None else inertia.density) * solid.mass
-    damping = 0.0 if inertia is None else inertia.damping
-    rate = (4 / step**2 + 2 * damping / step) if inertia is not None else 0.0
+    mass, damping = inertia.density * solid.mass, inertia.damping
+    quadratic = ((4 / step**2 + 2 * damping / step) * mass).tocsr()
     branch = None if relaxation is None else _Branch(solid, material, relaxation, step, now)
     gripped = applied(load, nodes, 0)[0]
     free = ~(held | gripped)
@@ -154,10 +153,8 @@ def simulate(
     moved, reactions = [now], []
     for index in range(load.steps):
         _, motion, acting = applied(load, nodes, index, force)
-        outer, quadratic = acting, None
-        if inertia is not None:
-            past = 4 / step**2 * (now + step * velocity) + damping * (2 / step * now + velocity)
-            outer, quadratic = acting + balance + _times(mass, past), (rate * mass).tocsr()
+        past = 4 / step**2 * (now + step * velocity) + damping * (2 / step * now + velocity)
+        outer = acting + balance + _times(mass, past)
         scale, history = (1.0, None) if branch is None else (branch.scale, branch.history)
         energy = Energy(solid, material, outer, quadratic, scale, history)
         if material.law == "linear" and system is None:
@@ -168,13 +165,11 @@ def simulate(
             tangent.advance(index, energy, now, velocity, after, branch, system or near)
         if branch is not None:
             branch.advance(after)
-        old = velocity
-        if inertia is not None:
-            velocity = 2 / step * (after - now) - old
-        past_balance = balance
+        before, past_balance = velocity, balance
+        velocity = 2 / step * (after - now) - before
         balance = accelerating(acting, after, velocity)
-        mean = np.where(free, 0.0, _times(mass, (velocity - old) / step) - (past_balance + balance) / 2)
-        reactions.append(mean if inertia is not None else np.where(free, 0.0, -balance))
+        mean = _times(mass, (velocity - before) / step) - (past_balance + balance) / 2
+        reactions.append(np.where(free, 0.0, mean))
         now = after
         moved.append(now)
     slopes = np.zeros((len(moved), nodes, 3, 0)) if tangent is None else np.stack(tangent.moved)
@@ -248,10 +243,8 @@ class _Tangent:
         nodes = len(solid.rest)
         self.solid, self.material, self.directions, self.free = solid, material, directions, free
         self.mass, self.damping, self.step = mass, damping, step
-        self.young = np.array([item.young for item in directions])
-        self.by_damping = np.array([item.damping for item in directions])
-        self.ratio = np.array([item.ratio for item in directions])
-        self.time = np.array([item.time for item in directions])
+        parts = [(item.young, item.damping, item.ratio, item.time) for item in directions]
+        self.young, self.by_damping, self.ratio, self.time = np.array(parts).T
         if relaxation is None and (self.ratio.any() or self.time.any()):
             raise ValueError("a direction changes a relaxation that there is none of; give one.")
         none = np.zeros((nodes, 3, len(directions)))
@@ -274,14 +267,11 @@ class _Tangent:
     ) -> None:
         """Over a time step that ends at the displacement `after` [N, 3]; the branch is still at its beginning."""
         solid, step, mass = self.solid, self.step, self.mass
-        inert = energy.quadratic is not None
         acting = np.stack([item.forces(index, len(now)) for item in self.directions], axis=-1)
-        outer = acting
-        if inert:
-            past = 4 / step**2 * (self.moved[-1] + step * self.velocity)
-            past = past + self.damping * (2 / step * self.moved[-1] + self.velocity)
-            past = past + self.by_damping * (2 / step * (now - after) + velocity)[..., None]
-            outer = acting + self.balance + _times(mass, past)
+        past = 4 / step**2 * (self.moved[-1] + step * self.velocity)
+        past = past + self.damping * (2 / step * self.moved[-1] + self.velocity)
+        past = past + self.by_damping * (2 / step * (now - after) + velocity)[..., None]
+        outer = acting + self.balance + _times(mass, past)
         gradient = solid.deformation(after)
         response = law = energy.response(after, tangent=True)
         if branch is not None:
@@ -316,12 +306,10 @@ class _Tangent:
             total = slope + self._pulled(gradient, slopes)
             if self.material.law != "linear":
                 total = total + np.einsum("eqijd,eqjk->eqikd", strained, extra)
-        self.balance = acting - self._forces(total)
-        if inert:
-            speed = 2 / step * (after - now) - velocity
-            self.velocity = 2 / step * (moved - self.moved[-1]) - self.velocity
-            drag = self.damping * self.velocity + self.by_damping * speed[..., None]
-            self.balance = self.balance - _times(mass, drag)
+        speed = 2 / step * (after - now) - velocity
+        self.velocity = 2 / step * (moved - self.moved[-1]) - self.velocity
+        drag = self.damping * self.velocity + self.by_damping * speed[..., None]
+        self.balance = acting - self._forces(total) - _times(mass, drag)
         self.moved.append(moved)
 
     def _pulled(self, gradient: np.ndarray, values: np.ndarray) -> np.ndarray:

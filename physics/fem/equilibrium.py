@@ -127,13 +127,9 @@ class Equilibrium:
         return np.where(self.held, -self.energy.out_of_balance(self.response, self.displacement)[0], 0.0)
 
     @cached_property
-    def _matrix(self) -> csr_array:
-        return self.energy.matrix(self.response)
-
-    @cached_property
     def _system(self) -> LinearSystem:
         free = ~self.held.ravel()
-        return LinearSystem(self._matrix[free][:, free].tocsr(), self.near)
+        return LinearSystem(self.energy.matrix(self.response)[free][:, free].tocsr(), self.near)
 
     @property
     def solver(self) -> LinearSystem | None:
@@ -148,20 +144,11 @@ class Equilibrium:
         found[free] = self._system.solve(np.ascontiguousarray(flat[free], np.float64))
         return found.reshape(*self.displacement.shape, -1)
 
-    def tangents(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by Young's modulus (of a body with one) and Poisson's ratio.
-
-        Returns:
-            of the displacement, shape [N, 3, 2] [m/Pa, m]; of the reaction, likewise [N/Pa, N].
-        """
-        material, solid = self.material, self.energy.solid
-        mu, lam = material.lame
-        slopes = np.stack(
-            [self._forces_at(mu, lam) / np.mean(material.young), self._forces_at(*material.lame_by_poisson)], axis=-1
-        )
-        moved = self.moved_by(-slopes)
-        pulled = (self._matrix @ moved.reshape(-1, 2)).reshape(*solid.rest.shape, 2) + slopes
-        return moved, np.where(self.held[..., None], pulled, 0.0)
+    def tangents(self) -> np.ndarray:
+        """Derivatives of the displacement by Young's modulus (of a body with one) and Poisson's ratio, [N, 3, 2]."""
+        material = self.material
+        by_young = self._forces_at(*material.lame) / np.mean(material.young)
+        return self.moved_by(-np.stack([by_young, self._forces_at(*material.lame_by_poisson)], axis=-1))
 
     def _forces_at(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Nodal forces of the elastic stress with other constants, in which it is linear, shape [N, 3]."""
@@ -277,32 +264,15 @@ def settle(
         relative = left / size if size > 0 else 0.0
         if not moving and relative <= tolerance:
             return displacement, iteration, near
-        right = force.ravel()
-        matrix = energy.matrix(response) if response.tangent is not None else None
-        if moving and matrix is not None:
-            right = right - matrix @ jump.ravel()
-        if system is None and matrix is not None:
-            inner = matrix[free][:, free].tocsr()
-        path = np.zeros(displacement.size)
-        accuracy = max(_FORCING * min(1.0, relative), 1e-13)
+        right, solver = force.ravel(), system
+        if response.tangent is not None:
+            matrix = energy.matrix(response)
+            right = right - matrix @ jump.ravel() if moving else right
+            solver = system or LinearSystem(matrix[free][:, free].tocsr(), near)
+        assert solver is not None
         value, rounding = energy.value(response, displacement)
-        for shift in (0.0, 1e-4, 1e-2, 1.0):
-            if system is not None:
-                solver = system
-            elif shift == 0:
-                solver = LinearSystem(inner, near)
-            else:
-                solver = LinearSystem((inner + diags_array(shift * np.abs(inner.diagonal()))).tocsr())
-            try:
-                path[free] = solver.solve(right[free], accuracy)
-            except RuntimeError as error:
-                if shift == 0:
-                    continue
-                raise NoEquilibrium("the matrix is singular: too little of the body is held.") from error
-            slope = -float(right[free] @ path[free])
-            if slope < 0 or system is not None:
-                break
-        near = solver
+        path, accuracy = np.zeros(displacement.size), max(_FORCING * min(1.0, relative), 1e-13)
+        path[free], slope, near = _downhill(right[free], solver, system is not None, accuracy)
         whole = path.reshape(-1, 3) + (jump if moving else 0.0)
         if moving:  # the potential of another boundary can't be compared
             displacement, moving = displacement + whole, False
@@ -326,6 +296,38 @@ def settle(
             return displacement, iteration + 1, near  # rounding: it comes no closer
         balanced = relative
     raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")
+
+
+def _downhill(
+    right: np.ndarray, solver: LinearSystem, fixed: bool, accuracy: float
+) -> tuple[np.ndarray, float, LinearSystem]:
+    """A step of the free components along which the energy falls, its slope along that, and the system that gave it.
+
+    Where Newton's own goes up, the matrix's diagonal is raised.
+
+    Args:
+        right: forces out of balance, shape [U].
+        solver: of the matrix of the free components.
+        fixed: whether that stays as it is.
+        accuracy: as of `LinearSystem.solve`.
+
+    Raises:
+        NoEquilibrium: the matrix is singular.
+    """
+    matrix = solver.matrix
+    for shift in (0.0, 1e-4, 1e-2, 1.0):
+        if shift > 0 and not fixed:
+            solver = LinearSystem((matrix + diags_array(shift * np.abs(matrix.diagonal()))).tocsr())
+        try:
+            path = solver.solve(right, accuracy)
+        except RuntimeError as error:
+            if shift == 0:
+                continue
+            raise NoEquilibrium("the matrix is singular: too little of the body is held.") from error
+        slope = -float(right @ path)
+        if slope < 0 or fixed:
+            break
+    return path, slope, solver
 
 
 def applied(load: Load, nodes: int, step: int, force: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

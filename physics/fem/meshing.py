@@ -8,6 +8,8 @@ sheet, as one camera sees it, is given a thickness, half of it on either side.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,25 +110,23 @@ def mesh_surface(
         inside = (_distance(centres.reshape(-1, 3), corners, samples)[0] < thick).reshape(shape)
     if floor is not None:
         inside &= centres[..., floor[0]] > floor[1]
-    parts, count = label(inside)
-    if count > 1:
-        sizes = np.bincount(parts.ravel())[1:]
-        inside = parts == 1 + int(np.argmax(sizes))
-        notes.append(f"{sizes.sum() - sizes.max()} of {sizes.sum()} cells hang apart and were left out.")
-    places, tetrahedra = fill_cells(inside)
-    nodes = origin + sides * places
-    nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
+    places, tetrahedra = fill_cells(_largest_part(inside, notes))
+    drawn = functools.partial(_drawn, corners=corners, samples=samples, away=thick, floor=floor)
+    nodes, off = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
-        for _ in range(SHED):
-            flat = _flat(nodes, tetrahedra)
-            if not flat.any() or flat.all():
-                break
-            kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
-            nodes, tetrahedra = nodes[kept], left.reshape(-1, 4)
-            nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
-        nodes, tetrahedra = refine(nodes, tetrahedra, longest)
-        nodes, off = _drawn(nodes, tetrahedra, corners, samples, thick, floor)
+        nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
+        nodes, off = drawn(nodes, tetrahedra)
     return Meshed(nodes, tetrahedra, tuple(notes), off)
+
+
+def _largest_part(inside: np.ndarray, notes: list[str]) -> np.ndarray:
+    """The most cells that hang together, shape [I, J, K], bool; a note says what was left out."""
+    parts, count = label(inside)
+    if count < 2:
+        return inside
+    sizes = np.bincount(parts.ravel())[1:]
+    notes.append(f"{sizes.sum() - sizes.max()} of {sizes.sum()} cells hang apart and were left out.")
+    return parts == 1 + int(np.argmax(sizes))
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -203,6 +203,20 @@ def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np
     face, share = nearest(points, corners, samples)
     places = np.einsum("pk,pkx->px", share, corners[face])
     return np.linalg.norm(points - places, axis=1), places
+
+
+def _without_flat(
+    nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, float]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
+    for _ in range(SHED):
+        flat = _flat(nodes, tetrahedra)
+        if not flat.any() or flat.all():
+            break
+        kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
+        tetrahedra = left.reshape(-1, 4)
+        nodes, _ = drawn(nodes[kept], tetrahedra)
+    return nodes, tetrahedra
 
 
 def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def spins(gradient: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     stretch = (stretch + np.swapaxes(stretch, -1, -2)) / 2
     trace = np.trace(stretch, axis1=-2, axis2=-1)
     matrix = trace[..., None, None] * np.eye(3) - stretch
-    # Turned inside out with two stretches alike the rotation jumps, and has no derivative.
+    # Turned inside out with two equal stretches the rotation jumps, and has no derivative.
     jumps = np.abs(np.linalg.det(matrix)) <= 1e-14 * np.abs(trace) ** 3
     inverse = np.linalg.inv(np.where(jumps[..., None, None], np.eye(3), matrix))
     inverse[jumps] = 0

@@ -32,7 +32,7 @@ DEGREE, LOOSE_DEGREE = 3, 2
 higher one bends so far beyond the tissue's edge that a slab folds."""
 NEAREST = 4
 """Vertices that tell the rest of a node's depth."""
-BESIDE = 1.0
+OUTSIDE = 1.0
 """A node farther from all vertices lies next to the mesh [grid px]."""
 SAMPLES = 41
 """Of a patch along a side, to share it out over nodes."""
@@ -209,12 +209,12 @@ def slab_beneath(
     wide = WIDE * mesh.grid_shape[1]
     middle = np.array([row, column])
     pixels = middle + wide * np.sinh(CROWDED * (2 * places[:, 1::-1] - 1)) / math.sinh(CROWDED)
-    depth, beside = _depth(mesh, pixels, middle, wide, DEGREE if attached else LOOSE_DEGREE)
+    depth, outside = _depth(mesh, pixels, middle, wide, DEGREE if attached else LOOSE_DEGREE)
     surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])
     layer = np.rint(places[:, 2] * cells[2])
     below = thickness * (GROWTH**layer - 1) / (GROWTH ** cells[2] - 1)
     side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
-    held = side | (places[:, 2] == 1) | (beside & attached)
+    held = side | (places[:, 2] == 1) | (outside & attached)
     top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
     grid = pixels[top[:, 0], 1], pixels[top[0], 0]
     try:
@@ -255,4 +255,4 @@ def _depth(
     weights = 1 / np.maximum(apart, 1e-3) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     found = terms(np.clip(pixels, low, high)) @ fitted + (weights * left[nearest]).sum(axis=1)
-    return found, (apart[:, 0] > BESIDE) & mesh.rim[nearest[:, 0]]
+    return found, (apart[:, 0] > OUTSIDE) & mesh.rim[nearest[:, 0]]

@@ -65,7 +65,7 @@ def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tupl
         points: shape [P, 3].
         triangles: corners, shape [F, 3, 3].
         samples: rows of samples on each triangle, at whose closest ones is looked: 1 = the centre, which does where
-            triangles are alike in size.
+            triangles are of similar size.
     """
     rows = even_shares(samples)
     seeds = np.einsum("sk,fkx->fsx", rows, triangles).reshape(-1, 3)

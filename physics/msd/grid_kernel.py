@@ -131,9 +131,9 @@ def _pull_row(state, rest, forces, row, start, count, guard, pitch, sensitive):
     planes, sums = (SENSITIVITY_PLANES, 12) if sensitive else (FORWARD_PLANES, 3)
     near, near_rest = row * planes * pitch + start, row * REST_PLANES * pitch + start
     for kind in range(3):
-        below, beside = 1 if kind > 0 else 0, 1 if kind != 1 else 0
-        far = near + below * planes * pitch + beside
-        far_rest = near_rest + below * REST_PLANES * pitch + beside
+        below, right = 1 if kind > 0 else 0, 1 if kind != 1 else 0
+        far = near + below * planes * pitch + right
+        far_rest = near_rest + below * REST_PLANES * pitch + right
         out = start if kind == 0 else (2 * kind - 1 + (row & 1)) * sums * pitch + start
         length = rest[near_rest + (LENGTH + kind) * pitch :]
         link = rest[near_rest + (LINK + kind) * pitch :]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palpate.physics import jit
+from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -70,6 +71,16 @@ def simulate_sensitivities(
     """
     path, slopes = watched_rollout(_case(theta, mesh, load, mechanics, watch, dtype), sensitive=True)
     return (path[:, 0], slopes[:, 0]) if watch is None else (path, slopes)
+
+
+def simulate_tangent(theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechanics, **how) -> tuple[np.ndarray, ...]:
+    """What `simulate_sensitivities` gives, with the derivatives by φ = (log k_s, log k_d, log |F|) in place of θ.
+
+    They are 0 where the motion is so chaotic that rounding decides them.
+    """
+    path, slopes = simulate_sensitivities(theta, mesh, load, mechanics, **how)
+    slopes = log_jacobian(slopes, theta)
+    return path, np.zeros_like(slopes) if is_chaotic(path, slopes) else slopes
 
 
 def is_chaotic(path: np.ndarray, log_slopes: np.ndarray) -> bool:

@@ -20,6 +20,7 @@ from palpate.physics.jit import inlined
 from palpate.physics.pbd.body import NORM_GUARD
 
 _TURNS = 60
+_NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 _SETTLED = 1e-19
 """Square of half a turn after which another would be its square: below rounding."""
 
@@ -144,6 +145,17 @@ def _settled(matrix, turn, index):
 
 
 @inlined
+def _grown(matrix, a, b):
+    """A matrix plus a bᵀ."""
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = matrix
+    return (
+        (m00 + a[0] * b[0], m01 + a[0] * b[1], m02 + a[0] * b[2]),
+        (m10 + a[1] * b[0], m11 + a[1] * b[1], m12 + a[1] * b[2]),
+        (m20 + a[2] * b[0], m21 + a[2] * b[1], m22 + a[2] * b[2]),
+    )
+
+
+@inlined
 def _moments(starts, members, offsets, points, index):
     """Mean of a shape's points, and A = Σ (xᵢ - x̄) qᵢᵀ."""
     first, last = starts[index], starts[index + 1]
@@ -155,21 +167,12 @@ def _moments(starts, members, offsets, points, index):
         z += points[particle, 2]
     share = 1.0 / (last - first)
     x, y, z = x * share, y * share, z * share
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    matrix = _NOTHING
     for m in range(first, last):
         particle = members[m]
-        dx, dy, dz = points[particle, 0] - x, points[particle, 1] - y, points[particle, 2] - z
-        qx, qy, qz = offsets[m, 0], offsets[m, 1], offsets[m, 2]
-        a00 += dx * qx
-        a01 += dx * qy
-        a02 += dx * qz
-        a10 += dy * qx
-        a11 += dy * qy
-        a12 += dy * qz
-        a20 += dz * qx
-        a21 += dz * qy
-        a22 += dz * qz
-    return (x, y, z), ((a00, a01, a02), (a10, a11, a12), (a20, a21, a22))
+        apart = points[particle, 0] - x, points[particle, 1] - y, points[particle, 2] - z
+        matrix = _grown(matrix, apart, row(offsets, m))
+    return (x, y, z), matrix
 
 
 @inlined
@@ -230,7 +233,7 @@ def warped(starts, members, offsets, points, turn, shape, index, slope):
     total = NORM_GUARD
     for m in range(starts[index], starts[index + 1]):
         particle = members[m]
-        q = offsets[m, 0], offsets[m, 1], offsets[m, 2]
+        q = row(offsets, m)
         x = points[particle, 0] - mean[0] - dot(r0, q)
         y = points[particle, 1] - mean[1] - dot(r1, q)
         z = points[particle, 2] - mean[2] - dot(r2, q)
@@ -261,30 +264,19 @@ def warped_bent(starts, offsets, rotation, left, index, slope, value, along, out
     """
     first, last = starts[index], starts[index + 1]
     x, y, z, ahead = 0.0, 0.0, 0.0, 0.0
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    matrix = _NOTHING
     for m in range(first, last):
-        dx, dy, dz = along[m, 0], along[m, 1], along[m, 2]
-        qx, qy, qz = offsets[m, 0], offsets[m, 1], offsets[m, 2]
-        x += dx
-        y += dy
-        z += dz
-        ahead += slope[m, 0] * dx + slope[m, 1] * dy + slope[m, 2] * dz
-        a00 += dx * qx
-        a01 += dx * qy
-        a02 += dx * qz
-        a10 += dy * qx
-        a11 += dy * qy
-        a12 += dy * qz
-        a20 += dz * qx
-        a21 += dz * qy
-        a22 += dz * qz
+        way = row(along, m)
+        x, y, z = x + way[0], y + way[1], z + way[2]
+        ahead += dot(row(slope, m), way)
+        matrix = _grown(matrix, way, row(offsets, m))
     share = 1.0 / (last - first)
     x, y, z = x * share, y * share, z * share
-    moved = turned_back(rotation, ((a00, a01, a02), (a10, a11, a12), (a20, a21, a22)))
+    moved = turned_back(rotation, matrix)
     spin, _ = _solved(left, _axial(moved))  # none where the rotation isn't determined
     over = 1.0 / value
     for m in range(first, last):
-        swept = _cross(spin, (offsets[m, 0], offsets[m, 1], offsets[m, 2]))
+        swept = _cross(spin, row(offsets, m))
         out[m, 0] = (along[m, 0] - x - dot(rotation[0], swept) - slope[m, 0] * ahead) * over
         out[m, 1] = (along[m, 1] - y - dot(rotation[1], swept) - slope[m, 1] * ahead) * over
         out[m, 2] = (along[m, 2] - z - dot(rotation[2], swept) - slope[m, 2] * ahead) * over

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from palpate.common.settings import require_numbers
 from palpate.physics.jit import COMPILED, say_slow
 from palpate.physics.load import Grip
 from palpate.physics.pbd.adjoint_kernel import sweep_adjoint
@@ -35,12 +35,9 @@ class Stepping:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if not (self.time_step > 0 and math.isfinite(self.time_step)):
-            raise ValueError(f"time_step is {self.time_step}; give a positive number of seconds.")
+        require_numbers(self, positive=("time_step",), not_negative=("foundation",))
         if self.iterations < 1:
             raise ValueError(f"iterations is {self.iterations}; give 1 at least.")
-        if not (self.foundation >= 0 and math.isfinite(self.foundation)):
-            raise ValueError(f"foundation is {self.foundation}; give 0 or more.")
 
 
 @dataclass(frozen=True, eq=False)

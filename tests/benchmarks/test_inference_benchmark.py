@@ -1,7 +1,5 @@
 """The inference benchmark times the sizes that the configurations have, and reads what infer.py writes down."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

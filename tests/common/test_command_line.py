@@ -1,7 +1,5 @@
 """Options that take what they should, and sentences that are printed as they are."""
 
-from __future__ import annotations
-
 import argparse
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How programs end: at Ctrl-C whenever it comes, and on terminals that take no letter, no byte, or no more."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -101,8 +99,7 @@ def test_an_ignored_interrupt_stays_ignored() -> None:
 
 
 @pytest.mark.parametrize(
-    "environment",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}],
+    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}]
 )
 def test_letters_that_a_terminal_lacks_are_escaped(environment: dict[str, str]) -> None:
     body = r"print('k_s \xb1 \u540d \udcff'); print('\u2026', file=sys.stderr)"

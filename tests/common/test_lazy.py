@@ -1,7 +1,5 @@
 """Package faces, and rooms of a checkout under both their names."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

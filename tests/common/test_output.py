@@ -1,7 +1,5 @@
 """Only files that are as this program wrote them are replaced."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -71,9 +69,7 @@ def test_a_file_that_appears_while_its_successor_is_written_stays(tmp_path: Path
 
 
 @pytest.mark.parametrize("step", range(4))
-def test_an_interruption_leaves_what_may_be_replaced(
-    tmp_path: Path, step: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_leaves_what_may_be_replaced(tmp_path, step, monkeypatch) -> None:
     """Twice at the same place, before or after one of the two files takes its place."""
     write(tmp_path / "a", "one")
     replace = os.replace

@@ -1,7 +1,5 @@
 """Errors of which some are large: their weights, size and density, and what they leave of an affine motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,14 +1,13 @@
 """Values from files are what their field's annotation says."""
 
-from __future__ import annotations
-
 import math
 import re
+from types import SimpleNamespace
 from typing import Literal
 
 import pytest
 
-from palpate.common.settings import described, fits, shown, sound
+from palpate.common.settings import described, fits, require_numbers, shown, sound
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.depth.preset import DepthPreset
@@ -59,11 +58,7 @@ def test_an_annotation_in_words(kind: object, words: str):
             {"displacement": "guessed"},
             "geometry.displacement is 'guessed'; give one of tracked, redetected.",
         ),
-        (
-            SampleSettings,
-            {"observation": "all"},
-            "samples.observation is 'all'; give one of final, trajectory.",
-        ),
+        (SampleSettings, {"observation": "all"}, "samples.observation is 'all'; give one of final, trajectory."),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
         (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
     ],
@@ -113,3 +108,19 @@ def test_a_value_is_shown_in_few_words(value: object, said: str):
 def test_what_nobody_means_is_not_sound(value: object):
     assert not sound({"model": value})
     assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": doubled(3)}]})
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"length": 0.0}, "the length is 0.0; give a positive number"),
+        ({"length": math.inf}, "the length is inf; give a positive number"),
+        ({"error": -1.0}, "the error is -1.0; give 0 or more"),
+        ({"error": math.nan}, "the error is nan; give 0 or more"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(value: dict[str, float], said: str):
+    fine = {"length": 1.0, "error": 0.0, "open": None}
+    require_numbers(SimpleNamespace(**fine), positive=("length", "open"), not_negative=("error",), group="the ")
+    with pytest.raises(ValueError, match=said):
+        require_numbers(SimpleNamespace(**fine | value), positive=("length",), not_negative=("error",), group="the ")

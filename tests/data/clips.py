@@ -1,7 +1,5 @@
 """Tiny clips in CholecSeg8k's layout whose contact and motion are known."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path

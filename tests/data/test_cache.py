@@ -1,7 +1,5 @@
 """Prepared clips on disk: what they hold, what they depend on, and that nothing half-written is left."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle

@@ -1,7 +1,5 @@
 """The per-frame path, its statuses, the observed motion, and the cache."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

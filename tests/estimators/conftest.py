@@ -1,7 +1,5 @@
 """A small synthetic clip and an untrained posterior, shared by the tests of the estimators."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

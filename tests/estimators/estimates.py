@@ -1,13 +1,12 @@
 """A contact, and estimates of it, for what tells, draws and stores them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import contact_normal
@@ -50,5 +49,5 @@ def frame_in_contact(
         factors: by which the ends of the 90 % intervals lie above and below θ; None = the estimator gives none.
     """
     covariance = None if factors is None else np.diag(np.square(np.log(factors) / NINETY))
-    estimate = Estimate(np.array(theta), covariance, told_verdict="" if covariance is not None else "undetermined")
+    estimate = Estimate(np.array(theta), covariance, given_verdict="" if covariance is not None else "undetermined")
     return FrameEstimate(number, time_s, "ok", estimate=estimate, verdict=verdict, **told)

@@ -1,7 +1,5 @@
 """Sessions of estimators over prepared clips."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
@@ -16,7 +14,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.estimators.contract import ClipInfo, Output, Session
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mesh import Mesh
 
 SIZE = (214, 120)

@@ -1,7 +1,5 @@
 """Files of what is known in newtons: what they tell, and what is wrong with them in one sentence."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -33,7 +31,7 @@ def write_forces(folder: Path) -> None:
 def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> None:
     calibration = read(tmp_path, **FORCE)
     scale = calibration.scale([OTHER, KNOWN], UNKNOWN)
-    assert (scale.used, scale.alike, scale.source) == ({10: 1.0}, MASS, "known force of 4 N at frame 10")
+    assert (scale.used, scale.homogeneous, scale.source) == ({10: 1.0}, MASS, "known force of 4 N at frame 10")
     assert math.exp(scale.log) == pytest.approx(20.0)
     assert calibration.of_one_clip
     with pytest.raises(NoEstimate, match=r"no press was estimated in contact at 0.5 s"):
@@ -42,11 +40,10 @@ def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> Non
 
 def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> None:
     write_forces(tmp_path)
-    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2], alike="stiffness")
+    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2], homogeneous="stiffness")
     scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
-    assert (scale.alike, scale.source) == (STIFFNESS, "forces measured at frame 10")
+    assert (scale.homogeneous, scale.source) == (STIFFNESS, "forces measured at frame 10")
     assert math.exp(scale.log) == pytest.approx(3.0 * 0.5 / 0.2)
-    assert calibration.known is not None
     assert calibration.known.times.max() == pytest.approx(1.2)
     assert calibration.files == (tmp_path / "known.yaml", tmp_path / "forces.csv")
     with pytest.raises(NoEstimate, match="3 or more forces are known"):
@@ -114,8 +111,11 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
         ({"measured": "forces.csv", "rest_s": [0, 1]}, "rest_s needs known_s, whose dents tell the scale."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
-        ({"stiffness": 3.0, "alike": "stiffness"}, "alike is for a known force; leave it out beside stiffness."),
-        ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out beside stiffness."),
+        (
+            {"stiffness": 3.0, "homogeneous": "stiffness"},
+            "homogeneous is for a known force; leave it out next to stiffness.",
+        ),
+        ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
         ({"measured": "no.csv"}, "no.csv is no table of forces"),

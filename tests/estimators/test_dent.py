@@ -1,7 +1,5 @@
 """The deepest dent against rest, frame by frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,14 +1,13 @@
 """What an estimate says: values, intervals and verdict of parameters and ratios, and the record of a frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, FrameEstimate, mixture
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, mixture
+from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
 
@@ -76,7 +75,7 @@ def test_numbers_are_those_of_drawn_parameters() -> None:
 
 
 def test_what_an_estimator_does_not_give_is_missing() -> None:
-    numbers = Estimate(np.array([0.5, 0.06, 0.0], np.float32), told_verdict="onset_in_view").numbers()
+    numbers = Estimate(np.array([0.5, 0.06, 0.0], np.float32), given_verdict="onset_in_view").numbers()
     assert numbers.keys() == {"verdict", "determined", *REPORTED}
     assert (numbers["verdict"], numbers["determined"]) == ("onset_in_view", "")
     assert (numbers["force"], numbers["force_over_stiffness"]) == (0, 0)
@@ -97,9 +96,7 @@ def test_what_an_estimator_does_not_give_is_missing() -> None:
         (np.diag([0.01, 4.0, 0.01]), "undetermined", ("stiffness", "force", "force_over_stiffness")),
     ],
 )
-def test_what_is_determined_goes_by_standard_deviations(
-    covariance: np.ndarray, verdict: str, determined: tuple[str, ...]
-) -> None:
+def test_what_is_determined_goes_by_standard_deviations(covariance, verdict, determined) -> None:
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(3), covariance, 20_000)
     sampled = {name for name, row in COMBINATIONS.items() if (drawn @ row).std() < LIMIT}
     assert sampled == set(determined)
@@ -113,7 +110,7 @@ def test_what_is_determined_goes_by_standard_deviations(
 
 @pytest.mark.parametrize("told", ["", "onset_in_view"])
 def test_nothing_is_determined_by_a_model_that_does_not_explain_the_motion(told: str) -> None:
-    sure = Estimate(THETA, 1e-4 * np.eye(3), misfit=1.5, largest_misfit=1.5, told_verdict=told)
+    sure = Estimate(THETA, 1e-4 * np.eye(3), misfit=1.5, largest_misfit=1.5, given_verdict=told)
     unexplained = dataclasses.replace(sure, misfit=1.501)
     assert (sure.verdict, sure.determined) == ((told, ()) if told else ("determined", tuple(COMBINATIONS)))
     assert (unexplained.verdict, unexplained.determined) == ("undetermined", ())

@@ -1,7 +1,5 @@
 """The parameter network's estimator on a drawn clip with networks whose answer is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import deque
@@ -17,8 +15,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import open_source
 from palpate.estimators import gan
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate, InteractionEstimate
 from palpate.estimators.gan import GanEstimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, Mechanics
@@ -196,9 +194,7 @@ def test_time_by_stage_starts_anew_for_every_clip(clip_folder: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("theta", [THETA, (0.5, 0.09, 0.0)])
-def test_a_run_is_the_geometric_mean_of_its_frames(
-    clip_folder: Path, tmp_path: Path, theta: tuple[float, float, float]
-) -> None:
+def test_a_run_is_the_geometric_mean_of_its_frames(clip_folder, tmp_path, theta) -> None:
     """Of magnitudes, with F pressing; a parameter at 0 counts as 1e-12."""
     _, results, (run_of_contact,) = run(clip_folder, tmp_path, theta=theta)
     each = np.array([result.estimate.estimate.theta for result in results[ONSET:]])

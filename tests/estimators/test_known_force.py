@@ -1,7 +1,5 @@
 """A force known for a part of a motion: the factor, the forces of other frames, and tables that can't be used."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

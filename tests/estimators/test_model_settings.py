@@ -1,7 +1,5 @@
 """Settings read back from an exported network's metadata, and what the user chooses otherwise."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
@@ -33,9 +31,7 @@ def test_settings_come_from_the_model_unless_chosen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("trained", "expected"), [("auto", "auto"), ("annotation", "auto"), ("automatic", "automatic")]
 )
-def test_masks_are_the_models_where_a_clip_without_annotation_has_them(
-    tmp_path: Path, trained: str, expected: str
-) -> None:
+def test_masks_are_the_models_where_a_clip_without_annotation_has_them(tmp_path, trained, expected) -> None:
     document = metadata(masks=trained, bridge_frames=5, track_seconds=2.0)
     model = ParameterModel(write_model(tmp_path / "model.onnx", document))
     settings = preparation_settings(model, Chosen())

@@ -1,7 +1,5 @@
 """Presses aslant to the line of sight: their angle, the error that they may hide, and how much wider intervals get."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Contacts as if they had begun at other instants."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Runs of contact gathered frame by frame are those that a whole clip shows."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Drawn clips of tissue that is pulled, written as a user has them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,12 +1,11 @@
 """Results of the benchmark whose scores are known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 
+from palpate.data.synthetic.truth import REGIMES
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.scores import Bound
-from palpate.evaluation.recovery.suites import REGIMES, suite_clip_seed
+from palpate.evaluation.recovery.suites import suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
 BY_CONTACT = Bound("contact")

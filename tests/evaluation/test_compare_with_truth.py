@@ -1,11 +1,8 @@
 """Estimates compared with the truth: numbers of what is determined only, and whether the interval holds."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -67,9 +64,7 @@ def test_true_values_are_those_of_the_magnitudes() -> None:
     )
 
 
-def test_only_what_is_determined_has_numbers(
-    results: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_what_is_determined_has_numbers(results, capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     assert main([str(results)]) == 0
     printed = capsys.readouterr().out
@@ -117,9 +112,7 @@ def test_a_video_file_s_truth_lies_in_the_folder_of_its_name(results: Path, caps
     ],
     ids=["pipe", "device", "deep", "text", "binary"],
 )
-def test_results_that_are_none_are_one_sentence(
-    results: Path, capsys: pytest.CaptureFixture, name: str, make: Callable
-) -> None:
+def test_results_that_are_none_are_one_sentence(results, capsys, name, make) -> None:
     (results / name).unlink(missing_ok=True)
     make(results / name)
     assert main([str(results)]) == 1

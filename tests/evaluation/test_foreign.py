@@ -1,7 +1,5 @@
 """Ringing measured, a standard linear solid found again, and another mass predicted."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -52,7 +50,7 @@ def test_the_names_tell_the_mass() -> None:
     names = {"beam_gravity_V2_a.csv": 0.0, "beam_load52_V2_b.csv": 0.052, "beam_load101_V2_a.csv": 0.101}
     names |= {"beam_V2_Load_101.5_a.csv": 0.1015, "beam_load101g_V2.csv": 0.101}
     assert {name: tip_mass(Path(name)) for name in names} == names
-    with pytest.raises(InputError, match="the name tells no load"):
+    with pytest.raises(InputError, match="the name gives no load"):
         tip_mass(Path("beam_V2.csv"))
 
 

@@ -1,7 +1,5 @@
 """What evaluations share: options, results on disk that are never lost or mixed, and what is written of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

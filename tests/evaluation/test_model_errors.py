@@ -1,7 +1,5 @@
 """What fits get wrong: the file holds what the command measured last, and the command measures what is there."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

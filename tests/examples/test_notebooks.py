@@ -1,7 +1,5 @@
 """Every notebook in examples/ runs, and what it prints is true."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -23,9 +21,7 @@ def run(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_press_pull_and_simulator(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     mpl.use("Agg")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     try:

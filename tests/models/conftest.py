@@ -1,7 +1,5 @@
 """A small batch made by hand: two pairs of curved depth maps with their meshes, contacts and observed displacements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -31,7 +29,7 @@ def _mesh(depth: np.ndarray):
     return grid_mesh(points, inside & (depth > 0), max_edge=0.5)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_batch() -> Callable[..., dict[str, Any]]:
     """`make_batch(window=1)`: a batch of two pairs in the data module's form; pixel (0, 0) is invalid everywhere."""
 
@@ -63,7 +61,7 @@ def make_batch() -> Callable[..., dict[str, Any]]:
     return build
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
     """`make_told_batch(window=1)`: the same with what was known of the contacts, for head posterior."""
 

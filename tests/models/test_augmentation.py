@@ -1,7 +1,5 @@
 """Disturbed windows: reproducible, only where there is a measurement, off by default."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

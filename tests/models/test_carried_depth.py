@@ -1,7 +1,5 @@
 """Depth maps carried along by the rollout: against the synthetic renderer, by hand, and their gradient."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoints that can't be used get a sentence, and none is followed into another network."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import zipfile

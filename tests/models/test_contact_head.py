@@ -1,7 +1,5 @@
 """The head that says how sure it is: its box, where it starts, what the decoder is given of it."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

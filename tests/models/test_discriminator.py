@@ -1,7 +1,5 @@
 """PatchGAN: receptive field and shapes (Bini 2026, section 3.4.1)."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import nn

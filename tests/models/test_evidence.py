@@ -1,7 +1,5 @@
 """The evidence bound against torch's own divergence and a matrix's own root."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The expected bound: its loss is least at the medians, and its size is counted up to where verdicts are clear."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

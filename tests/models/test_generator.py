@@ -1,7 +1,5 @@
 """The generator against the paper's shapes and ranges (Bini 2026, section 3.4.1)."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

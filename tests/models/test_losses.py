@@ -1,7 +1,5 @@
 """Each loss term against a computation by hand (Bini 2026, section 3.4.2)."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The training step: who moves whom, and by which pathway gradients arrive (Bini 2026, section 3.4)."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -253,12 +251,29 @@ def test_physics_alone_leaves_the_decoder_as_it_is(make_told_batch):
     assert any(not torch.equal(head[name], value) for name, value in parts(module.generator_ab.head).items())
 
 
-def test_head_posterior_trains_both_heads_by_the_evidence_bound(make_told_batch):
+@pytest.fixture(scope="module")
+def taught(make_told_batch):
+    """A batch, a module trained on it, its physics' loss and its bound's error before, and the metrics."""
     batch = make_told_batch()
     module = build(learning_rate=2e-3, **POSTERIOR)
     with torch.no_grad():
         before = module.generator_losses(batch)[0].physics.item()
-    metrics = fit(module, [batch], epochs=40).callback_metrics
+    error = bound_error(module, batch)
+    return batch, module, before, error, fit(module, [batch], epochs=40).callback_metrics
+
+
+def bound_error(module: PhysicsInformedGAN, batch: dict) -> float:
+    generator = module.generator_ab
+    posterior = generator.posterior
+    answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
+    seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "known_load", "known_observation"))
+    box = posterior.lower, posterior.upper
+    _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
+    return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
+
+
+def test_head_posterior_trains_both_heads_by_the_evidence_bound(taught):
+    batch, module, before, _, metrics = taught
     assert metrics["val/physics"] < 0.2 * before
     assert metrics["train/regularisation"] == 0
     module.zero_grad()
@@ -268,7 +283,7 @@ def test_head_posterior_trains_both_heads_by_the_evidence_bound(make_told_batch)
         assert all(p.grad is None for p in generator.decoder.parameters())
 
 
-def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_path):
+def test_the_expected_bound_is_learnt_beside_the_evidence(taught, make_told_batch, tmp_path):
     """Without a pretrained head: no part of the loss's value, and nothing but its own weights changes for it."""
     batch = make_told_batch()
     torch.save(build(**POSTERIOR).generator_ab.head.posterior.state_dict(), tmp_path / "posterior.pt")
@@ -285,20 +300,8 @@ def test_the_expected_bound_is_learnt_beside_the_evidence(make_told_batch, tmp_p
             assert other is None
         else:
             torch.testing.assert_close(parameter.grad, other)
-
-    def error(module: PhysicsInformedGAN) -> float:
-        generator = module.generator_ab
-        posterior = generator.posterior
-        answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
-        seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "known_load", "known_observation"))
-        box = posterior.lower, posterior.upper
-        _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
-        return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
-
-    module = build(learning_rate=2e-3, **POSTERIOR)
-    before = error(module)
-    fit(module, [batch], epochs=40)
-    assert error(module) < 0.5 * before
+    batch, module, _, before, _ = taught
+    assert bound_error(module, batch) < 0.5 * before
 
 
 def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):

@@ -1,7 +1,5 @@
 """Calibrated files: as the formula says, for networks with and without a picture, and with all else as it was."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Export and its parity with torch, on the file, over several batch sizes."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Model files that can't be used get a sentence with the remedy."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

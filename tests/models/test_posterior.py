@@ -1,7 +1,5 @@
 """The contact posterior: its box, its covariance and its loss."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Records of the test pairs: errors, baselines and sensitivity by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

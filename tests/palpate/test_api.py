@@ -1,7 +1,5 @@
 """The public face: the same numbers as the program's, and sentences for what can't be done."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -59,9 +57,7 @@ def test_the_simulator_is_one_call_away(clip: Path) -> None:
         ({"layout": "missing.yaml"}, ValueError, r"missing\.yaml"),
     ],
 )
-def test_a_choice_that_cannot_be_used_is_a_sentence(
-    clip: Path, choices: dict[str, object], error: type[Exception], sentence: str
-) -> None:
+def test_a_choice_that_cannot_be_used_is_a_sentence(clip, choices, error, sentence) -> None:
     with pytest.raises(error, match=sentence):
         palpate.estimate(clip, **choices)
 

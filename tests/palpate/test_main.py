@@ -1,7 +1,5 @@
 """The command `palpate`."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 
@@ -26,9 +24,7 @@ def test_every_command_is_a_program(name: str) -> None:
     assert callable(importlib.import_module(COMMANDS[name]).main)
 
 
-def test_a_command_gets_the_arguments_behind_its_name(
-    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_gets_the_arguments_behind_its_name(capsys, monkeypatch) -> None:
     monkeypatch.setattr(sys, "argv", ["palpate"])
     with pytest.raises(SystemExit) as end:
         main(["infer", "--version"])
@@ -39,9 +35,7 @@ def test_a_command_gets_the_arguments_behind_its_name(
     assert capsys.readouterr().out.startswith("usage: palpate plan")
 
 
-def test_training_without_its_libraries_says_what_to_install(
-    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_without_its_libraries_says_what_to_install(capsys, monkeypatch) -> None:
     def missing(name: str) -> None:
         raise ModuleNotFoundError(f"No module named {name!r}", name="lightning")
 

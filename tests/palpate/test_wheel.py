@@ -1,7 +1,5 @@
 """What an installation gives: one package, whatever the user's own folders are called."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -27,13 +25,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(
         CHECKOUT, sources, symlinks=True, ignore=shutil.ignore_patterns(".venv", ".git", "runs", "build", "*.egg-info")
     )
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
-    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, sources], check=True, timeout=300)
-    (wheel,) = folder.glob("palpate-*.whl")
     home = folder / "environment"
     venv.create(home, with_pip=False)
     site = home / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
-    subprocess.run([*pip, "install", "--no-deps", "--target", site, wheel], check=True, timeout=300)
+    options = ["--disable-pip-version-check", "--quiet", "--no-deps", "--no-compile", "--target", site]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, sources], check=True, timeout=300)
     (site / "libraries.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
     return home
 
@@ -45,18 +41,23 @@ def test_only_palpate_stands_in_site_packages(installed: Path) -> None:
     assert {path.name for path in (site / "palpate").iterdir() if path.is_dir()} >= {*FOLDERS, "command"}
 
 
-def test_it_estimates_in_a_folder_with_packages_of_the_same_names(installed: Path, tmp_path: Path) -> None:
+def test_it_works_in_a_folder_with_packages_of_the_same_names(installed: Path, tmp_path: Path) -> None:
     for name in ("data", "models"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("OWN = True\n")
     clip = write_clip(tmp_path / "clips", 1, SCENE, 3)
     program = f"""
-import data, models, sys
+import data, models, runpy, sys
 import palpate
 assert data.OWN and models.OWN
 assert {str(installed)!r} in palpate.__file__, palpate.__file__
 (run,) = palpate.estimate({str(clip)!r})
 print(run.onset_frame, run.verdict, *run.estimate.theta)
+sys.argv = ["palpate", "infer", {str(clip)!r}, "--output", "out", "--no-overlay"]
+try:
+    runpy.run_module("palpate", run_name="__main__", alter_sys=True)
+except SystemExit as ended:
+    assert not ended.code
 assert "torch" not in sys.modules
 """
     python = installed / "bin" / "python"
@@ -65,14 +66,7 @@ assert "torch" not in sys.modules
     import palpate
 
     (run,) = palpate.estimate(clip)
-    frame, verdict, *theta = done.stdout.split()
+    frame, verdict, *theta = done.stdout.splitlines()[0].split()
     assert (int(frame), verdict) == (run.onset_frame, run.verdict)
     assert [float(value) for value in theta] == pytest.approx(run.estimate.theta, rel=1e-6)
-
-
-def test_the_command_of_the_installation_writes_results(installed: Path, tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clips", 1, SCENE, 3)
-    command = [installed / "bin" / "python", "-m", "palpate", "infer", clip, "--output", "out", "--no-overlay"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / clip.name / "interactions.csv").is_file()

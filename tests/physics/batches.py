@@ -1,7 +1,5 @@
 """Batches for the tests of the torch side."""
 
-from __future__ import annotations
-
 from palpate.physics.load import Press
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd.batch import MeshBatch, PressBatch

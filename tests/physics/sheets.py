@@ -1,7 +1,5 @@
 """Small meshes and an independent right-hand side for the tests of the simulator."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The law of light against closed forms, and its derivatives against differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Fisher information and what is read from it, against closed forms, finite differences and repeated fits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

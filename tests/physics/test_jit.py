@@ -1,7 +1,5 @@
 """Compiling, not compiling, and where compiled code is kept."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

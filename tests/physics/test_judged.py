@@ -1,7 +1,5 @@
 """What was asked of the rollout as a whole: memory, several processes, bounds."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -82,7 +80,7 @@ def test_no_index_leaves_its_array(tmp_path):
     # numba's own check, which raises where an index lies outside, over all meshes and random masks.
     chosen = ["tests/physics/msd/test_simulation.py", "-k", "any_mask or (compiled_equals_plain and default)"]
     result = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen],
+        [sys.executable, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *chosen],
         cwd=ROOT,
         env={**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)},
         capture_output=True,

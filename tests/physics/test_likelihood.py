@@ -1,7 +1,5 @@
 """Residual, Jacobian and information of an observed motion."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings of the simulator: what is refused, and the stability bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

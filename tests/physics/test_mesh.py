@@ -1,7 +1,5 @@
 """Triangulation, rim, decimation and contact normal."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """What was observed: shapes, instants, noise by axis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

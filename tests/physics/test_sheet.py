@@ -1,7 +1,5 @@
 """The gripped sheet at rest against closed forms, a dense solve and finite differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A press that needs no simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.planning.press import PressCurve, blocked_out

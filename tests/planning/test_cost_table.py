@@ -1,7 +1,5 @@
 """The table of presses: symmetry, the kernel between them, the cache."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

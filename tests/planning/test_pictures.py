@@ -1,7 +1,5 @@
 """The plan's picture shows the forces along both ways."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simulated presses keep their energy, and tables come back from the cache."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ways through scenes whose costs are known."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

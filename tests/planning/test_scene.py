@@ -1,7 +1,5 @@
 """Where straight lines meet tissue, and what is wrong with some scenes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

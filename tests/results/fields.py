@@ -1,10 +1,8 @@
 """Fields of stiffness, and what is found of one over a run of contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from palpate.estimators.estimate import FieldEstimate, ParticleField
+from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 
 REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
 FIELD_SEEN = ParticleField(

@@ -1,7 +1,5 @@
 """Newtons of a clip: rows by known forces, curves beside measured ones, and their agreement."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -14,11 +12,9 @@ import yaml
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.estimate import GripEstimate
 from palpate.estimators.force_scale import ClipLength
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.results.calibrated import (
-    CALIBRATED,
-    COMPARED,
     NEWTONS,
     NORMALISED,
     ClipCalibration,
@@ -26,6 +22,7 @@ from palpate.results.calibrated import (
     carried_from,
     comparison_sentence,
 )
+from palpate.results.columns import CALIBRATED, COMPARED
 from palpate.results.plots import draw_comparison
 from palpate.results.store import own_files
 from palpate.results.writer import ClipResults

@@ -1,14 +1,13 @@
 """The tables' columns, and their cells."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.identifiability import bounds
 from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact

@@ -1,13 +1,11 @@
 """What is drawn on a frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 from palpate.results import overlay
 from palpate.results.columns import UNITS
 from palpate.results.overlay import canvas_size, draw_overlay, shade, text, text_width, wrap_text
@@ -95,7 +93,7 @@ def test_notes_say_what_the_numbers_cannot() -> None:
         "undetermined", THETA, (2, 2, 2), detail="Because.", simulated_displacement=0.05, observed_displacement=0.02
     )
     assert overlay._notes(estimate) == [
-        "Not determined by what was seen so far.",
+        "Not determined by what was observed so far.",
         "The simulated displacement is more than twice or less than half the observed one.",
         "Because.",
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",

@@ -1,7 +1,5 @@
 """What the pictures of a clip and of its contacts hold."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from collections import Counter
@@ -16,8 +14,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from palpate.estimators.estimate import FrameEstimate, GripEstimate, InteractionEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.columns import UNITS
 from palpate.results.plots import (
@@ -193,9 +192,7 @@ def test_where_only_whole_runs_are_estimated_no_frame_seems_to_have_a_verdict() 
         ),
     ],
 )
-def test_where_only_whole_runs_are_estimated_their_verdicts_are_the_heading(
-    runs: dict[str, int], told: str, color: str | None
-) -> None:
+def test_where_only_whole_runs_are_estimated_their_verdicts_are_the_heading(runs, told, color) -> None:
     rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
     (strip,) = draw_summary(rows, Counter(runs), title="clip").axes
     assert heading(strip) == told

@@ -1,7 +1,5 @@
 """What results were made of, and when they are out of date."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable
@@ -17,10 +15,10 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import preparation_settings
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.results import record as recording
@@ -163,9 +161,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("calibration", "told"), [(Calibration(), [UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])]
 )
-def test_intervals_that_were_never_calibrated_are_warned_of(
-    calibration: Calibration, told: list[str], tmp_path: Path
-) -> None:
+def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, tmp_path) -> None:
     path = write_clip(tmp_path / "clip", 3, 1)
     document = metadata() | {"calibration": asdict(calibration)}
     model = PosteriorModel(write_posterior(tmp_path / "contact.onnx", document, 10))
@@ -198,9 +194,7 @@ def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
     assert len({first, second, sha256_of(tmp_path / "clip")}) == 3
 
 
-def test_a_file_that_is_too_large_for_a_picture_counts_by_size_and_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_too_large_for_a_picture_counts_by_size_and_time(tmp_path, monkeypatch) -> None:
     """Nothing reads it, and hashing 12 GB would take longer than the clip."""
     (tmp_path / "1.png").write_bytes(b"x")
     with (tmp_path / "2.png").open("wb") as file:

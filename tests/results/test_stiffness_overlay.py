@@ -1,13 +1,11 @@
 """A map of stiffness on the video: where it is known, where the tissue is by then, and nowhere else."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.results.field_overlay import OPACITY, colors
 from palpate.results.stiffness_overlay import DARKENED, KNOWN, LOOSE, UNKNOWN, stiffness_map
@@ -42,7 +40,6 @@ def grip_of(field: StiffnessField) -> GripEstimate:
 def drawn(time: float, grip: GripEstimate, labels: np.ndarray, enlarged: int = 1) -> np.ndarray:
     canvas = np.full((enlarged * HEIGHT, enlarged * WIDTH, 3), GREY, np.uint8)
     found = stiffness_map(grip, START)
-    assert found is not None
     found.draw(canvas, time, labels)
     return canvas
 
@@ -94,22 +91,18 @@ def test_where_nothing_is_known_nothing_is_drawn_and_that_is_said() -> None:
     grip = grip_of(field_of(known=False))
     assert (drawn(START + 0.5, grip, TISSUE_ALONE) == GREY).all()
     found = stiffness_map(grip, START)
-    assert found is not None
     assert found.note == UNKNOWN
 
 
 def test_a_map_says_whether_it_is_determined() -> None:
     sure, loose = stiffness_map(grip_of(field_of()), START), grip_of(dataclasses.replace(field_of(), excess=0.3))
     off = stiffness_map(loose, START)
-    assert sure is not None
-    assert off is not None
     assert sure.note == KNOWN
     assert off.note == f"{KNOWN} {LOOSE}"
 
 
 def test_frames_beyond_the_motion_show_no_map() -> None:
     found = stiffness_map(grip_of(field_of()), START)
-    assert found is not None
     assert [found.shows(time) for time in (1.9, 2.0, 2.7, 3.0, 3.1)] == [False, True, True, True, False]
 
 

@@ -1,7 +1,5 @@
 """Which folder is whose, which clips are done, and what is said when nothing can be written."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import json

@@ -1,10 +1,8 @@
 """How pictures tell verdicts and numbers."""
 
-from __future__ import annotations
-
 import pytest
 
-from palpate.estimators.estimate import FrameEstimate
+from palpate.estimators.records import FrameEstimate
 from palpate.results.verdicts import COLORS, MEANINGS, digits, is_far, numbers, state
 
 VALUES = {

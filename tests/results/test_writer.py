@@ -1,7 +1,5 @@
 """Folders of results: names, completeness, what is left after a failure."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -15,7 +13,7 @@ import pytest
 from palpate.data.labels import TISSUE
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
-from palpate.estimators.estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.results.columns import FORCES, FRAMES, INTERACTIONS
 from palpate.results.plots import MOST_PANELS
@@ -167,9 +165,7 @@ def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("blank_pictures")
-def test_an_interruption_while_files_are_moved_ends_with_the_new_results(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_while_files_are_moved_ends_with_the_new_results(tmp_path, monkeypatch) -> None:
     folder, replace, left = tmp_path / "clip", os.replace, [3]
     write_clip(folder, "first")
 

@@ -1,7 +1,5 @@
 """From pictures to light: the response undone, and what is no tissue left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Brightness sequences: light at rest, gain taken off, noise as it is."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.data.brightness.light import FINE

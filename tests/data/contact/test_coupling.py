@@ -1,7 +1,5 @@
 """What one step tells of contact, against closed forms and a brute-force twin, and what a mask's leak doesn't fake."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Presses that no tool is seen to make, found by their dents; and what is no press."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2
@@ -66,7 +64,6 @@ def test_a_drawn_press_without_a_tool_is_found_where_and_when_it_was(clip: Synth
     true = clip.scene.mesh.vertices[clip.scene.vertex, 2]
     assert first.mesh.vertices[first.vertex, 2] == pytest.approx(true, abs=0.002)
     assert contact.moved[:, 2].max() == pytest.approx(motion.contact[:, 2].max(), abs=0.003)
-    assert contact.sequence is not None
     assert np.isfinite(contact.sequence.change[:, REACH, REACH]).all()
 
 

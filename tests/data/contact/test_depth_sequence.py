@@ -1,7 +1,5 @@
 """The sequence of a dent: what the camera did is taken off, what the depth's noise is like is measured far away."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

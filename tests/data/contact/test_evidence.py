@@ -1,7 +1,5 @@
 """Contact by evidence, on drawn clips and real ones: tools that hold tissue, that pass over it, or stand still."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -292,9 +290,7 @@ def test_real_tools_that_hold_tissue_are_in_contact(real_data: Path, wider: int)
 @pytest.mark.slow
 @pytest.mark.parametrize("leak", [0, 4])
 @pytest.mark.parametrize(("first", "step"), [(90, (5.0, -2.0)), (100, (1.5, -2.0)), (110, (3.0, -3.0))])
-def test_a_real_tool_over_other_real_tissue_hovers(
-    real_data: Path, leak: int, first: int, step: tuple[float, float]
-) -> None:
+def test_a_real_tool_over_other_real_tissue_hovers(real_data, leak, first, step) -> None:
     """The grasper of one clip drawn over another one whose camera moves: it passes over tissue, and never touches."""
     picture, tools = recover(real_data)[0]
     _, number = cv2.connectedComponents(tools.astype(np.uint8))

@@ -1,7 +1,5 @@
 """The contact's vector: what each part says, and that it tells nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

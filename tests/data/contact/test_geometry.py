@@ -1,7 +1,5 @@
 """Camera, clouds, contact pair, mesh and direction of the force."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 The streamed side goes through `estimators.runs`, the stored one through `data.training.samples`, as users' do.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from pathlib import Path
@@ -60,7 +58,7 @@ def open_clip(folder: Path, name: str, settings: PrepareSettings) -> ClipStream:
 
 
 def tracked(clip: ClipStream) -> dict[int, Run]:
-    """Runs of contact whose onset was seen, by it, from frames pushed one by one."""
+    """Runs of contact whose onset was observed, by it, from frames pushed one by one."""
     tracker = RunTracker(ClipInfo.of(clip), MECHANICS.seconds)
     runs = [*(tracker.push(frame) for frame in clip), tracker.finish()]
     return {run.index: run for run in runs if run is not None and run.builder is not None}

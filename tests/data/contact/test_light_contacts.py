@@ -1,7 +1,5 @@
 """Contact by the light of tissue: dents beside an instrument, nothing beside one that hovers, and what lies between."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A young contact moves to the tissue that yields: constructed frames whose pressed pixel is known."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 

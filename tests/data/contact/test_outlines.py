@@ -1,7 +1,5 @@
 """Frayed outlines: depth tells tool from tissue where masks can't."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Which tissue the pixels around a contact show while it moves: cameras, ramps, and the renderer as their twins."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -379,7 +377,6 @@ def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, TrueM
 def truly_shown(contact: Interaction, scene: Scene, motion: TrueMotion) -> np.ndarray:
     """What the patches say of the true motion, shape of the depth-change sequence's change."""
     sequence = contact.sequence
-    assert sequence is not None
     frames = motion.onset_frame + np.rint(sequence.times * scene.settings.fps).astype(int)
     whole = np.zeros((len(frames), len(scene.mesh.vertices), 3))
     whole[:, motion.moving] = motion.field[frames]
@@ -392,7 +389,6 @@ def truly_shown(contact: Interaction, scene: Scene, motion: TrueMotion) -> np.nd
 def test_rendered_clips_show_what_patches_say(seed: int) -> None:
     contact, scene, motion = clip_of(seed, (214, 120))
     np.testing.assert_array_equal(contact.mesh.pixels[contact.vertex], scene.mesh.pixels[scene.vertex])
-    assert contact.sequence is not None
     assert contact.sequence.size == (214, 120)
     expected = truly_shown(contact, scene, motion)
     assert np.isfinite(expected).all()
@@ -410,7 +406,6 @@ def test_rendered_clips_show_what_patches_say(seed: int) -> None:
 def test_patches_ends_are_where_the_renderers_are(seed: int, size: tuple[int, int]) -> None:
     """All but a few pixels at a dent's walls, whose samples lie at the end of a patch, agree."""
     contact, scene, motion = clip_of(seed, size)
-    assert contact.sequence is not None
     apart = np.abs(contact.sequence.change - truly_shown(contact, scene, motion))
     apart = apart[np.isfinite(apart)]
     assert (apart > 3e-4).mean() < 0.02

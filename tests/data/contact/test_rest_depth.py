@@ -1,7 +1,5 @@
 """Depth at rest from the frames before a contact: averaged, moved with the picture, filled behind the tool."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A sequence told by a few shapes: orthonormal, sinking, found again in what is seen, and the vector that says so."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

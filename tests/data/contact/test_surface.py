@@ -1,7 +1,5 @@
 """The smoothed tissue: planes are kept, noise is measured and removed, everything else is left alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

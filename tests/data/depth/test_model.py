@@ -1,7 +1,5 @@
 """ONNX depth networks through the preset path: sizes, preprocessing, every output kind, errors, parity with torch."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -409,9 +407,8 @@ def export(module, example, path, outputs):
         module.eval(),
         (example,),
         str(path),
-        dynamo=True,
+        dynamo=False,
         opset_version=18,
-        external_data=False,
         input_names=["pixel_values"],
         output_names=outputs,
         verbose=False,
@@ -482,7 +479,7 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
 
     def outputs(result):
         """Canonical inverse depth with its field of view, and what the published files give instead."""
-        focal = 0.5 * 1536 / torch.tan(0.5 * torch.deg2rad(result.field_of_view))
+        focal = 0.5 * 1536 / torch.tan(math.radians(0.5) * result.field_of_view)
         metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
         return result.predicted_depth, result.field_of_view, metres, focal
 

@@ -1,7 +1,5 @@
 """The one normalisation, the resize that never blends, and the scale that is frozen for a clip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,10 +121,7 @@ def test_resize_never_blends_across_labels(labels, size, levels):
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    valid=hnp.arrays(bool, (24, 32)),
-    size=st.tuples(st.integers(3, 40), st.integers(3, 40)),
-)
+@given(valid=hnp.arrays(bool, (24, 32)), size=st.tuples(st.integers(3, 40), st.integers(3, 40)))
 def test_resize_never_blends_with_invalid_pixels(valid, size):
     depth, _ = resize_depth(np.where(valid, np.float32(0.7), 0), np.ones((24, 32), np.uint8), size)
     assert np.all((depth == 0) | np.isclose(depth, 0.7, rtol=1e-5))

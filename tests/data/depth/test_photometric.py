@@ -1,7 +1,5 @@
 """The photometric depth model: closed forms under a light at the camera, robustness, and the shipped file."""
 
-from __future__ import annotations
-
 import math
 import sys
 

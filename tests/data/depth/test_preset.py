@@ -1,7 +1,5 @@
 """Presets: every shipped one loads and says what its network needs; wrong ones get a sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Stored depth in every format, closed forms of each output kind, and what a clip freezes."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 
@@ -11,13 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.depth.sources import (
-    StoredDepth,
-    check_map,
-    from_inverse,
-    from_relative_inverse,
-    positive,
-)
+from palpate.data.depth.sources import StoredDepth, check_map, from_inverse, from_relative_inverse, positive
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 

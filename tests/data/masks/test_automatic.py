@@ -1,7 +1,5 @@
 """The automatic mode finds instruments by shape and abstains on tissue."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -61,12 +59,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize(
     ("angle", "width", "size"),
-    [
-        (0.4, 30, (640, 360)),
-        (-0.5, 45, (640, 360)),
-        (np.pi / 2, 26, (854, 480)),
-        (2.7, 36, (214, 120)),
-    ],
+    [(0.4, 30, (640, 360)), (-0.5, 45, (640, 360)), (np.pi / 2, 26, (854, 480)), (2.7, 36, (214, 120))],
 )
 def test_shaft_from_the_border_is_found(angle, width, size):
     image = tissue()

@@ -1,7 +1,5 @@
 """Segmentation models plug in by settings; what can't be used gets a sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

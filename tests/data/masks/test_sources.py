@@ -1,7 +1,5 @@
 """Annotation masks: classes by colour, stray formats, and one sentence for what can't be used."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Frames of folders and videos: order, numbers, time stamps, and a sentence for every kind of bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

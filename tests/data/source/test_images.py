@@ -1,7 +1,5 @@
 """Image files are read by their bytes, and a cut one is refused before a decoder fills it up or complains."""
 
-from __future__ import annotations
-
 import os
 import zlib
 

@@ -1,7 +1,5 @@
 """Layouts name files rightly and refuse what they can't mean."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

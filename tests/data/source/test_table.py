@@ -1,7 +1,5 @@
 """Columns of a CSV file by their names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Video files as they are written, with PyAV and without."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Synthetic clips as files: layout, reading back, keeping, refusing; and as arrays: determinism."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -160,9 +158,7 @@ def test_the_video_shows_the_same_frames(written: Path, clip: SyntheticClip) -> 
 
 
 @pytest.mark.parametrize("without_av", [False, True])
-def test_videos_of_odd_size_lose_their_last_row_and_column(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_av: bool
-) -> None:
+def test_videos_of_odd_size_lose_their_last_row_and_column(tmp_path, monkeypatch, without_av) -> None:
     if without_av:
         monkeypatch.setattr(video, "av", None)
     settings = dataclasses.replace(SMALL, width=109, height=63)
@@ -344,9 +340,7 @@ def test_bad_usage_gets_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("action", ["press", "grip"])
-def test_a_clip_that_no_memory_holds_gets_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, action: str
-) -> None:
+def test_a_clip_that_no_memory_holds_gets_a_sentence(tmp_path, capsys, action) -> None:
     assert main(["--output", str(tmp_path), "--size", "small", "--frames", "1000000", "--action", action]) == 1
     assert "GB, more than 1; give fewer --frames" in " ".join(capsys.readouterr().err.split())
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,5 @@
 """Contacts without pictures: the cropped mesh moves like the whole, and draws keep to their ranges."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

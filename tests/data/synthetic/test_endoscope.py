@@ -1,7 +1,5 @@
 """The second renderer: its labels and depth are those of the scene, its light answers to tilt, distance and shadow."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

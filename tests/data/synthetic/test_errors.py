@@ -1,7 +1,5 @@
 """Every error of observation measured against its knob."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

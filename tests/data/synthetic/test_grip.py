@@ -1,7 +1,5 @@
 """True motion of gripped tissue."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures, masks and depth of synthetic scenes against the geometry that they show."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Geometry of synthetic scenes against closed forms."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

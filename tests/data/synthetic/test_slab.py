@@ -1,7 +1,5 @@
 """True motion of a slab of finite elements."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

@@ -1,7 +1,5 @@
 """A synthetic clip prepared in memory equals the same clip prepared from its files."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

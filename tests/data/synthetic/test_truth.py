@@ -1,7 +1,5 @@
 """True motion against another integrator, a closed form, and the knobs that shape it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

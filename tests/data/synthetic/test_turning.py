@@ -1,7 +1,5 @@
 """A camera that turns: where points come to lie, and how far away they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The background's affine motion taken off, and where there is too little of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.data.tracks.background import MIN_FAR, without_background

@@ -1,7 +1,5 @@
 """Points followed through drawn pictures that move as stated, and the reasons for which a point is lost."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """Places of one picture in another one, and how much two places resemble each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

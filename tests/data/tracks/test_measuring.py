@@ -1,7 +1,5 @@
 """Points measured in drawn pictures where their motion is known roughly, beside what drags windows along."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The tracker follows known motions of the tissue, whatever the tool does."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What a batch tells of a contact: what was known at the sample's frame, and nothing of later ones."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

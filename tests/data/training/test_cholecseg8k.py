@@ -1,7 +1,5 @@
 """Clips, videos, splits, checks and the door."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -41,8 +39,7 @@ def test_clips_are_found_at_any_depth_and_a_video_beside_its_folder_is_the_same_
 
 
 @given(
-    total=st.integers(0, 500),
-    fractions=st.sampled_from([FRACTIONS, (0.8, 0.1, 0.1), (1.0, 1.0, 1.0), (0.9, 0.1, 0.0)]),
+    total=st.integers(0, 500), fractions=st.sampled_from([FRACTIONS, (0.8, 0.1, 0.1), (1.0, 1.0, 1.0), (0.9, 0.1, 0.0)])
 )
 def test_part_sizes_add_up_and_leave_no_part_empty_needlessly(total, fractions):
     sizes = part_sizes(total, fractions)

@@ -1,7 +1,5 @@
 """Batches, splits and order."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One bad clip does not end the preparation of the others, whatever is wrong with it."""
 
-from __future__ import annotations
-
 from palpate.data.training import preparation
 from palpate.data.training.preparation import prepare_all
 from tests.data.clips import SETTINGS, write_clip

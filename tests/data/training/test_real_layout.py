@@ -1,7 +1,5 @@
 """What paper.yaml asks of a data set in CholecSeg8k's layout: named videos, joined folders, all pairs, what deforms."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from dataclasses import replace

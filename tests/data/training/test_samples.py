@@ -1,7 +1,5 @@
 """Which frames become samples, and what the simulation is compared with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -11,13 +9,7 @@ import pytest
 from palpate.data.clip import prepare
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.interaction import Interaction
-from palpate.data.training.samples import (
-    SampleSettings,
-    builder_of,
-    list_frames,
-    make_interaction,
-    make_sample,
-)
+from palpate.data.training.samples import SampleSettings, builder_of, list_frames, make_interaction, make_sample
 from palpate.physics.mechanics import Mechanics
 from tests.data.clips import DEPTH_STEP, GRID, HEIGHT, SETTINGS, WIDTH, remove_frame, write_clip
 

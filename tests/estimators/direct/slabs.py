@@ -1,7 +1,5 @@
 """Slabs beneath a surface, and depth-change sequences of their dents, for tests."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -17,7 +15,7 @@ from palpate.physics.load import Press, held
 from palpate.physics.observation import Observation
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
 
-COARSE, FINE = (4, 4, 2), (8, 8, 3)
+COARSE, FINE = (4, 4, 2), (6, 6, 3)
 THICKNESS = 0.05
 TIMES = FRAME * np.arange(1, 11)
 LOAD = 5 * FRAME

@@ -1,7 +1,5 @@
 """What a direct fit tells besides its parameters: the motion that is drawn, and doubts."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

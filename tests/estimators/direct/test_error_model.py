@@ -1,7 +1,5 @@
 """The likelihood of a tracked motion knows the rest position's error and rounding."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

@@ -1,7 +1,5 @@
 """Direct fits recover what made the motion, and say how well they can know it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -105,9 +103,7 @@ def test_exact_motion_gives_the_parameters_back(theta: tuple[float, float, float
     assert estimate.noise == NOISE
 
 
-def test_the_covariance_is_near_the_inverse_information_where_little_is_unknown(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_covariance_is_near_the_inverse_information_where_little_is_unknown(monkeypatch) -> None:
     """The rest position and rounding are unknown besides, a tenth or two of the variance; sampling adds as much."""
     monkeypatch.setattr(error_model, "SIGMA_FREEDOM", 1e9)
     theta = REGIMES["critical"]

@@ -1,7 +1,5 @@
 """The residuals of a whole dent: what errors are expected, how they are weighed, and derivatives by all parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 
@@ -81,7 +79,6 @@ def contact_of(
 
 def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
     """The same with another depth-change sequence [N, S, S] (or [N, P])."""
-    assert contact.sequence is not None
     change = np.asarray(change, np.float32).reshape(contact.sequence.change.shape)
     return dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
 
@@ -91,13 +88,11 @@ def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
 
 
 def noisy(contact: Interaction, errors: np.ndarray) -> Interaction:
-    assert contact.sequence is not None
     return with_change(contact, contact.sequence.change + errors)
 
 
 def shorter(contact: Interaction, frames: int = 5) -> Interaction:
     """Its depth-change sequence's first frames: all pixels' covariance is large."""
-    assert contact.sequence is not None
     return dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(frames)))
 
 
@@ -250,9 +245,7 @@ def test_an_error_of_the_rest_surface_costs_little() -> None:
 
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.1)], ids=["truth", "beside"])
-def test_derivatives_of_the_motion_are_those_of_central_differences(
-    theta: tuple[float, float, float], offset: tuple[float, float, float]
-) -> None:
+def test_derivatives_of_the_motion_are_those_of_central_differences(theta, offset) -> None:
     motion = problem_of(contact_of(theta), logs_of(theta)).motion
     logs = logs_of(theta) + offset
     moved, slopes = motion.at(logs)
@@ -270,9 +263,7 @@ def test_derivatives_of_the_motion_are_those_of_central_differences(
         pytest.param(REGIMES["over-damped"], NOISES["rounded"], SIZE, marks=pytest.mark.slow),
     ],
 )
-def test_derivatives_of_the_residual_are_those_of_central_differences(
-    theta: tuple[float, float, float], noise: SequenceNoise, size: tuple[int, int]
-) -> None:
+def test_derivatives_of_the_residual_are_those_of_central_differences(theta, noise, size) -> None:
     """What the pixels show is kept; in larger pictures it turns as at the look."""
     logs = logs_of(theta)
     problem = problem_of(noisy(contact_of(theta, noise=noise, size=size), errors_of(4)), logs, outliers=True)
@@ -292,9 +283,7 @@ def test_derivatives_of_the_residual_are_those_of_central_differences(
         (REGIMES["over-damped"], (0.36, -0.57)),
     ],
 )
-def test_derivatives_by_delays_are_those_of_central_differences(
-    theta: tuple[float, float, float], delays: tuple[float, float]
-) -> None:
+def test_derivatives_by_delays_are_those_of_central_differences(theta, delays) -> None:
     """Those by the load's duration come from a difference over half a step: springs that stretch so far bend them."""
     contact, logs = contact_of(theta), logs_of(theta, *delays)
     problem = problem_of(contact, logs, within=WITHIN)

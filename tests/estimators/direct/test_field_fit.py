@@ -1,7 +1,5 @@
 """Fits of whole dents recover what made them, and say how well they can know it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -142,9 +140,7 @@ def test_an_exact_sequence_gives_the_parameters_back() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZE, LARGER])
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
-def test_exact_sequences_made_with_fine_steps_give_the_parameters_back(
-    theta: tuple[float, float, float], size: tuple[int, int]
-) -> None:
+def test_exact_sequences_made_with_fine_steps_give_the_parameters_back(theta, size) -> None:
     """The steps' own error is taken off, so that even small noise finds the truth."""
     fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
     contact = contact_of(theta, size=size, mechanics=fine)

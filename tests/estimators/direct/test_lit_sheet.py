@@ -1,7 +1,5 @@
 """A pressed plane under a light at the camera: what pixels show, and how that depends on every parameter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A press that began and ended at unknown instants: the delayed motion, its derivatives, what is left to know of θ."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Presses of any shape: what their parameters mean, derivatives by them, and when they take the place of a step."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -131,7 +129,6 @@ def test_a_step_is_fitted_as_one() -> None:
 def test_a_press_of_any_shape_is_found_with_its_tissue(name: str) -> None:
     theta = REGIMES[name]
     found = fit_press(sequence_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
-    assert found.shape is not None
     assert found.misfit < 0.3
     assert (np.abs(np.log(found.theta / theta)) < 0.5 * found.log_sd).all()
     assert found.shape.radius == pytest.approx(SHAPE.radius, rel=0.03)

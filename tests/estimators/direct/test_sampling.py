@@ -1,7 +1,5 @@
 """Importance sampling gives the mean and covariance of posteriors that are known otherwise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_t

@@ -1,7 +1,5 @@
 """What a fit says of a slab, of another damping, and of no slab."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -45,10 +43,17 @@ def coarsely(monkeypatch: pytest.MonkeyPatch, contact: Interaction, cells: tuple
     return fit_slab(contact, THICKNESS)[0]
 
 
-@pytest.mark.slow
-def test_a_fit_recovers_what_made_the_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def recovered() -> tuple[Interaction, Estimate]:
+    """A contact, and the fit to it."""
     contact = seen(LOGS, 1, COARSE)
-    found = coarsely(monkeypatch, contact, COARSE)
+    with pytest.MonkeyPatch.context() as patch:
+        return contact, coarsely(patch, contact, COARSE)
+
+
+@pytest.mark.slow
+def test_a_fit_recovers_what_made_the_sequence(recovered: tuple[Interaction, Estimate]) -> None:
+    found = recovered[1]
     assert found.explained
     assert not found.refuted
     assert 0.8 < found.misfit < 1.2
@@ -119,15 +124,13 @@ def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_
 
 
 @pytest.mark.slow
-def test_tissue_under_the_tip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    contact = seen(LOGS, 1, COARSE)
-    assert contact.sequence is not None
+def test_tissue_under_the_tip_does_not_count(recovered, monkeypatch) -> None:
+    contact, found = recovered
     rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2
     near = np.hypot(rows, columns) < BLIND
     other = contact.sequence.change + np.where(near, np.float32(0.02), np.float32(0))
     spoiled = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=other))
-    one, two = (coarsely(monkeypatch, each, COARSE) for each in (contact, spoiled))
-    np.testing.assert_array_equal(one.theta, two.theta)
+    np.testing.assert_array_equal(coarsely(monkeypatch, spoiled, COARSE).theta, found.theta)
 
 
 def test_the_estimator_fits_a_slab_where_a_thickness_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """A slab beneath places of a surface: its motion, its derivatives, what modes and firm regions make of it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -46,9 +44,7 @@ def test_the_motion_is_the_bodys_at_the_places() -> None:
 
 
 @pytest.mark.parametrize(("released", "within", "relaxing"), [(True, FRAME, False), (False, 0.0, True)])
-def test_derivatives_equal_finite_differences(
-    released: bool, within: float, relaxing: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_derivatives_equal_finite_differences(released, within, relaxing, monkeypatch) -> None:
     monkeypatch.setattr(slab_motion, "TOLERANCE", 1e-11)
     logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37] if within else []])
     motion = motion_of(released, TIMES[:7], within=within, relaxing=relaxing)

@@ -1,7 +1,5 @@
 """Where a fit of a slab begins, that it goes down, and what surrounds its end: its valley, and a finer mesh."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

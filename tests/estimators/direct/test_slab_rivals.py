@@ -1,7 +1,5 @@
 """Firm regions beneath a dent: noticed, and averaged over."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

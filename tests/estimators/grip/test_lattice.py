@@ -1,7 +1,5 @@
 """Neighbours on a grid with holes, and fields between the knots of a grid, against brute force."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Force over E of a drawn pull: found again from points, whatever the background does and near points say."""
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """A run of contact from pictures: what a pull tells, what a tool that only passes does not, and what is kept."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +12,9 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.data.tracks.background import without_background
-from palpate.estimators.estimate import LEAST_LEAD, LEAST_SKILL, NINETY, NoEstimate
+from palpate.estimators.estimate import LEAST_SKILL, NINETY, NoEstimate
 from palpate.estimators.grip import recorder as module
+from palpate.estimators.grip.grip_estimate import LEAST_LEAD
 from palpate.estimators.grip.lattice import GripFrame, fit_sheet
 from palpate.estimators.grip.pull_fit import PullFit
 from palpate.estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill

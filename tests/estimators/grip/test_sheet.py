@@ -1,7 +1,5 @@
 """A sheet whose grip is not visible well: foundation and force are found again all the same, or it is said why not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sheets that are fitted to frames made by the simulator: what is found again, how sure it is, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A sheet that is stiffer on one side of a line: where, is found again, and intervals say how well."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -46,7 +44,7 @@ def fitted(pull: float = 40.0, **changes) -> tuple[StiffnessField, np.ndarray, n
 
 def test_a_stiffer_side_is_found_with_intervals_that_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     # Errors are drawn for every point on its own here, and don't grow with the motion.
-    monkeypatch.setattr(stiffness_fit, "ALIKE", 1.0)
+    monkeypatch.setattr(stiffness_fit, "TOGETHER", 1.0)
     monkeypatch.setattr(stiffness_fit, "STRAINED", 0.0)
     field, points, moved = fitted()
     moves = np.linalg.norm(moved, axis=1) > 5

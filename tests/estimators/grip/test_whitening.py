@@ -1,7 +1,5 @@
 """Errors of neighbours become independent: beside the covariance's dense inverse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

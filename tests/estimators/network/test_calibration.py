@@ -1,7 +1,5 @@
 """Calibration by hand, on errors of known size, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import os
 

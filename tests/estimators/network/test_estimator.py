@@ -1,7 +1,5 @@
 """The exported contact posterior on prepared clips: what every frame gets, and that streams and whole clips agree."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -16,12 +14,13 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.estimate import NINETY, Estimate, FrameEstimate, NoEstimate
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import contact_frame
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of
@@ -107,9 +106,7 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
     assert results[onset + 2].values["force_bound"] > results[release - 1].values["force_bound"]
 
 
-def test_a_stream_ends_where_the_whole_clip_would(
-    network: NetworkEstimator, pressed, frames: list[PreparedFrame], contact: Interaction
-) -> None:
+def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, contact) -> None:
     """The last frame in contact is told exactly what a clip cut off there is told."""
     onset, last = pressed.motion.onset_frame, pressed.motion.release_frame - 1
     streamed = frame_estimates(network, frames)[last].estimate
@@ -146,9 +143,7 @@ def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) ->
     assert np.isfinite(enough.estimate.theta).all()
 
 
-def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(
-    network: NetworkEstimator, pressed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(network, pressed, monkeypatch) -> None:
     """Outlines that disagree with the depth are a remark of the onset's frame."""
     monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
     prepared = open_synthetic(pressed, network.preparation(Chosen()))
@@ -165,9 +160,7 @@ def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:
     return [dataclasses.replace(frame, detail=LOST if frame.in_contact else "") for frame in frames]
 
 
-def test_remarks_stay_beside_what_the_network_says(
-    network: NetworkEstimator, pressed, frames: list[PreparedFrame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_remarks_stay_beside_what_the_network_says(network, pressed, frames, monkeypatch) -> None:
     monkeypatch.setattr("palpate.estimators.network.estimator.largest_misfit", lambda _: 1.0)
     results = frame_estimates(network, remarked(frames))
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
@@ -191,9 +184,7 @@ def test_remarks_stay_beside_what_the_network_says(
         (0.12, 3),  # shorter: as far as it lasted
     ],
 )
-def test_presses_unlike_the_training_s_are_told_in_part(
-    network: NetworkEstimator, contact: Interaction, load: float, told: int
-) -> None:
+def test_presses_unlike_the_training_s_are_told_in_part(network, contact, load, told) -> None:
     observation = Observation.of_point(contact.vertex, np.arange(1, 26) / 25, np.ones((25, 3)), 0.001)
     factor = held(round(load / MECHANICS.time_step), round(6 / MECHANICS.time_step))
     pressed = dataclasses.replace(
@@ -236,9 +227,7 @@ def aslant(contact: Interaction, degrees: float) -> Interaction:
     return dataclasses.replace(contact, mesh=dataclasses.replace(mesh, vertices=vertices))
 
 
-def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(
-    network: NetworkEstimator, contact: Interaction
-) -> None:
+def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network, contact) -> None:
     calm = moved(contact, 0 * contact.moved, 0.003)
     first = estimated(network, aslant(calm, 0.0))
     path = simulate(first.theta, contact.mesh, contact.load, MECHANICS)
@@ -279,9 +268,7 @@ def test_a_press_that_began_between_frames_is_known_less(network: NetworkEstimat
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), inside + apart, rtol=1e-4)
 
 
-def test_frames_of_an_oblique_press_say_so(
-    network: NetworkEstimator, pressed, frames: list[PreparedFrame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_of_an_oblique_press_say_so(network, pressed, frames, monkeypatch) -> None:
     monkeypatch.setattr("palpate.estimators.network.estimator.view_angle", lambda _: 17.4)
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     results, (run,) = follow(network.start(clip_info()), frames)
@@ -293,9 +280,7 @@ def test_frames_of_an_oblique_press_say_so(
     assert run.detail.endswith(told)
 
 
-def test_by_the_point_alone_the_network_is_told_of_no_dent(
-    sequence_posterior, contact: Interaction, with_sequence: Interaction
-) -> None:
+def test_by_the_point_alone_the_network_is_told_of_no_dent(sequence_posterior, contact, with_sequence) -> None:
     point, dent = (NetworkEstimator(sequence_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
     expected = estimated(dent, contact)
     np.testing.assert_array_equal(estimated(point, point.as_trained(with_sequence)).theta, expected.theta)

@@ -1,7 +1,5 @@
 """Material of the last training stages: contacts as arrays, the problem without noise, and the motion's slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -62,9 +60,7 @@ def test_the_problem_without_noise_counts_in_a_nominal_one(contacts: list[Simula
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.2)])
-def test_slopes_are_those_of_the_simulated_motion(
-    contacts: list[SimulatedContact], offset: tuple[float, float, float]
-) -> None:
+def test_slopes_are_those_of_the_simulated_motion(contacts, offset) -> None:
     """Against central differences in φ, in float64, also away from what explains the motion."""
     step = 1e-4
     for contact in contacts:

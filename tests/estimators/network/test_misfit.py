@@ -1,7 +1,5 @@
 """How far a contact lies from the simulated motion: points and fine pictures, instants known and unknown."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

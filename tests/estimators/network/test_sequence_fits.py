@@ -1,7 +1,5 @@
 """Sequences as material of the posterior's training: their information, pull, errors, and what unknown delays leave."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Training the contact posterior: fits, drawn errors, and that the fine stage learns what a fit would say."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -216,9 +214,7 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(unsure: list[S
         ("output", "", "output is empty or the working folder"),
     ],
 )
-def test_numbers_that_would_end_a_training_late_are_refused_at_once(
-    option: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_numbers_that_would_end_a_training_late_are_refused_at_once(option, value, reason, tmp_path, capsys) -> None:
     assert train.main(["fit", "--contact.output", str(tmp_path / "out"), f"--contact.{option}", value]) == 2
     assert reason in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
@@ -264,9 +260,7 @@ def test_a_training_leaves_its_weights_and_its_record(made: list[float], tmp_pat
     assert weights["entry.weight"].shape[1] == FEATURES + SEQUENCE_FEATURES
 
 
-def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
-    made: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(made, tmp_path, monkeypatch, capsys) -> None:
     """To the same weights, to the last bit, as without the interruption."""
 
     def interrupt(*_: object) -> None:
@@ -291,9 +285,7 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(
         assert torch.equal(values, found[name]), name
 
 
-def test_fits_of_another_training_are_made_anew(
-    made: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fits_of_another_training_are_made_anew(made, tmp_path, monkeypatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError(28, "The disk is full")))
         assert short(tmp_path) == 1
@@ -316,9 +308,7 @@ def test_fits_of_another_training_are_made_anew(
 
 @pytest.mark.parametrize("name", [PREPARED, "training.jsonl"])
 @pytest.mark.parametrize("content", ["precious", "[1]", "{}"])
-def test_a_user_s_file_is_named_and_stays(
-    tmp_path: Path, capsys: pytest.CaptureFixture, name: str, content: str
-) -> None:
+def test_a_user_s_file_is_named_and_stays(tmp_path, capsys, name, content) -> None:
     (tmp_path / name).write_text(content)
     assert short(tmp_path) == 1
     assert f"{name} is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
@@ -343,15 +333,7 @@ def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.
         (OSError(28, "The disk is full"), 1, "train.py: The run folder: The disk is full; make room"),
     ],
 )
-def test_what_ends_a_training_is_one_sentence(
-    error: BaseException,
-    status: int,
-    told: str,
-    made: list[float],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
+def test_what_ends_a_training_is_one_sentence(error, status, told, made, tmp_path, monkeypatch, capsys) -> None:
     def fail(*_: object) -> None:
         raise error
 

@@ -1,7 +1,5 @@
 """What the motion determines of the fields: nothing unless the instrument explains it, and then what is true."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

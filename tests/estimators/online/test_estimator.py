@@ -1,8 +1,5 @@
 """`infer.py --estimator online` as a user runs it: fields of tissue that is pulled, and a sentence where none is."""
 
-from __future__ import annotations
-
-import csv
 import hashlib
 import json
 from pathlib import Path
@@ -17,7 +14,9 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.estimators.online import driven
 from palpate.estimators.online.mapping import Chamfer
 from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
+from tests.tables import read_rows
 
+pytestmark = pytest.mark.usefixtures("blank_module")
 SHARES = np.linspace(0, 1, 6)
 SETTINGS = "particles: 150\nstrain: 0.01\n"
 
@@ -33,7 +32,7 @@ def write_annotated(folder: Path, shares: np.ndarray, camera: tuple[float, float
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
     """Of a clip where tissue is pulled while the camera moves, and of one where nothing moves."""
     folder = tmp_path_factory.mktemp("online")
     clips = [write_annotated(folder / "pulled", SHARES, (6.0, 0.0)), write_annotated(folder / "still", np.zeros(4))]
@@ -43,13 +42,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def rows(folder: Path, name: str) -> list[dict[str, str]]:
-    with (folder / name).open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
 def test_every_frame_in_contact_has_a_field(results: Path) -> None:
-    table = rows(results / "pulled", "parameters.csv")
+    table = read_rows(results / "pulled" / "parameters.csv")
     assert [row["status"] for row in table] == ["ok"] * len(SHARES)
     with np.load(results / "pulled" / "fields.npz", allow_pickle=False) as fields:
         for row in table:
@@ -83,7 +77,7 @@ def test_particles_are_drawn_where_their_tissue_is(results: Path) -> None:
 
 
 def test_a_run_says_what_is_explained_and_that_theta_is_not_told(results: Path) -> None:
-    (run,) = rows(results / "pulled", "interactions.csv")
+    (run,) = read_rows(results / "pulled" / "interactions.csv")
     assert (run["onset_frame"], run["status"], run["verdict"]) == ("10", "ok", "undetermined")
     assert float(run["skill"]) > 0.35
     assert "no place's stiffness is determined" in run["explanation"]
@@ -101,7 +95,7 @@ def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> N
     record = json.loads((results / "still" / "run.json").read_text())
     (warning,) = [each for each in record["warnings"] if "stretch" in each]
     assert "the online estimator needs a clip whose tool drives the tissue" in warning
-    assert {row["distance_stiffness"] for row in rows(results / "still", "parameters.csv")} == {""}
+    assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
 
 
 def test_bad_settings_end_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -126,10 +120,10 @@ def test_an_invented_path_is_no_field_and_a_warning(tmp_path: Path, capsys: pyte
     assert infer.main([str(write_annotated(tmp_path / "clip", SHARES)), *told, "--no-overlay"]) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "contact from frame 10: The fit does not explain the motion: tissue simulated under the instrument" in said
-    (run,) = rows(tmp_path / "out" / "clip", "interactions.csv")
+    (run,) = read_rows(tmp_path / "out" / "clip" / "interactions.csv")
     assert (run["status"], run["verdict"]) == ("ok", "undetermined")
     assert float(run["skill"]) < 0.35
-    table = rows(tmp_path / "out" / "clip", "parameters.csv")
+    table = read_rows(tmp_path / "out" / "clip" / "parameters.csv")
     assert {row["distance_stiffness"] for row in table} == {""}
     assert {row["field_known"] for row in table} == {"0"}
 
@@ -146,7 +140,7 @@ def write_given(folder: Path, rows_told: str = "0,50,60,0.3\n0.2,40,66,0.28\n") 
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def given(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
     """Results of a volume whose pins and gripper are given."""
     folder = tmp_path_factory.mktemp("given")
     told = write_given(folder)
@@ -238,23 +232,19 @@ def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkey
         ("0.1,50,60,1\n0.2,50,60,1\n", 0, "path.csv tells no place at 0 s, when contact begins in frame 10; give rows"),
     ],
 )
-def test_a_path_that_can_t_be_used_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, rows_told: str, status: int, sentence: str
-) -> None:
+def test_a_path_that_can_t_be_used_is_a_sentence(tmp_path, capsys, rows_told, status, sentence) -> None:
     """A broken file before anything; one that a clip can't follow with that clip; one that begins late with its run."""
     told, clip = write_given(tmp_path, rows_told), write_annotated(tmp_path / "clip", SHARES[:2])
     assert infer.main([str(clip), *told, "--no-overlay"]) == status
     said = " ".join(capsys.readouterr().err.split())
     if status == 0:
-        (run,) = rows(tmp_path / "out" / "clip", "interactions.csv")
+        (run,) = read_rows(tmp_path / "out" / "clip" / "interactions.csv")
         said = run["detail"]
     assert sentence in said
 
 
 @pytest.mark.slow
-def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(
-    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(real_data, tmp_path, capsys):
     """Where tissue has stretched their maps rank as 0.1."""
     layout = Path(__file__).parents[3] / "configs/layouts/recover_tissue.yaml"
     found = []
@@ -263,7 +253,7 @@ def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agre
         told = ["--estimator", "online", "--settings", str(tmp_path / "online.yaml"), "--layout", str(layout)]
         output = tmp_path / optimizer
         assert infer.main([str(real_data / "recover_tissue"), *told, "--output", str(output), "--no-overlay"]) == 0
-        (run,) = rows(output / "recover_tissue", "interactions.csv")
+        (run,) = read_rows(output / "recover_tissue" / "interactions.csv")
         assert run["status"] == "ok"
         assert float(run["skill"]) > 0.35
         said = " ".join(capsys.readouterr().err.split())

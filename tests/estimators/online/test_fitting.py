@@ -1,7 +1,5 @@
 """What one number each says of gripped tissue: found from motion that it made, and used from then on."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -35,7 +33,6 @@ def test_what_made_the_motion_is_found(time_step: float, foundation: float, bend
     seen = shown(simulate(BODY, fields, grip(), made.stepping(STEPPING, STIFFNESS)).positions[0, 1:])
     seen[1, 3] = np.nan
     found = fit_motion(BODY, grip(), seen, shown, STEPPING, STIFFNESS)
-    assert found is not None
     assert found[:3] == made[:3]
     assert found.error < 1e-9
 
@@ -44,7 +41,6 @@ def test_the_error_is_a_share_of_the_motion() -> None:
     """Points that run ahead of their grip: no sheet makes them, and none is closer than this."""
     seen = np.tile([300.0, 0.0], (4, 15, 1))
     found = fit_motion(BODY, grip(), seen, shown, STEPPING, STIFFNESS)
-    assert found is not None
     fields = Stiffness(np.full(BODY.count, STIFFNESS), np.full(BODY.count, found.bending * STIFFNESS))
     states = simulate(BODY, fields, grip(), found.stepping(STEPPING, STIFFNESS)).positions[0, 1:]
     off = np.sqrt(np.square(shown(states) - seen).sum(axis=2).mean(axis=1)) / 300

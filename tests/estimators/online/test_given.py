@@ -1,7 +1,5 @@
 """Masks of pins and paths of grippers: what they tell, and what can't be used is a sentence that names the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

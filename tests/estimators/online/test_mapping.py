@@ -1,7 +1,5 @@
 """Residual mapping: it finds a known deformation, and its adjoint equals finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse import csr_array, eye_array

@@ -1,7 +1,5 @@
 """The objective's terms against their definitions, and its slopes against finite differences."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A followed sheet: each part of the step predicts better than the step without it."""
 
-from __future__ import annotations
-
 from typing import get_args, get_type_hints
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings of the online estimator: what a file may say, and what can't be used is a sentence that names it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

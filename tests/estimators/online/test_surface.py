@@ -1,7 +1,5 @@
 """Volumes of particles below the tissue of a frame, and what a mask pins of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tables as they come, and what is wrong with some."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

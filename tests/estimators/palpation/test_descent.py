@@ -1,7 +1,5 @@
 """The numeric descent, which arrives where Gauss–Newton does by many more solves where it arrives."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re
@@ -20,14 +18,14 @@ BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("start", "begun"), [(1e3, 16e3), (1e5, 1e5)])
+@pytest.mark.parametrize(("start", "begun"), [(1e3, 4e3), (1e5, 1e5)])
 def test_the_descent_arrives_from_a_start_far_off(start: float, begun: float) -> None:
     """A factor of ten off; many times as many solves as by exact derivatives, which end at the same place.
 
-    Ten and two and a half times too soft, the slab turns inside out.
+    Ten times too soft, the slab turns inside out.
     """
-    skin, held = BODY.skin(4, BODY.size / 20)
-    seen = observe(*press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 4, law="corotational"), "stereo", 3, count=800)
+    skin, held = BODY.skin(3, BODY.size / 12)
+    seen = observe(*press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 3, law="corotational"), "stereo", 3, count=400)
     exact = fit_material(skin, held, [seen], FitSettings(young=start))
     numeric = descend(skin, held, [seen], FitSettings(young=start))
     assert abs(np.log(numeric.young / exact.young)) < 2 * exact.young_sd

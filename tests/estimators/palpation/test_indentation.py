@@ -1,7 +1,5 @@
 """Curves that follow a law give its constant back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A region whose stiffness varies smoothly is predicted where it was not probed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A cloud finds its way back to its surface; views of a body become one surface, whose poses and volume are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

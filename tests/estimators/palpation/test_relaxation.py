@@ -1,7 +1,5 @@
 """A ramp and hold against the closed form, and what a fit makes of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +26,6 @@ def test_the_simulated_force_is_the_closed_form() -> None:
 
 def test_one_branch_finds_the_standard_linear_solid() -> None:
     found = fit_relaxation(ramp_and_hold(1.5, 3.0), branches=1)
-    assert found.solid is not None
     assert found.solid.ratio == pytest.approx(1.5, rel=0.02)
     assert found.solid.time == pytest.approx(3.0, rel=0.02)
     assert found.relaxed_share == pytest.approx(0.4, rel=0.02)

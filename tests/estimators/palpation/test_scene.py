@@ -1,7 +1,5 @@
 """A scene's file: a surface or views of it, and what is wrong with it in a sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -92,9 +90,7 @@ ROW = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 300], [0, 0, 0, 1]]
         (1, {"palpations": [PRESS | {"points": "far.csv"}]}, "far.csv, 98.1 m wide, looks like millimetres;"),
     ],
 )
-def test_lengths_in_other_units_are_named_before_anything_is_meshed(
-    unit: float, fields: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lengths_in_other_units_are_named_before_anything_is_meshed(unit, fields, told, tmp_path, monkeypatch) -> None:
     def mesh(*_: object, **__: object) -> None:
         raise AssertionError("meshed")
 
@@ -107,9 +103,7 @@ def test_lengths_in_other_units_are_named_before_anything_is_meshed(
 
 
 @pytest.mark.parametrize("fields", [{}, {"held_below": -0.02}, {"palpations": [PRESS | {"contact": [0.1, 0.1, 0.2]}]}])
-def test_lengths_in_metres_are_meshed(
-    fields: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lengths_in_metres_are_meshed(fields, tmp_path, monkeypatch) -> None:
     def mesh(*_: object, **__: object) -> None:
         raise NoBody("meshed")
 

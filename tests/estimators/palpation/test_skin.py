@@ -1,7 +1,5 @@
 """A surface carried by tetrahedra moves as they do, and forces on it do the same work."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,15 +1,13 @@
 """A trained generator on a clip: its θ is its head's, its picture its decoder's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import FrameEstimate
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.recovery.bounds import MECHANICS

@@ -1,7 +1,5 @@
 """The picture some frames ahead by physics alone: what counts, what is summed, and the door's table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

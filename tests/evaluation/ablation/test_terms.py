@@ -1,7 +1,5 @@
 """What a term is worth: the ratio and its interval, the table, what is kept, and one real training."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 
@@ -110,9 +108,7 @@ def test_a_user_s_folder_of_a_row_s_name_stays(tmp_path: Path, monkeypatch: pyte
     assert (output / "full-0" / "mine").read_text() == (folder / "photos" / "1.jpg").read_text() == "precious"
 
 
-def test_what_is_trained_and_judged_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_what_is_trained_and_judged_is_kept(tmp_path, monkeypatch, capsys) -> None:
     trained: list[tuple[str, int]] = []
 
     def once(row: str, seed: int, clips: Path, steps: int, output: Path) -> Path:

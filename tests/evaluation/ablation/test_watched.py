@@ -1,7 +1,5 @@
 """A clip with its truth: the same without the errors of depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

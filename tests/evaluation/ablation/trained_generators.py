@@ -1,7 +1,5 @@
 """Checkpoints as `train.py fit` writes them, of generators that do what is known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

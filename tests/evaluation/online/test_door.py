@@ -1,7 +1,5 @@
 """The door runs what isn't there yet, tables all that was asked for, and refuses what can't be judged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Simulated pulls: who moves as the gripper does, who not at all, and where a stiff part shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
@@ -46,7 +44,7 @@ def test_what_is_seen_is_the_truth_and_noise(pull: Pull) -> None:
     assert len(set(pull.keypoints.tolist())) == KEYPOINTS
     moved = np.linalg.norm(pull.points[-1] - pull.points[0], axis=1)
     assert moved[pull.keypoints].min() >= 0.9 * np.median(moved)
-    assert (pull.body.rest[pull.seen, 2] == pull.body.rest[:, 2].max()).all()
+    assert (pull.body.rest[pull.visible, 2] == pull.body.rest[:, 2].max()).all()
 
 
 def test_a_stiff_part_is_stretched_less() -> None:

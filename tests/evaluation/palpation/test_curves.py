@@ -1,7 +1,5 @@
 """Every table is judged that is known by its columns, whatever its name, and one bad file costs its own rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Fits of palpations with known truth: what their table holds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

@@ -1,10 +1,7 @@
 """Estimates compared with the truth of synthetic clips: factors, ranks, and what is said of files that are none."""
 
-from __future__ import annotations
-
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +82,7 @@ def row_of_a_clip(path: Path) -> None:
         ),
     ],
 )
-def test_what_can_t_be_compared_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, table: Callable, truth: str, told: str
-) -> None:
+def test_what_can_t_be_compared_is_a_sentence(tmp_path, capsys, table, truth, told) -> None:
     clip = tmp_path / "clips" / "video01" / "video01_00000"
     clip.mkdir(parents=True)
     (clip / "truth.json").write_text(truth)

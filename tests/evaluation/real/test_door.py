@@ -1,8 +1,7 @@
 """`python -m evaluation.real` as a user runs it: what it writes, how it ends, and what it says."""
 
-from __future__ import annotations
-
 import base64
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.common.output import LIST
+from palpate.estimators.estimate import NoEstimate
 from palpate.evaluation.harness import write
 from palpate.evaluation.options import options
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
@@ -28,6 +28,32 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, shares in {"pull": PULLED, "other": PULLED, "still": STILL}.items():
         pull_clip(folder / name, shares)
     return folder
+
+
+@pytest.fixture(scope="module")
+def once() -> Callable[[PulledClip, dict], Pull]:
+    """`evaluate_pull`, which judges every clip once, however often a door asks for it."""
+    judged: dict[PulledClip, tuple[dict, Pull | Exception]] = {}
+
+    def evaluate(clip: PulledClip, row: dict) -> Pull:
+        if clip not in judged:
+            measures: dict = {}
+            try:
+                judged[clip] = measures, evaluate_pull(clip, measures)
+            except NoEstimate as error:
+                judged[clip] = measures, error
+        measures, pull = judged[clip]
+        row |= measures
+        if isinstance(pull, Exception):
+            raise pull
+        return pull
+
+    return evaluate
+
+
+@pytest.fixture(autouse=True)
+def judging_once(once: Callable[[PulledClip, dict], Pull], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", once)
 
 
 def pulled(inputs: Path, name: str) -> list[str]:
@@ -49,9 +75,7 @@ def rows(output: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def test_two_known_clips_are_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_two_known_clips_are_judged(inputs, tmp_path, monkeypatch, capsys) -> None:
     assert main([*known(monkeypatch, inputs, "pull", "other", "absent"), "--output", str(tmp_path)]) == 0
     found = rows(tmp_path)
     assert list(found) == ["pull", "other"]
@@ -80,13 +104,11 @@ def test_two_known_clips_are_judged(
     assert "skill in frames kept back" in told.out
 
 
-def test_an_interruption_keeps_what_is_finished(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_interruption_keeps_what_is_finished(inputs, once, tmp_path, monkeypatch, capsys) -> None:
     def interrupt(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "other":
             raise KeyboardInterrupt
-        return evaluate_pull(clip, row)
+        return once(clip, row)
 
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", interrupt)
     assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path / "part")]) == 130
@@ -96,9 +118,7 @@ def test_an_interruption_keeps_what_is_finished(
     assert not (tmp_path / "nothing" / "table.csv").exists()
 
 
-def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(inputs, tmp_path, monkeypatch, capsys):
     assert main([*known(monkeypatch, inputs, "still", "pull"), "--output", str(tmp_path)]) == 1
     sentence = "In 0 of 8 frames the tissue moves with the instrument by more than 1 px"
     found = rows(tmp_path)
@@ -114,12 +134,12 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(
 
 
 def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    inputs: Path, once: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     def fail(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "pull":
             raise ZeroDivisionError("of something")
-        return evaluate_pull(clip, row)
+        return once(clip, row)
 
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", fail)
     assert main([*known(monkeypatch, inputs, "pull", "other"), "--output", str(tmp_path)]) == 1
@@ -146,9 +166,7 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, c
         (["--layout", "a.yaml"], "--layout a.yaml is of a clip of --pulled; give both, or leave it out."),
     ],
 )
-def test_wrong_usage_is_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture, arguments: list[str], told: str
-) -> None:
+def test_wrong_usage_is_a_sentence(tmp_path, capsys, arguments, told) -> None:
     """And nothing is written."""
     output, empty = tmp_path / "out", tmp_path
     with pytest.raises(SystemExit) as stop:
@@ -158,9 +176,7 @@ def test_wrong_usage_is_a_sentence(
     assert not output.exists()
 
 
-def test_an_output_that_can_t_be_written_is_a_sentence(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_an_output_that_can_t_be_written_is_a_sentence(inputs, tmp_path, capsys) -> None:
     (tmp_path / "file").write_text("")
     assert main([*pulled(inputs, "pull"), "--output", str(tmp_path / "file")]) == 2
     told = capsys.readouterr().err
@@ -169,9 +185,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(
 
 
 @pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/1.png"])
-def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(
-    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture, name: str
-) -> None:
+def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(inputs, tmp_path, capsys, name) -> None:
     path = tmp_path / "out" / name
     path.parent.mkdir(parents=True)
     path.write_text("precious")
@@ -199,7 +213,7 @@ def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
 
 def test_two_clips_of_one_name_are_both_judged(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = chosen(tmp_path, *known(monkeypatch, inputs, "pull"), "--pulled", "a/pull")
-    assert [case.name for case in real.asked] == ["pull", "pull (2)"]
+    assert [*real.wanted] == [("pull",), ("pull (2)",)]
 
 
 def chosen(output: Path, *arguments: str) -> Real:

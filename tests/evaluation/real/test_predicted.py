@@ -1,7 +1,5 @@
 """Drawn tissue predicted ahead: by what, from what, and how it is judged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -125,9 +123,7 @@ def test_a_volume_is_predicted_by_what_is_seen_of_it(clip: PulledClip, found: di
     assert thick["skill from frame 3, online"] > 0.4
 
 
-def test_settings_that_can_t_be_used_end_in_a_sentence(
-    clip: PulledClip, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_settings_that_can_t_be_used_end_in_a_sentence(clip, tmp_path, capsys) -> None:
     told = ["--pulled", str(clip.path), "--settings", str(tmp_path / "online.yaml"), "--output", str(tmp_path / "out")]
     for text, extra, sentence in (
         ("pins: pins.png\n", ["--estimator", "online"], "online.yaml names a file of pins, which is for infer.py"),

@@ -1,7 +1,5 @@
 """Drawn tissue that a drawn tool pulls: what the session of users says of it, and what can't be said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +33,6 @@ def pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
 
 def test_what_the_session_says_of_a_grip_is_told(pull: Pull, measures: dict[str, object]) -> None:
     grip, told = pull.run.grip, pull.measures
-    assert grip is not None
     assert (told["status"], told["verdict"]) == ("ok", grip.verdict)
     assert told["skill in frames kept back"] == grip.skill > 0.5
     low, middle, high = (told[f"foundation_over_stiffness{end}"] for end in ("_low", "", "_high"))

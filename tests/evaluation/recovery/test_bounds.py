@@ -1,7 +1,5 @@
 """What a contact could tell at best: of its point and of its dent, with known and with unknown instants."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

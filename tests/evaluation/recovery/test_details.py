@@ -14,19 +14,9 @@ def details(rows):
     return {(row["regime"], row["parameter"], row["quantity"]): row for row in frame.to_dict("records")}
 
 
-def test_errors_of_known_size():
-    shifts = (-0.5, 0.0, 0.5)
-    rows = [
-        recovery(i, theta=off_by([shift, 0, 0]), estimate=off_by([shift + error, 0, 0]))
-        for i, (shift, error) in enumerate(zip(shifts, (0.1, -0.3, 0.2), strict=True))
-    ]
-    found = details(rows)
-    assert found["all", "stiffness", "median_abs_error"]["value"] == pytest.approx(0.2)
-    assert found["all", "stiffness", "mean_error"]["value"] == pytest.approx(0.0)
-    assert found["all", "stiffness", "error_over_bound_variance"]["value"] == pytest.approx((1 + 9 + 4) / 3)
-    # The best constant is off by √(0.5/3) = 0.408, the bound is 0.1, the estimates' RMS √(0.14/3) = 0.216.
-    closed = (np.sqrt(0.5 / 3) - np.sqrt(0.14 / 3)) / (np.sqrt(0.5 / 3) - 0.1)
-    assert found["all", "stiffness", "gap_closed"]["value"] == pytest.approx(closed)
+def test_the_mean_error_is_the_bias():
+    rows = [recovery(i, estimate=off_by([error, 0, 0])) for i, error in enumerate((0.1, -0.3, 0.5))]
+    assert details(rows)["all", "stiffness", "mean_error"]["value"] == pytest.approx(0.1)
 
 
 def test_errors_are_judged_by_their_own_standard_deviations():
@@ -48,21 +38,6 @@ def test_intervals_need_clips_and_hold_the_value():
     for quantity in ("ratio", "coverage90"):
         row = details(many)["all", "force", quantity]
         assert row["low"] < row["value"] < row["high"]
-
-
-def test_narrow_intervals_are_told_from_wide_ones():
-    """Errors of 0.1 throughout: standard deviations of 0.02 hold none of them, 0.1 and 0.5 all."""
-    rows = [
-        recovery(index, estimate=off_by([0.1, 0, 0]), covariance=np.eye(3) * (0.02, 0.1, 0.5)[index % 3] ** 2)
-        for index in range(15)
-    ]
-    found = details(rows)
-    assert found["all", "stiffness", "coverage90_narrow"]["value"] == 0
-    assert found["all", "stiffness", "coverage90_wide"]["value"] == 1
-    assert found["all", "stiffness", "coverage90_wide"]["n"] == 5
-    assert ("all", "stiffness", "coverage90_wide") not in details(rows[:14])
-    alike = [recovery(index, covariance=0.01 * np.eye(3)) for index in range(15)]
-    assert ("all", "stiffness", "coverage90_wide") not in details(alike)
 
 
 def test_ranks_of_truths_are_even_where_posteriors_are_right():

@@ -1,7 +1,5 @@
 """Estimators of the benchmark: what is refused, and what is recorded of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bound of a grip against brute force, and against a twin that draws noise and reaches it."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The suite of slabs: which clips it has, what is compared, and one press and one pull from pictures to numbers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -10,11 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import NINETY, GripEstimate
+from palpate.data.synthetic import slab
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery import trial
+from palpate.evaluation.recovery import suites, trial
 from palpate.evaluation.recovery.grip_truth import pull_against_truth
 from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
@@ -185,7 +185,11 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
 
 @pytest.mark.slow
 def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pull in pictures of a quarter of the suite's size; the truth of both by fewer elements."""
     suite = SLAB_SUITES["fem"]
+    monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
+    for name, size in (("width", 427), ("height", 240)):
+        monkeypatch.setitem(suites._SLAB_PULLS, name, size)
     options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
     [pressed] = run_trial(Trial(0, 7, {"fem": options}))
     assert pressed["status"] == "ok"

@@ -7,7 +7,8 @@ import pytest
 
 from palpate.data.synthetic.clip import clip_seed, draw_press
 from palpate.data.synthetic.scene import draw_scene
-from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, REGIMES, SPLITS, SUITES, suite_clip_seed
+from palpate.data.synthetic.truth import REGIMES
+from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, SPLITS, SUITES, suite_clip_seed
 
 NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
 NAMES += ["oblique", "late-onset", "patch"]

@@ -1,7 +1,5 @@
 """One clip against its truth: the same clip as the generator's, and every failure told."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 
@@ -11,9 +9,10 @@ import pytest
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.clip import draw_press, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
-from palpate.estimators.estimate import Estimate, InteractionEstimate
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.records import InteractionEstimate
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery import trial as recovery
@@ -27,7 +26,7 @@ from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from palpate.physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
-CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), told_verdict="undetermined")
+CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), given_verdict="undetermined")
 SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
 DIRECT = EstimatorOptions("direct")
 
@@ -196,7 +195,7 @@ class Telling:
     def __init__(self, *said: InteractionEstimate) -> None:
         self.said = said
 
-    def start(self, clip: object) -> Telling:
+    def start(self, clip: object) -> "Telling":
         return self
 
     def finish(self) -> tuple[InteractionEstimate, ...]:
@@ -250,6 +249,6 @@ def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslan
 
 
 def test_an_estimator_without_uncertainty_gives_no_verdict_and_no_warning(monkeypatch, truth):
-    estimate = Estimate(np.array([0.3, 0.05, -0.1]), told_verdict="undetermined")
+    estimate = Estimate(np.array([0.3, 0.05, -0.1]), given_verdict="undetermined")
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["verdict"], row["warned"], row["covariance"]) == ("ok", "", None, None)

@@ -1,7 +1,5 @@
 """Blocks, and how they are held."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.fem.lattice import box

@@ -1,7 +1,5 @@
 """Curved elements fill a round body, and what is linear in place is exact on them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Motion: energy balance, frequency, order, and a standard linear solid's closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -100,8 +98,12 @@ def test_a_bar_let_go_rings_at_its_frequency_and_loses_its_energy_at_the_rate_of
     assert np.log(energy[first] / energy[last]) / (moments[4] - moments[0]) == pytest.approx(damping, rel=0.03)
 
 
+NONE = Inertia(1e-20)
+"""Hardly any inertia."""
+
+
 def stretched(law: str, strain: np.ndarray, step: float, relaxation: Relaxation) -> np.ndarray:
-    """Force on a unit cube whose length follows a strain, its sides free to shrink [N]."""
+    """Force on a unit cube whose length follows a strain, its sides free to shrink, the mean of every step [N]."""
     body = block(1)
     ends = np.isclose(body.rest[:, 0], 1)
     held = np.zeros(body.rest.shape, bool)
@@ -111,7 +113,7 @@ def stretched(law: str, strain: np.ndarray, step: float, relaxation: Relaxation)
     path = np.zeros((len(strain), ends.sum(), 3))
     path[..., 0] = strain[:, None]
     load = Grip(np.flatnonzero(ends), path)
-    motion = simulate(body, Material(law, 10.0, 0.0), held, load, step, inertia=None, relaxation=relaxation)
+    motion = simulate(body, Material(law, 10.0, 0.0), held, load, step, inertia=NONE, relaxation=relaxation)
     return motion.reaction[:, ends, 0].sum(axis=1)
 
 
@@ -125,7 +127,7 @@ def test_a_held_strain_relaxes_as_in_closed_form(law: str) -> None:
     rising = times / ramp + relaxation.ratio * tau / ramp * (1 - np.exp(-times / tau))
     left = relaxation.ratio * tau / ramp * (1 - np.exp(-ramp / tau)) * np.exp(-(times - ramp) / tau)
     expected = 10 * strain * np.where(times <= ramp + 1e-9, rising, 1 + left)
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    np.testing.assert_allclose(found, (expected + np.append(0, expected[:-1])) / 2, rtol=1e-6)
 
 
 def test_large_strain_relaxes_to_the_law_alone() -> None:
@@ -140,7 +142,7 @@ def test_bad_numbers_are_refused() -> None:
     body, end = bar()
     load = Press.at(int(end[0]), np.array([0, 0, 1.0]), np.ones(1))
     with pytest.raises(ValueError, match="time step of 0"):
-        simulate(body, Material("linear", 1.0, 0.3), clamped(body), load, 0.0, inertia=None)
+        simulate(body, Material("linear", 1.0, 0.3), clamped(body), load, 0.0, inertia=NONE)
     for make in (
         lambda: Relaxation(0.0, 1.0),
         lambda: Relaxation(1.0, -1.0),
@@ -198,4 +200,4 @@ def test_directions_need_what_they_change() -> None:
     grip = Grip(np.array([0]), np.zeros((2, 1, 3)))
     told = (body, Material("linear", YOUNG, 0.3), clamped(body), grip, 0.01)
     with pytest.raises(ValueError, match="relaxation that there is none of"):
-        simulate(*told, inertia=None, directions=[Direction(ratio=1.0)])
+        simulate(*told, inertia=NONE, directions=[Direction(ratio=1.0)])

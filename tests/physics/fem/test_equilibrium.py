@@ -1,7 +1,5 @@
 """Rest under loads against closed forms, and all derivatives against finite differences."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -165,16 +163,15 @@ def test_derivatives_equal_finite_differences(law: str) -> None:
         return find_equilibrium(body, Material(law, young, ratio), held, forces=forces, steps=2)
 
     found = rest()
-    moved, pulls = found.tangents()
+    moved = found.tangents()
     for index, (more, less, step) in enumerate(
         [
             (rest(young=young + young * STEP), rest(young=young - young * STEP), young * STEP),
             (rest(ratio=ratio + STEP), rest(ratio=ratio - STEP), STEP),
         ]
     ):
-        for name, slope in (("displacement", moved), ("reaction", pulls)):
-            expected = (getattr(more, name) - getattr(less, name)) / (2 * step)
-            np.testing.assert_allclose(slope[..., index], expected, atol=1e-6 * np.abs(expected).max() + 1e-9)
+        expected = (more.displacement - less.displacement) / (2 * step)
+        np.testing.assert_allclose(moved[..., index], expected, atol=1e-6 * np.abs(expected).max() + 1e-9)
     weights = np.random.default_rng(0).normal(size=body.rest.shape)
 
     def scalar(forces: np.ndarray) -> float:
@@ -211,8 +208,7 @@ def test_large_systems_are_iterated_to_the_same(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(linear_system, "DIRECT", 0)
     iterated = find_equilibrium(*arguments, forces=pulled(body))
     np.testing.assert_allclose(iterated.displacement, direct.displacement, atol=1e-9)
-    for one, two in zip(iterated.tangents(), direct.tangents(), strict=True):
-        np.testing.assert_allclose(one, two, atol=1e-8)
+    np.testing.assert_allclose(iterated.tangents(), direct.tangents(), atol=1e-8)
 
 
 def test_factors_of_a_state_close_by_save_a_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """Materials against finite differences, Hooke's law, rotations and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

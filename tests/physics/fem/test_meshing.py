@@ -1,7 +1,5 @@
 """Surfaces with holes, of one side, with inner walls, touching themselves and open: meshed without a bad element."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Motions by eigenmodes against those that are simulated step by step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Divided tetrahedra fill the same body without hanging nodes, and are as short as was asked for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

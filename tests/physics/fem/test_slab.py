@@ -1,7 +1,5 @@
 """A slab beneath a surface: where its nodes lie, what is held, how a force and a displacement are shared out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

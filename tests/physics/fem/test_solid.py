@@ -1,7 +1,5 @@
 """Shape functions, mass and the sums over elements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

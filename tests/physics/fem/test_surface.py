@@ -1,7 +1,5 @@
 """Closest places of triangles, by brute force."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The compiled rollout inside torch: derivatives, threads, workers, and what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Radii of the exact cone and of windows inside it."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

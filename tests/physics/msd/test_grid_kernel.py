@@ -1,7 +1,5 @@
 """The compiled stencil against steps computed by hand, and at the edge of single precision."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

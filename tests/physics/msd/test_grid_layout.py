@@ -1,7 +1,5 @@
 """The stencil read from a grid mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

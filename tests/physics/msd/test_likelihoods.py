@@ -1,7 +1,5 @@
 """The displacement error against computations by hand, and batches against single samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The plain version's building blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The differentiable rollout: equal to numpy, right gradients, finite on the whole admissible box."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

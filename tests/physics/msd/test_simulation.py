@@ -1,7 +1,5 @@
 """Forward simulation against closed forms, an adaptive integrator and conservation laws; compiled against plain."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import warnings
@@ -263,10 +261,7 @@ def test_bad_input_is_named():
         (([-0.5, 0.1, 1.0], mesh, load, mechanics), "neither may be negative"),
         ((theta, mesh, pressed(mesh, 25, 5, 10, Z), mechanics), "load names vertex 25; the mesh has 25"),
         ((theta, mesh, Grip(np.array([3, -1]), np.zeros((4, 2, 3))), mechanics), "load names vertex -1"),
-        (
-            (theta, dataclasses.replace(mesh, springs=np.array([[0, 25]])), load, mechanics),
-            "springs .* up to 25;",
-        ),
+        ((theta, dataclasses.replace(mesh, springs=np.array([[0, 25]])), load, mechanics), "springs .* up to 25;"),
     ):
         with pytest.raises(ValueError, match=said):
             simulate(*arguments)

@@ -1,36 +1,12 @@
-"""The torch reference: the stencil equals the edge list, and everything can be differentiated."""
+"""The torch reference: everything can be differentiated."""
 
-from __future__ import annotations
-
-import pytest
 import torch
 
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import grid_mesh
 from palpate.physics.msd.rollouts import rollout
-from palpate.physics.msd.torch_backend import edge_steps, integrator, is_grid, watched_trajectory
+from palpate.physics.msd.torch_backend import integrator
 from tests.physics.batches import batch_of
-from tests.physics.sheets import sheet, surface
-
-
-@pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")])
-def test_stencil_equals_edge_list(mechanics):
-    valid = torch.rand(9, 8, generator=torch.Generator().manual_seed(0)).numpy() > 0.1
-    mesh, load = batch_of([grid_mesh(surface(9, 8), valid, max_edge=1.0), sheet(9, 8)], [20, 30], [20, 50])
-    theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
-    assert is_grid(mesh)
-    watch = torch.tensor([[20, 3], [30, 31]])
-    place = mesh.vertex_offsets[:-1, None] + watch
-    expected = torch.stack(list(edge_steps(theta, mesh, place, load, mechanics)), dim=1)
-    seen = watched_trajectory(theta, mesh, load, watch, mechanics)
-    torch.testing.assert_close(seen, expected, rtol=0, atol=1e-14)
-
-
-def test_other_meshes_are_no_grid():
-    assert not is_grid(batch_of([sheet(9, 8, keep=0.5)], [5])[0])
-    mesh, _ = batch_of([sheet(4, 4)], [5])
-    mesh.pixels = torch.zeros_like(mesh.pixels)
-    assert not is_grid(mesh)
+from tests.physics.sheets import sheet
 
 
 def test_second_derivatives():

@@ -1,7 +1,5 @@
 """Sheets and blocks of particles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.fem.lattice import box

@@ -4,8 +4,6 @@ Source: Liang 2024, equation 3 (Macklin 2016): Δx = M⁻¹ ∇Cᵀ Δλ, Δλ =
 constraint gives C and its gradient by its points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What joins the particles of sheets and blocks, and bad input; volumes below sheets hold each part once."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

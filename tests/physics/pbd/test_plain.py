@@ -1,7 +1,5 @@
 """The plain version: constraints against closed forms and finite differences, time steps against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

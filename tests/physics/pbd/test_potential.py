@@ -1,7 +1,5 @@
 """The compiled energy and its derivatives against plain constraints and finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Time steps and their adjoint: against the plain version, finite differences, conservation laws and a minimum."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

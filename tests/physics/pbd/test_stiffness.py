@@ -1,7 +1,5 @@
 """Fields over particles, spread over constraints and gathered again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,0 +1,147 @@
+"""Stiffness particle by particle, in a frame and over a run of contact, and what of it is determined."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.estimators.estimate import LEAST_SKILL
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleField:
+    """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
+
+    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
+    contact, not clips, and no force follows from it.
+    """
+
+    onset_frame: int
+    """Number of the frame in which the run began, and where the tissue is taken to be at rest."""
+    rest: np.ndarray
+    """Particles there, shape [N, 3] [scene units]."""
+    faces: np.ndarray
+    """Triangles that the camera saw there, shape [F, 3]."""
+    tetrahedra: np.ndarray
+    """Of a volume, shape [V, 4]; none of a sheet."""
+    positions: np.ndarray
+    """Particles now, without the background's motion, shape [N, 3] [scene units]."""
+    pixels: np.ndarray
+    """Where they are in the picture, with it, shape [N, 2] [px of the source frame]."""
+    distance: np.ndarray
+    """Stiffness against stretch along the surface, shape [N] [m/Δt²]."""
+    shape: np.ndarray
+    """Against changes of a neighbourhood's shape, likewise."""
+    distance_log_sd: np.ndarray
+    """Standard deviation of the logarithm of `distance` over its mean where tissue has stretched, shape [N]."""
+    shape_log_sd: np.ndarray
+    """Likewise of `shape`."""
+    known: np.ndarray
+    """Where the motion so far determines `distance`, shape [N], bool; nowhere where the fit does not explain it."""
+    shape_known: np.ndarray
+    """Likewise of `shape`."""
+    skill: float
+    """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
+    gap: float | None
+    """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
+
+    def numbers(self) -> dict[str, float]:
+        """Columns of a frame: quantiles over what is known, and how much and how well that is."""
+        found = {
+            "field_known": float(self.known.mean()),
+            "shape_known": float(self.shape_known.mean()),
+            "skill": self.skill,
+        }
+        if self.gap is not None:
+            found["gap"] = self.gap
+        for name, values, log_sd, known in (
+            ("distance_stiffness", self.distance, self.distance_log_sd, self.known),
+            ("shape_stiffness", self.shape, self.shape_log_sd, self.shape_known),
+        ):
+            if known.any():
+                low, middle, high = np.quantile(values[known], (0.1, 0.5, 0.9)).tolist()
+                found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
+                found[f"{name}_log_sd"] = float(np.median(log_sd[known]))
+        return found
+
+    @property
+    def explained(self) -> bool:
+        """Whether tissue that the instrument moves explains the motion so far."""
+        return self.skill >= LEAST_SKILL
+
+    @property
+    def verdict(self) -> str:
+        """`stiffness_ratios` where something is known of either stiffness, else `undetermined`."""
+        return "stiffness_ratios" if self.known.any() or self.shape_known.any() else "undetermined"
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEstimate:
+    """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
+
+    last: ParticleField
+    """As it was in the last frame."""
+    picture: np.ndarray
+    """The run's first one, in whose pixels all places are, uint8 [h, w, 3] RGB."""
+    places: np.ndarray
+    """Of the particles at rest, shape [N, 2] [px]."""
+    points: np.ndarray
+    """Followed points that the instrument does not hold, at rest, shape [Q, 2] [px]."""
+    observed: np.ndarray
+    """Their displacement in the last frame that shows some, shape [Q, 2] [px]; not observed = NaN."""
+    predicted: np.ndarray
+    """The same by the simulation that the instrument alone leads."""
+    times: np.ndarray
+    """Since the run's first frame, shape [T] [s]."""
+    course: np.ndarray
+    """Root mean squares over the points of what is observed, predicted, and the difference, shape [T, 3] [px]."""
+    numbers: dict[str, np.ndarray]
+    """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
+    stretched: bool
+    """Whether tissue has anywhere stretched by as much as settings ask for."""
+
+    @property
+    def skill(self) -> float:
+        """1 - error / motion of that simulation over all frames; not a number where nothing has moved."""
+        return self.last.skill
+
+    @property
+    def explained(self) -> bool:
+        """Whether tissue that the instrument moves explains the motion."""
+        return self.last.explained
+
+    @property
+    def verdict(self) -> str:
+        """`stiffness_ratios` or `undetermined`."""
+        return self.last.verdict
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Names of what is determined."""
+        return () if self.verdict == "undetermined" else (self.verdict,)
+
+    @property
+    def explanation(self) -> str:
+        """What the fit comes to, a sentence; empty where nothing has moved, or too little to stretch anything."""
+        if math.isnan(self.skill):
+            return ""
+        left = f"{1 - self.skill:.0%} of the motion"
+        if not self.explained:
+            return (
+                f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left} "
+                f"({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
+            )
+        if not self.stretched:
+            return ""
+        if not self.determined:
+            return (
+                f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "
+                "others explain the motion as well, so none is given or coloured."
+            )
+        return (
+            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at "
+            f"{self.last.known.mean():.0%} of the particles against stretch, at {self.last.shape_known.mean():.0%} "
+            "against bending."
+        )

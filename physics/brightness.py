@@ -10,46 +10,47 @@ from __future__ import annotations
 import numpy as np
 
 
-def log_brightness(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """log cos θ and log(1/r²) of surfaces that are given on grids of points, shape [..., h, w] each.
+def log_brightness(depth: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """log cos θ and log(1/r²) of surfaces that a camera sees, shape [..., h, w] each.
 
-    The normal is that of central differences; at the grid's border of one-sided ones.
+    With w = 1/z and its slopes p, q by x and y of the rays, the normal is (p, q, w - x·p - y·q), of any length, and
+    cos θ = w / (|normal|·|ray|). Slopes are central differences, at the picture's border one-sided ones; of planes,
+    whose w is linear, they are exact.
 
     Args:
-        points: positions from the camera, shape [..., h, w, 3] [any unit], h and w at least 2; no surface passes
-            through the camera or is seen exactly from its side.
+        depth: z, shape [..., h, w] [any unit], above 0, h and w at least 2.
+        rays: (x, y, 1) of the pixels, of a pinhole camera, shape [h, w, 3].
     """
-    facing, normal_square, square = _products(points)[:3]
-    falloff = -np.log(square)
-    return np.log(np.abs(facing)) - 0.5 * (np.log(normal_square) - falloff), falloff
+    inverse = 1 / depth
+    square, length = _normal(inverse, rays)[3:]
+    return np.log(inverse) - 0.5 * np.log(square) - 0.5 * length, 2 * np.log(inverse) - length
 
 
-def log_brightness_slopes(points: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def log_brightness_slopes(depth: np.ndarray, slopes: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of `log_brightness` by D parameters, shape [..., h, w, D] each.
 
     Args:
-        points: as above.
-        slopes: derivatives of the points, shape [..., h, w, 3, D].
+        depth, rays: as above.
+        slopes: derivatives of the depth, shape [..., h, w, D].
     """
-    facing, normal_square, square, normal, (down, across) = _products(points)
-    turning = _cross(np.gradient(slopes, axis=-4), across[..., None]) + _cross(
-        down[..., None], np.gradient(slopes, axis=-3)
-    )
-    towards = np.einsum("...i,...id->...d", normal, slopes) + np.einsum("...i,...id->...d", points, turning)
-    stretched = np.einsum("...i,...id->...d", normal, turning)
-    away = np.einsum("...i,...id->...d", points, slopes) / square[..., None]
-    return towards / facing[..., None] - stretched / normal_square[..., None] - away, -2 * away
+    inverse = 1 / depth
+    right, down, away, square, _ = _normal(inverse, rays)
+    slopes = -slopes * np.square(inverse)[..., None]
+    pitch_right, pitch_down = _pitch(rays)
+    facing = slopes * (1 / inverse - away / square)[..., None]
+    facing -= ((right - away * rays[..., 0]) / (square * pitch_right))[..., None] * np.gradient(slopes, axis=-2)
+    facing -= ((down - away * rays[..., 1]) / (square * pitch_down))[..., None] * np.gradient(slopes, axis=-3)
+    return facing, 2 * slopes * depth[..., None]
 
 
-def _products(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """n·p, n·n, p·p, the normals n (of any length) and their factors, derivatives of the points along the grid."""
-    factors = np.gradient(points, axis=(-3, -2))
-    normal = _cross(*(factor[..., None] for factor in factors))[..., 0]
-    products = (np.einsum("...i,...i->...", *pair) for pair in ((normal, points), (normal, normal), (points, points)))
-    return *products, normal, list(factors)
+def _pitch(rays: np.ndarray) -> tuple[float, float]:
+    """Differences of x and y of a pinhole camera's rays from pixel to pixel."""
+    return rays[0, 1, 0] - rays[0, 0, 0], rays[1, 0, 1] - rays[0, 0, 1]
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Vector product along the last axis but one; numpy's own takes three times as long on many small vectors."""
-    ahead, behind = [1, 2, 0], [2, 0, 1]
-    return first[..., ahead, :] * second[..., behind, :] - first[..., behind, :] * second[..., ahead, :]
+def _normal(inverse: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The normal's parts to the right, down and away, its square, and the logarithm of |ray|²."""
+    pitch_right, pitch_down = _pitch(rays)
+    right, down = np.gradient(inverse, axis=-1) / pitch_right, np.gradient(inverse, axis=-2) / pitch_down
+    away = inverse - rays[..., 0] * right - rays[..., 1] * down
+    return right, down, away, right**2 + down**2 + away**2, np.log(np.square(rays).sum(axis=-1))

@@ -283,7 +283,7 @@ def test_a_checkpoint_of_another_head_is_refused(trained: Path, config: Path, ca
         ({"data": {"samples": {"window": -1}}}, "give at least 1 frame"),
         ({"data": {"loading": {"batch_size": -2}}}, "batch_size is -2"),
         ({"data": {"loading": {"fractions": "most"}}}, "fractions"),
-        ({"contact": {"output": "x"}}, "has the section contact"),
+        ({"contact": {"output": "x"}}, "is not accepted"),
         ({"nonsense": {"width": 4}}, "nonsense"),
         ({"nonsense": 4}, "nonsense"),
         ({"nonsense": {}}, "nonsense"),

@@ -94,7 +94,7 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            raise UsageError(f"{cfg_path} has the section {unknown[0]}, which isn't one; correct or remove it.")
+            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:

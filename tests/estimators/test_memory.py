@@ -39,7 +39,7 @@ def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
 
 
 def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart: int = 0) -> tuple[int, float]:
-    """What a session that sees a clip again and again tells, and by how much memory has grown since a tenth of it [MB].
+    """What a session tells of a clip again and again, and how memory has grown since a tenth of it, or a contact [MB].
 
     Args:
         apart: frames between two of them.
@@ -52,7 +52,7 @@ def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart
         for frame in frames:
             said = session.push(later(frame, contact * (len(frames) + apart), 25.0))
             told += sum(isinstance(item, InteractionEstimate) or item.estimate is not None for item in said)
-        if contact == contacts // 10:
+        if contact == max(contacts // 10, 1):  # an estimate is told once the next contact has begun
             settled = taken()
     return told, taken() - settled
 

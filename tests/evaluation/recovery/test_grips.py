@@ -14,7 +14,7 @@ from palpate.data.synthetic.surface import deformed_view
 from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery import suites, trial
+from palpate.evaluation.recovery import trial
 from palpate.evaluation.recovery.grip_truth import compare_fields, moving_frames, picture_motion, true_log
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.suites import GRIP_SUITES
@@ -143,7 +143,7 @@ def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_retraction_is_told_by_the_session_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
     """In pictures of half the suite's size; in smaller ones the tissue moves by too few pixels."""
     for name, size in (("width", 640), ("height", 360)):
-        monkeypatch.setitem(suites._GRIPS, name, size)
+        monkeypatch.setitem(GRIP_SUITES["retraction"].truth, name, size)
     [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": EstimatorOptions("direct", threads=1)}}))
     assert row["status"] == "ok"
     assert row["contact_right"] > 0.9

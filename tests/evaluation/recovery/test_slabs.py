@@ -14,7 +14,7 @@ from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery import suites, trial
+from palpate.evaluation.recovery import trial
 from palpate.evaluation.recovery.grip_truth import pull_against_truth
 from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
@@ -189,7 +189,7 @@ def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyP
     suite = SLAB_SUITES["fem"]
     monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
     for name, size in (("width", 427), ("height", 240)):
-        monkeypatch.setitem(suites._SLAB_PULLS, name, size)
+        monkeypatch.setitem(suite.turns[0][2], name, size)
     options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
     [pressed] = run_trial(Trial(0, 7, {"fem": options}))
     assert pressed["status"] == "ok"

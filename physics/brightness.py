@@ -2,7 +2,8 @@
 
 A matt surface of albedo ρ sends back I = gain·ρ·cos θ/r², with θ between its normal and the line of sight and r its
 distance from lens and lamp. Between two instants the albedo of a tissue point cancels, so that the logarithm of their
-ratio, log(cos θ/r²) less its value at rest, tells how the point has tilted and moved.
+ratio, log(cos θ/r²) less its value at rest, tells how the point has tilted and moved. Rough tissue darkens less as it
+tilts, and a wet one mirrors light where it faces the camera.
 """
 
 from __future__ import annotations
@@ -41,6 +42,34 @@ def log_brightness_slopes(depth: np.ndarray, slopes: np.ndarray, rays: np.ndarra
     facing -= ((right - away * rays[..., 0]) / (square * pitch_right))[..., None] * np.gradient(slopes, axis=-2)
     facing -= ((down - away * rays[..., 1]) / (square * pitch_down))[..., None] * np.gradient(slopes, axis=-3)
     return facing, 2 * slopes * depth[..., None]
+
+
+def mirrored(facing: np.ndarray, lobe: float) -> np.ndarray:
+    """Light that a wet surface mirrors to a camera at the lamp, over that of one that faces it (a von Mises lobe).
+
+    Args:
+        facing: log cos θ.
+        lobe: logarithm of the lobe's width [rad].
+    """
+    return np.exp(np.expm1(facing) * np.exp(-2 * lobe))
+
+
+def matt(facing: np.ndarray, rough: float) -> np.ndarray:
+    """Matt light of a rough surface to a camera at the lamp, but for its distance: cos θ + ρ sin² θ.
+
+    That is Oren and Nayar's law (1994) with ρ = B/A where light comes and goes along one ray; ρ = 0: Lambert's.
+
+    Args:
+        facing: log cos θ.
+        rough: ρ, 0 to 0.5.
+    """
+    return np.exp(facing) - rough * np.expm1(2 * facing)
+
+
+def matt_slope(facing: np.ndarray, rough: float) -> np.ndarray:
+    """Derivative of the logarithm of `matt` by log cos θ."""
+    cosine = np.exp(facing)
+    return cosine * (1 - 2 * rough * cosine) / matt(facing, rough)
 
 
 def _pitch(rays: np.ndarray) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.contact.patches import between as between_vertices
 from palpate.data.contact.patches import focal_length
-from palpate.physics.brightness import log_brightness, log_brightness_slopes
+from palpate.physics.brightness import log_brightness, log_brightness_slopes, matt, matt_slope, mirrored
 from palpate.physics.mesh import Mesh, grid_mesh
 
 ITERATIONS = 6
@@ -203,42 +203,14 @@ class LitSheet:
             found[..., :-1] = np.einsum("npi,npid->npd", by_place, shifted)
             found[..., -3:-1] += by_tilt
 
-        (rounder, lobe), rough, farther = np.exp(others[5:7]), float(others[7]), np.exp(falloff - seen.falloff)
-        now, rest = matt(facing, rough), matt(seen.facing, rough)
-        # Derivatives of the logarithms of matt light, now and at rest, by geometry and by roughness.
-        by_now = _matt_slope(facing, rough)[..., None] * by_facing
-        by_rest = _matt_slope(seen.facing, rough)[..., None] * rest_facing
-        rougher, rest_rougher = (-np.expm1(2 * part) / of for part, of in ((facing, now), (seen.facing, rest)))
-        by_farther, square = by_falloff - rest_falloff, (*surface_slopes.shape[:3], -1)
-        direct = (now * farther / rest)[..., None]
-        by_direct = direct * np.concatenate(
-            [by_now + by_farther - by_rest, (rougher - rest_rougher)[..., None]], axis=-1
-        )
-        light = _rounded(np.concatenate([direct, by_direct], axis=-1).reshape(square), rounder)
-        wider = _rounded(direct.reshape(square), rounder * np.exp(DIFFERENCE))
-        spread = (wider - light[..., :1]).reshape(*facing.shape, 1) / DIFFERENCE
-        light = light.reshape(*facing.shape, -1)
-        gloss, at_rest = mirrored(facing, others[6]) * farther / rest, mirrored(seen.facing, others[6]) / rest
-        tight = lobe**-2
-        by_gloss = (tight * np.exp(facing))[..., None] * by_facing + by_farther - by_rest
-        by_gloss_at_rest = (tight * np.exp(seen.facing))[..., None] * rest_facing - by_rest
-        nothing = np.zeros_like(spread)
-
-        def lobes(logarithm: np.ndarray, by_geometry: np.ndarray) -> np.ndarray:
-            """Derivatives of the logarithm of mirrored light by all parameters, from those by geometry."""
-            by_lobe = -2 * tight * np.expm1(logarithm)[..., None]
-            return np.concatenate([by_geometry, nothing, by_lobe, -rest_rougher[..., None]], axis=-1)
-
+        shown, by_all = _lit((facing, falloff), (by_facing, by_falloff), seen, (rest_facing, rest_falloff), others)
         carried = self._carried(seen.place, DIFFERENCE)
         texture = (carried[..., 1:] - carried[..., :1]) / DIFFERENCE
         carried_slopes = np.zeros_like(by_facing)
         carried_slopes[..., :-1] = np.einsum("npi,npid->npd", texture, shifted)
-        return Shown(carried[..., 0], light[..., 0], gloss, at_rest), Shown(
-            np.concatenate([np.nan_to_num(carried_slopes), nothing, nothing, nothing], axis=-1),
-            np.concatenate([light[..., 1:-1], spread, nothing, light[..., -1:]], axis=-1),
-            gloss[..., None] * lobes(facing, by_gloss),
-            at_rest[..., None] * lobes(seen.facing, by_gloss_at_rest),
-        )
+        nothing = np.zeros((*carried_slopes.shape[:2], 3))
+        carried_slopes = np.concatenate([np.nan_to_num(carried_slopes), nothing], axis=-1)
+        return shown._replace(rest=carried[..., 0]), by_all._replace(rest=carried_slopes)
 
     def _seen(self, moving: np.ndarray, others: np.ndarray) -> _Seen:
         """Which tissue pixels show, from displacements and whatever else moves with them, shape [N, V, 3, C]."""
@@ -307,32 +279,52 @@ class LitSheet:
         return plane + np.stack([np.cross(axis, away) for axis in axes], axis=-1)
 
 
-def mirrored(facing: np.ndarray, lobe: float) -> np.ndarray:
-    """Light that a wet surface mirrors to a camera at the lamp, over that of one that faces it (a von Mises lobe).
+def _lit(
+    now: tuple[np.ndarray, np.ndarray],
+    by_now: tuple[np.ndarray, np.ndarray],
+    seen: _Seen,
+    by_rest: tuple[np.ndarray, np.ndarray],
+    others: np.ndarray,
+) -> tuple[Shown, Shown]:
+    """What pixels show but for the light at rest, and its derivatives by all parameters.
 
     Args:
-        facing: log cos θ.
-        lobe: logarithm of the lobe's width [rad].
+        now: log cos θ and log(1/r²) of what pixels show, shape [N, P] each.
+        by_now: their derivatives by all parameters but those of the tissue, shape [N, P, D].
+        seen: the same at rest.
+        by_rest: the derivatives at rest.
+        others: as of `LitSheet.shown`.
     """
-    return np.exp(np.expm1(facing) * np.exp(-2 * lobe))
+    (facing, falloff), (by_facing, by_falloff), (rest_facing, rest_falloff) = now, by_now, by_rest
+    (spreading, lobe), rough, farther = np.exp(others[5:7]), float(others[7]), np.exp(falloff - seen.falloff)
+    level, rest = matt(facing, rough), matt(seen.facing, rough)
+    # Derivatives of the logarithms of matt light, now and at rest, by geometry and by roughness.
+    by_level = matt_slope(facing, rough)[..., None] * by_facing
+    by_rest_level = matt_slope(seen.facing, rough)[..., None] * rest_facing
+    rougher, rest_rougher = (-np.expm1(2 * part) / of for part, of in ((facing, level), (seen.facing, rest)))
+    by_farther, square = by_falloff - rest_falloff, (len(facing), *seen.below.shape[1:], -1)
+    direct, by_rough = (level * farther / rest)[..., None], (rougher - rest_rougher)[..., None]
+    by_direct = direct * np.concatenate([by_level + by_farther - by_rest_level, by_rough], axis=-1)
+    light = _rounded(np.concatenate([direct, by_direct], axis=-1).reshape(square), spreading)
+    wider = _rounded(direct.reshape(square), spreading * np.exp(DIFFERENCE))
+    spread = (wider - light[..., :1]).reshape(*facing.shape, 1) / DIFFERENCE
+    light, nothing = light.reshape(*facing.shape, -1), np.zeros_like(spread)
+    gloss, at_rest = mirrored(facing, others[6]) * farther / rest, mirrored(seen.facing, others[6]) / rest
+    tight = lobe**-2
+    by_gloss = (tight * np.exp(facing))[..., None] * by_facing + by_farther - by_rest_level
+    by_gloss_at_rest = (tight * np.exp(seen.facing))[..., None] * rest_facing - by_rest_level
 
+    def lobes(logarithm: np.ndarray, by_geometry: np.ndarray) -> np.ndarray:
+        """Derivatives of the logarithm of mirrored light by all parameters, from those by geometry."""
+        by_lobe = -2 * tight * np.expm1(logarithm)[..., None]
+        return np.concatenate([by_geometry, nothing, by_lobe, -rest_rougher[..., None]], axis=-1)
 
-def matt(facing: np.ndarray, rough: float) -> np.ndarray:
-    """Matt light of a rough surface to a camera at the lamp, but for its distance: cos θ + ρ sin² θ.
-
-    That is Oren and Nayar's law (1994) with ρ = B/A where light comes and goes along one ray; ρ = 0: Lambert's.
-
-    Args:
-        facing: log cos θ.
-        rough: ρ, 0 to 0.5.
-    """
-    return np.exp(facing) - rough * np.expm1(2 * facing)
-
-
-def _matt_slope(facing: np.ndarray, rough: float) -> np.ndarray:
-    """Derivative of the logarithm of `matt` by log cos θ."""
-    cosine = np.exp(facing)
-    return cosine * (1 - 2 * rough * cosine) / matt(facing, rough)
+    return Shown(nothing, light[..., 0], gloss, at_rest), Shown(
+        nothing,
+        np.concatenate([light[..., 1:-1], spread, nothing, light[..., -1:]], axis=-1),
+        gloss[..., None] * lobes(facing, by_gloss),
+        at_rest[..., None] * lobes(seen.facing, by_gloss_at_rest),
+    )
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.physics.brightness import log_brightness, log_brightness_slopes
+from palpate.physics.brightness import log_brightness, log_brightness_slopes, matt, matt_slope, mirrored
 
 
 def plane(normal: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -60,3 +60,17 @@ def test_slopes_are_the_derivatives():
         pairs = zip(*(log_brightness(depth + step * slopes[..., index], rays) for step in (1e-7, -1e-7)), strict=True)
         for part, (ahead, behind) in zip(found, pairs, strict=True):
             np.testing.assert_allclose(part[..., index], (ahead - behind) / 2e-7, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("rough", [0.0, 0.25])
+def test_rough_tissue_darkens_less_by_oren_and_nayars_law_and_a_wet_one_more(rough):
+    angle = np.radians([0.0, 10.0, 40.0, 80.0])
+    facing = np.log(np.cos(angle))
+    np.testing.assert_allclose(matt(facing, rough), np.cos(angle) + rough * np.sin(angle) ** 2, rtol=1e-12)
+    # The lobe is that of a Gaussian where it is narrow.
+    narrow = np.radians([0.0, 2.0, 5.0])
+    np.testing.assert_allclose(
+        mirrored(np.log(np.cos(narrow)), np.log(0.05)), np.exp(-0.5 * (narrow / 0.05) ** 2), rtol=2e-3
+    )
+    ahead, behind = matt(facing + 1e-6, rough), matt(facing - 1e-6, rough)
+    np.testing.assert_allclose(matt_slope(facing, rough), np.log(ahead / behind) / 2e-6, atol=1e-8)

@@ -6,7 +6,7 @@ import pytest
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
-from palpate.estimators.direct.lit_sheet import SIDE, LitSheet, matt, mirrored
+from palpate.estimators.direct.lit_sheet import SIDE, LitSheet
 from palpate.physics.brightness import log_brightness
 from palpate.physics.mesh import grid_mesh
 
@@ -90,15 +90,3 @@ def test_derivatives_by_every_parameter(tilt):
         off = np.linalg.norm((np.stack(by_all)[..., index] - numeric)[..., known[0]])
         # Differences along the grid cross the edges of its cells here and there.
         assert off < 0.05 * np.linalg.norm(numeric[..., known[0]]), index
-
-
-@pytest.mark.parametrize("rough", [0.0, 0.25])
-def test_rough_tissue_darkens_less_by_oren_and_nayars_law_and_a_wet_one_more(rough):
-    angle = np.radians([0.0, 10.0, 40.0, 80.0])
-    facing = np.log(np.cos(angle))
-    np.testing.assert_allclose(matt(facing, rough), np.cos(angle) + rough * np.sin(angle) ** 2, rtol=1e-12)
-    # The lobe is that of a Gaussian where it is narrow.
-    narrow = np.radians([0.0, 2.0, 5.0])
-    np.testing.assert_allclose(
-        mirrored(np.log(np.cos(narrow)), np.log(0.05)), np.exp(-0.5 * (narrow / 0.05) ** 2), rtol=2e-3
-    )

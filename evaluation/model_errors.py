@@ -126,7 +126,7 @@ def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, da
     for name, pairs in errors.items():
         errors_of, variances = np.transpose(pairs)
         off, stated = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
-        measured = {"off": off, "told": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
+        measured = {"off": off, "stated": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}

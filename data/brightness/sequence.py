@@ -71,7 +71,7 @@ def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, flo
 
 
 def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
-    """Logarithm of light over that at rest, gain and slow changes taken off; None where they can't be told.
+    """Logarithm of light over that at rest, gain and slow changes taken off; None where they aren't known.
 
     Args:
         light, rest: as of `log_light`, of one shape [h, w].
@@ -143,7 +143,7 @@ class BrightnessRecorder:
         return np.where(self._inside, light[rows, columns], np.nan)
 
     def frame(self, light: np.ndarray) -> np.ndarray | None:
-        """Light around the contact in a frame, as of `BrightnessSequence`; None where its gain can't be told."""
+        """Light around the contact in a frame, as of `BrightnessSequence`; None where its gain isn't known."""
         found = slow_change(self._places, light[self._far] - self._far_rest)
         if found is None:
             return None

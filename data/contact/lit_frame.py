@@ -45,7 +45,7 @@ class LitFrame:
     stands: bool = False
     """Whether it is where it was in the frame before."""
     change: np.ndarray | None = None
-    """Logarithm of light over that at rest, averaged around every place; None where it can't be told, or where so much
+    """Logarithm of light over that at rest, averaged around every place; None where it isn't known, or where so much
     changes that a dent would not show."""
     dent: tuple[int, int] | None = None
     """Row and column of the darkest place of the lattice next to an instrument; None where no dent shows."""

@@ -142,7 +142,7 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
     optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong shows in how far residuals belong together. The scale is told by inertia, whose part in
+    # What the law gets wrong shows in how far residuals belong together. Inertia determines the scale, and its part in
     # the motion is about 1/ζ².
     stiffness, damping, _ = motion.theta(mean)
     ratio = damping_ratio(stiffness, damping, motion.mechanics.mass)

@@ -32,7 +32,7 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
         assert VALUES[name] == entry["value"]
         assert entry["source"]
         if entry["measured"] is not None:
-            assert entry["measured"]["sd"] == model_sd(entry["measured"]["off"], entry["measured"]["told"])
+            assert entry["measured"]["sd"] == model_sd(entry["measured"]["off"], entry["measured"]["stated"])
             assert entry["measured"]["command"].startswith("python -m evaluation.model_errors --part ")
             assert entry["value"] == entry["measured"]["sd"] or entry["measured"]["clips"] < ENOUGH
 
@@ -56,7 +56,7 @@ def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     entries = updated(read_entries(), grip_errors(rows, VALUES), "a command", "today")
     found = entries[f"foundation_{kind}"]
     assert found["value"] == found["measured"]["sd"] == pytest.approx(model, rel=0.1)
-    assert found["measured"]["told"] == pytest.approx(0.004, rel=0.1)
+    assert found["measured"]["stated"] == pytest.approx(0.004, rel=0.1)
     assert found["source"] == "measured"
     # Few clips are noted, and change nothing.
     few = updated(read_entries(), grip_errors(rows[: ENOUGH - 1], VALUES), "a command", "today")[f"foundation_{kind}"]
@@ -76,7 +76,7 @@ def test_videos_tell_both_ratios() -> None:
     entries = updated(read_entries(), video_errors(rows, VALUES), "a command", "today")
     for kind in ("damping", "force"):
         assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
-        assert entries[f"brightness_{kind}"]["measured"]["told"] == pytest.approx(0.1, rel=0.01)
+        assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_pulls_tell_force_over_young_and_its_course() -> None:

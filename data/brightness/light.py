@@ -15,8 +15,8 @@ EDGE = 5
 """Pixels so near to an instrument or to what is no tissue are mixtures [px of a picture 854 wide]."""
 WHITER = 0.12
 """Highlights are so much bluer than what surrounds them, as a logarithm: they have the lamp's colour, tissue is red."""
-SURROUNDINGS = 31
-"""Width of the square that a highlight is compared with [places of the lattice]."""
+SURROUNDINGS = 15
+"""Width of the square that a highlight is compared with [grid pixels]."""
 _LEVELS = np.arange(256) / 255
 SRGB = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
 """Light that every level of an sRGB picture stands for (IEC 61966-2-1), in shares of white."""
@@ -40,7 +40,7 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
     """
     size = lattice_size(grid_shape)[::-1]
     red, green, blue = (
-        cv2.resize(cv2.LUT(picture[..., i], SRGB), size, interpolation=cv2.INTER_AREA) for i in range(3)
+        cv2.resize(cv2.LUT(level, SRGB), size, interpolation=cv2.INTER_AREA) for level in cv2.split(picture)
     )
     light = 0.5 * (red + green)
     reach = 2 * max(1, round(EDGE * picture.shape[1] / 854)) + 1
@@ -49,7 +49,11 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
     unknown |= (light < DARKEST) | (red > BRIGHTEST)
     hue = np.log(blue + 0.003) - np.log(red + 0.003)
     levels = np.clip((hue + 4) * (255 / 5), 0, 255).astype(np.uint8)
-    around = cv2.medianBlur(levels, SURROUNDINGS).astype(np.float32) * (5 / 255) - 4
+    # Every second place tells what is around as well as all, in a third of the time.
+    small = cv2.medianBlur(np.ascontiguousarray(levels[::2, ::2]), SURROUNDINGS)
+    around = cv2.resize(small, size, interpolation=cv2.INTER_NEAREST).astype(np.float32) * (5 / 255) - 4
     highlight = ((hue - around > WHITER) & ~unknown).astype(np.uint8)
     unknown |= cv2.dilate(highlight, np.ones((3, 3), np.uint8)) > 0
-    return np.where(unknown, np.float32(np.nan), np.log(np.maximum(light, DARKEST)))
+    found = np.log(np.maximum(light, DARKEST))
+    found[unknown] = np.nan
+    return found

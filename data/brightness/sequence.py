@@ -76,14 +76,15 @@ def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
     Args:
         light, rest: as of `log_light`, of one shape [h, w].
     """
-    rows, columns = (part / max(rest.shape) for part in np.mgrid[: rest.shape[0], : rest.shape[1]])
-    some = np.s_[::SPARSE, ::SPARSE]
+    rows, columns = (np.arange(size, dtype=np.float32) / max(rest.shape) for size in rest.shape)
     change = light - rest
-    found = slow_change(np.column_stack([rows[some].ravel(), columns[some].ravel()]), change[some].ravel())
+    some = change[::SPARSE, ::SPARSE].ravel()
+    places = np.stack(np.meshgrid(rows[::SPARSE], columns[::SPARSE], indexing="ij"), axis=-1).reshape(-1, 2)
+    found = slow_change(places, some)
     if found is None:
         return None
-    gain = found[0]
-    return change - (gain[0] + gain[1] * rows + gain[2] * columns)
+    gain = found[0].astype(np.float32)
+    return change - (gain[0] + gain[1] * rows)[:, None] - gain[2] * columns
 
 
 class RestingLight:
@@ -91,28 +92,49 @@ class RestingLight:
 
     def __init__(self) -> None:
         self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._median: np.ndarray | None = None
+        """Of these frames, where it has been asked for."""
 
     def push(self, light: np.ndarray) -> None:
         """The next frame out of contact, as of `log_light`."""
         self._frames.append(light)
+        self._median = None
 
     def clear(self) -> None:
         """Forget what was seen."""
         self._frames.clear()
+        self._median = None
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def median(self) -> np.ndarray:
         """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
-        # numpy.nanmedian takes nine times as long.
-        ordered = np.sort(np.stack(self._frames), axis=0)  # what isn't known comes last
-        known = np.isfinite(ordered).sum(axis=0)
-        low, high = (
-            np.take_along_axis(ordered, np.clip(index, 0, len(ordered) - 1)[None], axis=0)[0]
-            for index in ((known - 1) // 2, known // 2)
-        )
-        return (low + high) / 2
+        if self._median is None:
+            self._median = _median(list(self._frames))
+        return self._median
+
+
+def _median(frames: list[np.ndarray]) -> np.ndarray:
+    """As `numpy.nanmedian` of a few large arrays along a new axis, in a tenth of the time."""
+    unknown = [np.isnan(frame) for frame in frames]
+    planes = [frame.copy() for frame in frames]
+    for plane, hidden in zip(planes, unknown, strict=True):
+        plane[hidden] = np.inf
+    spare = np.empty_like(planes[0])
+    for end in range(len(planes) - 1, 0, -1):  # sorted place by place; what isn't known comes last
+        for index in range(end):
+            one, other = planes[index], planes[index + 1]
+            np.minimum(one, other, out=spare)
+            np.maximum(one, other, out=other)
+            planes[index], spare = spare, one
+    known = len(frames) - np.sum(unknown, axis=0, dtype=np.int8)
+    found = np.full_like(spare, np.nan)
+    for count in range(1, len(frames) + 1):
+        here = known == count
+        if here.any():
+            np.copyto(found, (planes[(count - 1) // 2] + planes[count // 2]) / 2, where=here)
+    return found
 
 
 class BrightnessRecorder:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import MARGIN, REACH, BrightnessRecorder, RestingLight, change_of_light
+from palpate.data.brightness.sequence import KEPT, MARGIN, REACH, BrightnessRecorder, RestingLight, change_of_light
 
 SHAPE = (120, 160)
 SIDE = FINE * (2 * (REACH + MARGIN) + 1)
@@ -21,6 +21,19 @@ def test_rest_is_the_median_of_what_was_seen():
     np.testing.assert_allclose(rest.median(), 2.0)
     rest.clear()
     assert len(rest) == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, KEPT])
+def test_rest_is_that_of_the_frames_that_show_a_place(count):
+    generator = np.random.default_rng(count)
+    frames = generator.normal(size=(KEPT + 1, *SHAPE)).astype(np.float32)[:count]
+    frames[generator.random(frames.shape) < 0.3] = np.nan
+    rest = RestingLight()
+    for frame in frames:
+        rest.push(frame)
+    known = np.isfinite(frames).any(axis=0)
+    np.testing.assert_array_equal(rest.median()[known], np.nanmedian(frames[:, known], axis=0))
+    assert np.isnan(rest.median()[~known]).all()
 
 
 def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():

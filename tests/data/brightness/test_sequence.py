@@ -1,6 +1,7 @@
 """Brightness sequences: light at rest, gain taken off, noise as it is."""
 
 import numpy as np
+import pytest
 
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import KEPT, MARGIN, REACH, BrightnessRecorder, RestingLight, change_of_light

@@ -25,10 +25,10 @@ from palpate.physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
-FIELD, CONTACT, BRIGHTNESS = "field", "contact", "brightness"
-OBSERVATIONS = (FIELD, CONTACT, BRIGHTNESS)
-"""What of a contact is looked at: the depth of all tissue around it, the motion of the point that was touched, or the
-light of the tissue around it."""
+FIELD, CONTACT, BRIGHTNESS, BOTH = "field", "contact", "brightness", "both"
+OBSERVATIONS = (FIELD, CONTACT, BRIGHTNESS, BOTH)
+"""What of a contact is looked at: the depth of all tissue around it, the motion of the point that was touched, the
+light of the tissue around it, or its depth and its light."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 

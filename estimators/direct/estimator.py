@@ -20,17 +20,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from palpate.data.brightness.light import log_light
-from palpate.data.contact.interaction import BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.direct.brightness_fit import fit_brightness
 from palpate.estimators.direct.contact_fit import fit_contact
 from palpate.estimators.direct.field_fit import fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -82,7 +83,7 @@ class DirectEstimator:
         if thickness is not None and not 0 < thickness < math.inf:
             raise ValueError(f"thickness is {thickness}; give a positive length in scene units.")
         if thickness is not None and observation not in (None, FIELD):
-            raise ValueError("a slab is fitted to all visible tissue; leave --observation contact out.")
+            raise ValueError(f"a slab is fitted to all visible tissue; leave --observation {observation} out.")
         if bounds is None:
             bounds = RECOMMENDED if thickness is None else SLAB_BOUNDS
         self.onset, self.observation, self.horizon = onset, observation, horizon
@@ -116,7 +117,7 @@ class DirectSession(RunSession):
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
-        if self.estimator.observation == BRIGHTNESS and frame.visible and frame.light is None:
+        if self.estimator.observation in (BRIGHTNESS, BOTH) and frame.visible and frame.light is None:
             frame.light = log_light(*frame.view, frame.depth.shape)
         yield from self._ended(self._runs.push(frame))
         self._follow(frame)
@@ -158,12 +159,21 @@ class DirectSession(RunSession):
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        start = time.perf_counter()
+        start, unlit = time.perf_counter(), ""
         try:
             found, motion = self.fit(contact)
+            if self.estimator.observation == BOTH:
+                found, unlit = self._with_light(contact, found)
         finally:
             self.seconds["fit"] += time.perf_counter() - start
-        return found, motion, doubts(found, self.estimator.bounds)
+        return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
+
+    def _with_light(self, contact: Interaction, by_depth: Estimate) -> tuple[Estimate, str]:
+        """The estimate by depth and light, and a sentence where there is none by light."""
+        try:
+            return combined(by_depth, fit_brightness(contact, 1 / self.clip.fps)[1]), ""
+        except NoEstimate as reason:
+            return by_depth, f"{reason} The estimate is by its depth alone."
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, mixture
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, combined, mixture
 from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
@@ -160,3 +160,38 @@ def test_widening_adds_covariances() -> None:
     found = Estimate(THETA, CORRELATED).widened(0.3 * np.eye(3))
     np.testing.assert_allclose(found.covariance, CORRELATED + 0.3 * np.eye(3))
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), CORRELATED + 0.3 * np.eye(3))
+
+
+@pytest.fixture
+def by_depth() -> Estimate:
+    return Estimate(THETA, CORRELATED, np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
+
+
+def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -> None:
+    """Of normal distributions, as a least-squares fit of both gives it."""
+    covariance, logs = np.diag([0.2, 0.1, 0.3]), np.log(np.abs(THETA)) + np.array([0.1, -0.2, 0.15])
+    by_light = Estimate(-np.exp(logs), covariance, np.linalg.inv(covariance), by_light=True)
+    found = combined(by_depth, by_light)
+    design = np.vstack([np.linalg.cholesky(np.linalg.inv(part)).T for part in (CORRELATED, covariance)])
+    observed = design @ np.zeros(3)
+    observed[:3] = design[:3] @ np.log(np.abs(THETA))
+    observed[3:] = design[3:] @ logs
+    np.testing.assert_allclose(np.log(np.abs(found.theta)), np.linalg.lstsq(design, observed, rcond=None)[0])
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(design.T @ design), atol=1e-12)
+    np.testing.assert_allclose(found.verdict_information, np.linalg.inv(found.covariance))
+    assert (np.sign(found.theta) == np.sign(THETA)).all()
+    assert (found.noise, found.by_light, found.refuted) == (0.001, False, "")
+
+
+def test_depth_and_light_that_contradict_each_other_determine_nothing(by_depth) -> None:
+    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), 100 * np.eye(3))
+    found = combined(by_depth, by_light)
+    assert found.refuted == "The tissue's depth and its brightness contradict each other."
+    assert found.verdict == "undetermined"
+
+
+def test_what_no_model_explains_does_not_count(by_depth) -> None:
+    wrong = dataclasses.replace(by_depth, refuted="A press leaves much.")
+    assert combined(by_depth, wrong) is by_depth
+    assert combined(wrong, by_depth) is by_depth
+    assert combined(wrong, wrong) is wrong

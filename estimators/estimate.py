@@ -51,6 +51,9 @@ class Estimate:
     """k_s, k_d and signed F, shape [3] [scene units (normalised)]."""
     covariance: np.ndarray | None = None
     """Covariance of φ = (log k_s, log k_d, log |F|), shape [3, 3]; None from an estimator that gives none."""
+    model_error: np.ndarray | None = None
+    """The part of `covariance` that residuals don't tell, what the model itself gets wrong (`estimators.model_errors`),
+    shape [3, 3]; None where it isn't kept apart."""
     information: np.ndarray | None = None
     """Fisher information of φ from the observed motion, at `theta`, shape [3, 3]."""
     noise: float = math.nan

@@ -7,7 +7,8 @@ their residuals tell: the rest is the model's. Of every entry of the file that a
 root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
 clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
 takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
-thickness (minutes a clip); video presses in plain videos (`evaluation.plain_video`, half a minute a clip).
+thickness (minutes a clip); video presses in plain videos (`evaluation.plain_video`, half a minute a clip), in turns by
+either law of light.
 """
 
 from __future__ import annotations
@@ -31,12 +32,11 @@ from rich.console import Console
 from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
 from palpate.common.settings import LARGEST
-from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import Row
 from palpate.evaluation.options import options, require_within
-from palpate.evaluation.plain_video import measured_video
+from palpate.evaluation.plain_video import PlainVideo, measured_video
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
@@ -47,8 +47,10 @@ PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDE
 DIRECT = "direct"
 CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
 """Who estimates the clips of a part."""
-FRAMES = 32
-"""Of a plain video."""
+LOOKS = tuple(PlainVideo(Path(), look=look).settings for look in ("matte", "endoscope"))
+"""What plain videos are drawn from, in turns."""
+ENDS = "error", "sd", "model_sd"
+"""What a plain video's row has of a quantity."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -107,16 +109,18 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
 
 
 def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of both ratios of presses in plain videos; arguments as of `grip_errors`."""
+    """Errors of both ratios and of stiffness of presses in plain videos; arguments as of `grip_errors`.
+
+    A fit takes its model's errors to be larger where residuals belong together and tissue is damped more
+    (`estimators.direct.brightness_fit`); by that factor errors are divided.
+    """
     found: Errors = {}
-    for name, quantity in (
-        ("brightness_damping", "damping_over_stiffness"),
-        ("brightness_force", "force_over_stiffness"),
-    ):
-        for row in rows:
-            if row.get(f"{quantity}_determined"):
-                stated = max(row[f"{quantity}_sd"] ** 2 - values[name] ** 2, 0.0)
-                found.setdefault(name, []).append((row[f"{quantity}_error"], stated))
+    quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness", "scale": "stiffness"}
+    for row in rows:
+        for kind, quantity in quantities.items() if row.get("explained") else ():
+            name, error, sd, counted = f"brightness_{kind}", *(row[f"{quantity}_{end}"] for end in ENDS)
+            factor = counted / values[name]
+            found.setdefault(name, []).append((error / factor, (sd**2 - counted**2) / factor**2))
     return found
 
 
@@ -176,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for suite, index in asked.wanted:
             seed = suite_clip_seed(SPLIT, asked.seed, index)
             if suite == VIDEO:
-                rows.append(measured_video(SceneSettings(frames=FRAMES), seed))
+                rows.append(measured_video(LOOKS[index % len(LOOKS)], seed))
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)

@@ -100,12 +100,13 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> 
     assert estimate is not None
     assert contact is not None
     scale = math.log(float(contact.mesh.vertices[contact.vertex, 2]) / distance)
-    row: Row = {"verdict": estimate.verdict}
+    row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
         off = powers @ np.log(np.abs(estimate.theta / theta)) - LENGTHS.get(name, 0) * scale
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
-        row[f"{name}_sd"] = float(math.sqrt(max(powers @ estimate.covariance @ powers, 0.0)))
+        for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
+            row[f"{name}_{end}"] = float(math.sqrt(max(powers @ covariance @ powers, 0.0)))
     return row
 
 

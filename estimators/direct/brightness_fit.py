@@ -147,8 +147,8 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     stiffness, damping, _ = motion.theta(mean)
     ratio = damping_ratio(stiffness, damping, motion.mechanics.mass)
     wrong = max(problem.together / TOGETHER, 1.0) * (1 + (ratio / DAMPED) ** 2)
-    spread = covariance[:3, :3] + np.square(MODEL_ERRORS.brightness_scale * ratio**2)
-    spread += wrong * np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
+    model_error = wrong * np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
+    model_error += np.square(MODEL_ERRORS.brightness_scale * ratio**2)
     refuted = ""
     if problem.skill < LEAST_SKILL:
         refuted = (
@@ -156,7 +156,8 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
         )
     return Estimate(
         theta=motion.theta(mean),
-        covariance=spread,
+        covariance=covariance[:3, :3] + model_error,
+        model_error=model_error,
         information=about_tissue(best.information, prior),
         noise=problem.noise,
         misfit=problem.noise / max(problem.sequence.noise, 1e-9),

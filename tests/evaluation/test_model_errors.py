@@ -64,17 +64,19 @@ def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     assert few["measured"]["clips"] == ENOUGH - 1
 
 
-def test_videos_tell_both_ratios() -> None:
+def test_videos_tell_ratios_and_scale_whatever_a_fit_makes_of_each_clip() -> None:
     generator = np.random.default_rng(3)
-    rows: list[Row] = [{"verdict": "no_estimate"}]
-    for _ in range(400):
-        row: Row = {}
-        for name, kind in (("damping_over_stiffness", "damping"), ("force_over_stiffness", "force")):
-            row |= {f"{name}_error": generator.normal(0, math.hypot(0.25, 0.1)), f"{name}_determined": 1}
-            row[f"{name}_sd"] = math.hypot(VALUES[f"brightness_{kind}"], 0.1)
+    quantities = {"damping_over_stiffness": "damping", "force_over_stiffness": "force", "stiffness": "scale"}
+    rows: list[Row] = [{"verdict": "no_estimate"}, {"verdict": "undetermined", "explained": 0}]
+    for factor in generator.uniform(1, 4, 400):
+        row: Row = {"explained": 1}
+        for name, kind in quantities.items():
+            counted = factor * VALUES[f"brightness_{kind}"]
+            row |= {f"{name}_error": factor * generator.normal(0, math.hypot(0.25, 0.1))}
+            row |= {f"{name}_model_sd": counted, f"{name}_sd": math.hypot(counted, factor * 0.1)}
         rows.append(row)
     entries = updated(read_entries(), video_errors(rows, VALUES), "a command", "today")
-    for kind in ("damping", "force"):
+    for kind in quantities.values():
         assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
         assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
 

@@ -27,7 +27,7 @@ from palpate.common.files import all_below, as_json, digest_of, file_sha256
 from palpate.common.output import LIST, list_folder, require_own_folder
 from palpate.common.provenance import code_digest
 from palpate.data.depth.preset import resolve_model
-from palpate.data.masks.sources import mask_model
+from palpate.data.masks.sources import mask_source_file
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import clip_camera
@@ -92,7 +92,7 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
         kind = "photometric" if settings.depth.source == "auto" else settings.depth.source
         model, preset = resolve_model(kind, settings.depth.model, settings.depth.preset)
         models.append((model, preset.identity))
-    segmentation = mask_model(settings.masks)
+    segmentation = mask_source_file(settings.masks)
     if segmentation is not None:
         settings_file = segmentation.with_suffix(".yaml")
         models.append((segmentation, file_sha256(settings_file) if isfile(settings_file) else ""))

@@ -24,7 +24,7 @@ class PrepareSettings:
     """Grid, mesh and contact."""
     masks: str = "auto"
     """Source of masks: annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX
-    segmentation model."""
+    segmentation model or of outlines (`data.masks.sources`)."""
     classes: MaskClasses = field(default_factory=MaskClasses)
     """Which annotated classes are tool and tissue."""
     layout: ClipLayout = field(default_factory=ClipLayout)

@@ -12,8 +12,7 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import DepthModel
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.depth.preset import resolve_model
-from palpate.data.masks.onnx import OnnxMasks
-from palpate.data.masks.sources import MaskClasses, mask_model
+from palpate.data.masks.sources import MaskClasses, mask_source_file, open_mask_file
 from palpate.data.settings import NUMBERS, PrepareSettings
 from palpate.data.source.layout import InputError, from_mapping
 from palpate.estimators.contract import Chosen
@@ -97,9 +96,9 @@ def check_sources(settings: PrepareSettings) -> None:
         InputError: a model can't be used.
     """
     depth = settings.depth
-    segmentation = mask_model(settings.masks)
-    if segmentation is not None:
-        OnnxMasks(segmentation)
+    file = mask_source_file(settings.masks)
+    if file is not None:
+        open_mask_file(file)
     if depth.source not in ("auto", "stored"):
         DepthModel(*resolve_model(depth.source, depth.model, depth.preset), threads=depth.threads, device=depth.device)
 

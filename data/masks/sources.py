@@ -21,7 +21,9 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches
 
 KINDS = ("annotation", "automatic", "auto")
-"""Kinds of masks that need no model; auto is annotation where the clip has masks, else automatic."""
+"""Kinds of masks that need no file; auto is annotation where the clip has masks, else automatic."""
+FILES = (".onnx", ".yaml", ".yml", ".json")
+"""Endings of files that give masks: segmentation models, and outlines."""
 
 
 class MaskError(InputError):
@@ -75,20 +77,18 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
     """Open the mask source of one clip.
 
     Args:
-        kind: one of KINDS, or the path of an ONNX segmentation model (see data.masks.onnx for its settings).
+        kind: one of KINDS, or the path of an ONNX segmentation model (see data.masks.onnx for its settings) or of
+            outlines (see data.masks.outlined).
         layout: how the clip's files are named.
         classes: which annotated classes are tool and tissue.
         clip: the clip's folder or video file.
 
     Raises:
-        InputError: an unknown kind, a model that can't be used, or a clip without annotation masks.
+        InputError: an unknown kind, a file that can't be used, or a clip without annotation masks.
     """
-    # The imports stand here because only the dependencies of the chosen source are needed.
-    model = mask_model(kind)
-    if model is not None:
-        from palpate.data.masks.onnx import OnnxMasks
-
-        return OnnxMasks(model)
+    file = mask_source_file(kind)
+    if file is not None:
+        return open_mask_file(file)
     if chosen_kind(kind, clip, layout) == "annotation":
         return AnnotationMasks(layout, classes, clip)
     from palpate.data.masks.automatic import AutomaticMasks
@@ -96,18 +96,36 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
     return AutomaticMasks()
 
 
-def mask_model(kind: str) -> Path | None:
-    """The segmentation model that a kind of masks names; None for a kind that needs none.
+def open_mask_file(file: Path) -> MaskSource:
+    """Open an ONNX segmentation model, or outlines.
 
     Raises:
-        InputError: an unknown kind, or a model that does not exist.
+        InputError: it can't be used.
+    """
+    # The imports stand here because only the dependencies of the chosen source are needed.
+    if file.suffix.lower() == ".onnx":
+        from palpate.data.masks.onnx import OnnxMasks
+
+        return OnnxMasks(file)
+    from palpate.data.masks.outlined import OutlinedMasks
+
+    return OutlinedMasks(file)
+
+
+def mask_source_file(kind: str) -> Path | None:
+    """The file that a kind of masks names; None for a kind that needs none.
+
+    Raises:
+        InputError: an unknown kind, or a file that does not exist.
     """
     if kind in KINDS:
         return None
-    if not kind.lower().endswith(".onnx"):
-        raise InputError(f"masks '{kind}' is unknown; choose {', '.join(KINDS)} or the path of an .onnx model.")
+    if not kind.lower().endswith(FILES):
+        raise InputError(
+            f"masks '{kind}' is unknown; choose {', '.join(KINDS)}, or a file: an .onnx model or outlines in .yaml."
+        )
     if not isfile(Path(kind)):
-        raise InputError(f"{kind} does not exist; check the path of the mask model.")
+        raise InputError(f"{kind} does not exist; check the path of the masks' file.")
     return Path(kind)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.data.masks.onnx import OnnxMasks
-from palpate.data.masks.sources import MaskClasses, mask_model, open_masks
+from palpate.data.masks.sources import MaskClasses, mask_source_file, open_masks
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 from tests.networks import write_network
@@ -143,7 +143,7 @@ def test_wrong_outputs_get_a_sentence(tmp_path, model, settings, message):
 
 def test_files_that_are_no_models(tmp_path):
     with pytest.raises(InputError, match=r"absent\.onnx does not exist; check the path"):
-        mask_model(str(tmp_path / "absent.onnx"))
+        mask_source_file(str(tmp_path / "absent.onnx"))
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(
         InputError, match=r"can't be opened as an ONNX model \(Protobuf parsing failed\); export or download it again\."

@@ -25,7 +25,8 @@ from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
 from palpate.data.depth.sources import DepthSource
-from palpate.data.masks.sources import MaskError, MaskSource, chosen_kind, open_masks
+from palpate.data.labels import MaskError
+from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, Undistortion, clip_camera

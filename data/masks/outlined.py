@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 
 from palpate.common.files import file_sha256
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import TISSUE, TOOL, MaskError
 from palpate.data.masks.automatic import lit_picture, picture_field
-from palpate.data.masks.sources import MaskError
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import InputError, read_mapping

@@ -14,7 +14,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from palpate.data.labels import OTHER, TISSUE, TOOL
+from palpate.data.labels import OTHER, TISSUE, TOOL, MaskError
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
@@ -24,10 +24,6 @@ KINDS = ("annotation", "automatic", "auto")
 """Kinds of masks that need no file; auto is annotation where the clip has masks, else automatic."""
 FILES = (".onnx", ".yaml", ".yml", ".json")
 """Endings of files that give masks: segmentation models, and outlines."""
-
-
-class MaskError(InputError):
-    """The mask of one frame is missing or unusable; the clip's other frames go on."""
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,9 @@ from palpate.common.command_line import path_option, say
 from palpate.common.doors import plain
 from palpate.data.cache import PreparedClip, require_models
 from palpate.data.depth.normalise import DepthSettings
+from palpate.data.labels import MaskError
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.masks.sources import MaskClasses, MaskError, color_distance, mask_file, read_mask
+from palpate.data.masks.sources import MaskClasses, color_distance, mask_file, read_mask
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame, discover, open_source
 from palpate.data.source.layout import ClipLayout, InputError, frame_files, load_layout, read_clip_file

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.data.clip import ClipStream
-from palpate.data.labels import TOOL
-from palpate.data.masks.sources import MaskClasses, MaskError, open_masks
+from palpate.data.labels import TOOL, MaskError
+from palpate.data.masks.sources import MaskClasses, open_masks
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.following import MARGIN, PointFollower, shrunk

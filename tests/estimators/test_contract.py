@@ -14,8 +14,8 @@ from hypothesis import strategies as some
 from palpate.data.clip import ClipInputs, ClipStream
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
+from palpate.data.labels import MaskError
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.masks.sources import MaskError
 from palpate.data.prepared import STATUSES, PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from palpate.data.labels import MaskError
 from palpate.data.masks.outlined import OutlinedMasks
-from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskError, open_masks
+from palpate.data.masks.sources import AnnotationMasks, MaskClasses, open_masks
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 

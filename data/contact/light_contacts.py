@@ -39,9 +39,9 @@ WIDTH = 1.0
 """Standard deviation of the weights with which changes are averaged [grid pixels]."""
 LEAST_KNOWN = 0.3
 """Share of those weights that must lie on tissue."""
-STILL, SHADOW, SHADOWS = 1.5, 1.5, 8
-"""An instrument stands that moves less from frame to frame [grid pixels]. What has darkened next to it while it moved
-is its shadow: a dent is darker, by this factor, than in the last so many frames in which it moved."""
+SHADOW, SHADOWS = 1.5, 8
+"""What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
+last so many frames in which one moved."""
 FAR = 12.0
 """Farther from an instrument the change's noise is measured [grid pixels]."""
 DARKER, CLEAR = 0.04, 6.0
@@ -98,8 +98,8 @@ class LightContacts:
         """Whether the press still goes on, and how dark the tissue has been since it began."""
         self._pressed_s = -math.inf
         """Time of the last frame under a press [s]."""
-        self._tip = np.full(2, np.nan)
-        """Where the instrument was in the frame before."""
+        self._tips: list[np.ndarray] = []
+        """Where instruments were in the frame before."""
         self._shadows: deque[float] = deque(maxlen=SHADOWS)
         """How dark the tissue was next to an instrument when it moved last."""
 
@@ -117,9 +117,8 @@ class LightContacts:
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
         self._view = view
         decided = gap + (self._forget() if another else [])
-        lit = lit_frame(prepared, prepared.light, view, picture, labels)
-        lit.stands = bool(np.linalg.norm(lit.tip - self._tip) < STILL)
-        self._tip = lit.tip
+        lit = lit_frame(prepared, prepared.light, view, picture, labels, self._tips)
+        self._tips = lit.tips
         if len(self._rest):
             return decided + self._decided(lit)
         self._first.append(lit)
@@ -130,7 +129,7 @@ class LightContacts:
         decided = self.finish()
         self._rest.clear()
         self._shadows.clear()
-        self._place, self._free, self._tip = None, False, np.full(2, np.nan)
+        self._place, self._free, self._tips = None, False, []
         return decided
 
     def _begin(self) -> list[PreparedFrame]:
@@ -232,12 +231,12 @@ class LightContacts:
             return
         lit.change = mean
         least = max(DARKER, CLEAR * noise, SHADOW * max(self._shadows, default=0.0))
-        place, lit.darkness, dark = darkest(mean, lit.near <= REACH)
-        if not lit.stands:
-            if self._place is None and np.isfinite(lit.tip).all():
-                self._shadows.append(lit.darkness)
-        elif dark and lit.darkness > least:
+        lit.darkness = darkest(mean, lit.near <= REACH)[1]
+        place, darkness, dark = darkest(mean, lit.standing <= REACH)
+        if dark and darkness > least:
             lit.dent = place
+        elif lit.moves and self._place is None:
+            self._shadows.append(lit.darkness)
         was = [one.near <= ARRIVED for one in self._waiting]
         if was:
             place, darkness, dark = darkest(mean, np.any(was, axis=0) & (lit.away > REACH))

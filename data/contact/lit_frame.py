@@ -20,6 +20,8 @@ TIP, LEAST_TIP = 6.0, 6
 """How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
 REACH = 6.0
 """A press darkens tissue this near to it [grid pixels]."""
+STILL = 1.5
+"""An instrument stands that moves less from frame to frame [grid pixels]."""
 ARRIVED = 4.0
 """An instrument is at a place that is so near to its free end [grid pixels]."""
 BRIGHTER = 0.5
@@ -40,10 +42,12 @@ class LitFrame:
     """Distance of every place of the lattice from instruments [grid pixels]."""
     near: np.ndarray
     """The same from their free ends."""
-    tip: np.ndarray
-    """Middle of the free end, row and column [grid pixels]; not a number where there is none."""
-    stands: bool = False
-    """Whether it is where it was in the frame before."""
+    standing: np.ndarray
+    """The same from the free ends of instruments that are where one was in the frame before."""
+    tips: list[np.ndarray]
+    """Middle of every instrument's free end, row and column [grid pixels]."""
+    moves: bool
+    """Whether one of them has moved since."""
     change: np.ndarray | None = None
     """Logarithm of light over that at rest, averaged around every place; None where it isn't known, or where so much
     changes that a dent would not show."""
@@ -56,18 +60,32 @@ class LitFrame:
 
 
 def lit_frame(
-    prepared: PreparedFrame, light: np.ndarray, view: View, picture: np.ndarray, labels: np.ndarray
+    prepared: PreparedFrame,
+    light: np.ndarray,
+    view: View,
+    picture: np.ndarray,
+    labels: np.ndarray,
+    before: Sequence[np.ndarray],
 ) -> LitFrame:
-    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference."""
+    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference.
+
+    Args:
+        before: the tips in the frame before.
+    """
     size = prepared.labels.shape[::-1]
     tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-    ends = np.zeros(tool.shape, bool)
     field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
-    tips = tool_tips(tool, field, TIP, LEAST_TIP)
-    for tip in tips:
+    ends, standing = np.zeros(tool.shape, bool), np.zeros(tool.shape, bool)
+    tips, moves = [], False
+    for tip in tool_tips(tool, field, TIP, LEAST_TIP):
+        middle = tip.mean(axis=0)[::-1]
+        stands = any(np.linalg.norm(middle - other) < STILL for other in before)
         ends[tip[:, 1], tip[:, 0]] = True
-    middle = max(tips, key=len).mean(axis=0)[::-1] if tips else np.full(2, np.nan)
-    return LitFrame(prepared, light, view, distance_from(tool, light.shape), distance_from(ends, light.shape), middle)
+        standing[tip[:, 1], tip[:, 0]] = stands
+        tips.append(middle)
+        moves |= not stands
+    away, near, still = (distance_from(mask, light.shape) for mask in (tool, ends, standing))
+    return LitFrame(prepared, light, view, away, near, still, tips, moves)
 
 
 def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

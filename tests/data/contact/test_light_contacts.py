@@ -19,8 +19,13 @@ DENT = (34, 40)
 """Row and column [grid pixels]; the instrument ends right above it."""
 
 
-def prepared(index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0) -> PreparedFrame:
-    """A frame of textured tissue, an instrument that comes from above, and a dent below its tip."""
+def prepared(
+    index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0, wide: int | None = None
+) -> PreparedFrame:
+    """A frame of textured tissue, an instrument that comes from above, and a dent below its tip.
+
+    A wide one may come from below at a column [grid pixels].
+    """
     texture = np.exp(0.2 * np.random.default_rng(7).normal(size=GRID)).repeat(4, axis=0).repeat(4, axis=1)
     rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5
     dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1])) / 2.5**2)
@@ -28,6 +33,8 @@ def prepared(index: int, darkness: float = 0.0, tool: bool = True, gain: float =
     labels = np.full((240, 320), TISSUE, np.uint8)
     if tool:
         labels[: 4 * 32, 150:174] = TOOL
+    if wide is not None:
+        labels[4 * 48 :, 4 * wide : 4 * wide + 60] = TOOL
     noise = np.random.default_rng(index).normal(0, 0.004, (240, 320, 1))
     picture = np.searchsorted(SRGB, np.clip(light[..., None] * [0.7, 0.3, 0.2] + noise, 0, 0.97)).astype(np.uint8)
     picture[labels == TOOL] = 140
@@ -107,18 +114,27 @@ def test_a_press_under_the_instrument_is_told_by_what_it_leaves_behind():
     assert [frame.status for frame in frames[14:]] == ["no_tool"] * 6
 
 
-def test_a_shadow_that_comes_with_the_instrument_is_no_press():
+@pytest.mark.parametrize("wide", [None, 10], ids=["alone", "while a wider instrument stands"])
+def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
     """It is as dark while the instrument moves as when it stands."""
     frames = []
     for index in range(16):
-        frame = prepared(index, 0.0 if index < 6 else 0.3, tool=index >= 6)
+        frame = prepared(index, 0.0 if index < 6 else 0.3, tool=index >= 6, wide=wide)
         if 6 <= index < 10:  # the instrument comes from the right
-            shift = 4 * 4 * (10 - index)
-            frame.frame.picture[:] = np.roll(frame.frame.picture, shift, axis=1)
-            frame.picture_labels[:] = np.roll(frame.picture_labels, shift, axis=1)
+            shift, upper = 4 * 4 * (10 - index), np.s_[: 4 * 45]
+            frame.frame.picture[upper] = np.roll(frame.frame.picture[upper], shift, axis=1)
+            frame.picture_labels[upper] = np.roll(frame.picture_labels[upper], shift, axis=1)
             frame.labels = frame.picture_labels[2::4, 2::4]
         frames.append(frame)
     assert not any(frame.press for frame in decided(frames))
+
+
+def test_a_press_is_found_while_a_wider_instrument_moves():
+    darkness = [0.0] * 8 + [0.1, 0.3, 0.4, 0.4, 0.4] + [0.02, 0.0, 0.0]
+    frames = [prepared(each, dark, tool=4 <= each < 13, wide=8 + 3 * each) for each, dark in enumerate(darkness)]
+    pressed = [frame for frame in decided(frames) if frame.press is not None]
+    assert [frame.frame.index for frame in pressed][-4:] == [9, 10, 11, 12]
+    assert all(abs(frame.press[0] - DENT[1]) <= 1 for frame in pressed)
 
 
 def test_tissue_that_is_pulled_along_brightens_as_well_and_is_no_press():

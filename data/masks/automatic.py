@@ -1,7 +1,8 @@
 """Tool and tissue masks of raw video without a learned model: instruments by shape, other lit pixels as tissue.
 
 An instrument is a band of straight parallel edges that enters from the picture's border, is paler than tissue of the
-same brightness, and, while it moves, moves against the tissue. The mode abstains (no tool pixel) when unsure.
+same brightness, and, while it moves, moves against the tissue. One that was found twice and isn't found in a frame is
+followed there as a rigid body, for half a second at most. The mode abstains (no tool pixel) when unsure.
 docs/reports/masks.md reports its accuracy on real clips.
 """
 
@@ -14,9 +15,10 @@ import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
+from palpate.data.masks.rigid import RigidInstrument, filled
 from palpate.data.source.frames import Frame
 
-VERSION = 1
+VERSION = 2
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
 SATURATED = 245
 """Pixels whose brightest channel is at least this have no usable colour [8-bit value]."""
@@ -55,6 +57,10 @@ MIN_MOTION = 3.0
 """Least median motion of that band against the tissue [px a frame]."""
 MAX_INSTRUMENTS = 3
 """Largest number of instruments in one picture."""
+MOST_MISSED = 12
+"""So many frames in a row an instrument is followed without being found."""
+SAME = 0.3
+"""What is found is a known instrument if they share so much of the smaller one."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,22 @@ class Look:
         return pale >= COLORLESS_PALLOR and red <= MAX_REDNESS
 
 
+@dataclass
+class _Known:
+    """An instrument that was found."""
+
+    body: RigidInstrument
+    times: int
+    """How often it was found."""
+    missed: int = 0
+    """Frames since then."""
+
+    def is_at(self, mask: np.ndarray) -> bool:
+        """Whether it is what a mask shows, bool [h, w]."""
+        own = filled(np.zeros(mask.shape, np.uint8), self.body.outline, 1) > 0
+        return bool((own & mask).sum() > SAME * min(own.sum(), mask.sum()))
+
+
 class AutomaticMasks:
     """Mask source (see masks.MaskSource) for raw video; frames must come in order."""
 
@@ -81,11 +103,12 @@ class AutomaticMasks:
 
     def __init__(self) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
-        self._last_gray: np.ndarray | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Forget the frames of the clip so far."""
-        self._last_gray = None
+        self._last_gray: np.ndarray | None = None
+        self._known: list[_Known] = []
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
@@ -111,17 +134,36 @@ class AutomaticMasks:
         motion = self._motion_against_tissue(gray, field)
         self._last_gray = gray
         slopes = cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1)
-        tool, near = np.zeros(lit.shape, bool), np.zeros(lit.shape, bool)
-        instruments = 0
+        found: list[np.ndarray] = []
+        near = np.zeros(lit.shape, bool)
         for band in find_bands(gray, field):
-            if instruments == MAX_INSTRUMENTS:
+            if len(found) == MAX_INSTRUMENTS:
                 break
             # The strongest band stands for its instrument: bands next to it are its shadow or the tissue it holds.
             if band_values(band, near).mean() < 0.1 and self._is_instrument(band, look, slopes, motion):
-                tool |= outline_tool(band, look, field)
-                near = cv2.dilate(tool.astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
-                instruments += 1
-        return tool
+                found.append(outline_tool(band, look, field))
+                near |= cv2.dilate(found[-1].astype(np.uint8), np.ones((41, 41), np.uint8)).astype(bool)
+        self._update(found, gray)
+        tool = np.any([np.zeros(lit.shape, bool), *found], axis=0).astype(np.uint8)
+        for known in self._known:
+            if known.missed and known.times > 1:
+                filled(tool, known.body.outline, 1)
+        return (tool > 0) & field
+
+    def _update(self, found: list[np.ndarray], gray: np.ndarray) -> None:
+        """Take what is found in a picture [h, w], masks [h, w], and follow what isn't."""
+        now = []
+        for mask in found:
+            times = 1 + max((known.times for known in self._known if known.is_at(mask)), default=0)
+            parts, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+            if parts:
+                outline = max(parts, key=cv2.contourArea)[:, 0].astype(np.float64)
+                now.append(_Known(RigidInstrument(outline, gray), times))
+        for known in self._known:
+            known.missed += 1
+            if known.missed <= MOST_MISSED and not any(known.is_at(mask) for mask in found) and known.body.follow(gray):
+                now.append(known)
+        self._known = now
 
     def _is_instrument(self, band: Band, look: Look, slopes: tuple[np.ndarray, np.ndarray], motion: np.ndarray) -> bool:
         """Whether a band's colour, edges or motion are an instrument's."""

@@ -17,25 +17,17 @@ import numpy as np
 from palpate.common.files import file_sha256
 from palpate.data.labels import TISSUE, TOOL, MaskError
 from palpate.data.masks.automatic import lit_picture, picture_field
+from palpate.data.masks.rigid import RigidInstrument, filled
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import InputError, read_mapping
-from palpate.data.tracks.linking import followed
 
 VERSION = 1
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
 WORKING_SIZE = 640
 """Longer side of the pictures in which instruments are followed [px]."""
-MOST_POINTS, SPACING, TEXTURE = 200, 4, 0.005
-"""Followed points of an instrument, their least distance [px] and their least contrast, as a share of the best."""
-FEWEST, LEAST_SHARE = 6, 0.4
-"""Fewer points, or a smaller share of those that were found again, that agree on a motion tell none."""
-AGREE = 1.5
-"""Points agree with a motion that takes them so near to where they are [px]."""
 ENTERS = 0.012
 """Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side."""
-LEAVING = 0.25
-"""An instrument that isn't found has left the picture if less than this share of what showed of it at most did last."""
 BEYOND = 2.0
 """How far beyond the edge a shaft goes on, in longer sides of the picture."""
 
@@ -58,7 +50,7 @@ class OutlinedMasks:
 
     def reset(self) -> None:
         """Forget the frames of the clip so far."""
-        self._instruments: list[_Instrument] = []
+        self._instruments: list[RigidInstrument] = []
         self._drawn = -1
         """Number of the frame whose outlines are followed."""
 
@@ -80,7 +72,7 @@ class OutlinedMasks:
         if drawn != self._drawn:
             edge = _edge_distance(lit) / max(picture.shape[:2])
             outlines = [_beyond_edge(outline, edge) for outline in self._outlines[drawn]]
-            self._instruments = [_Instrument(share * outline, gray) for outline in outlines]
+            self._instruments = [RigidInstrument(share * outline, gray) for outline in outlines]
             self._drawn = drawn
         else:
             found = [instrument.follow(gray) for instrument in self._instruments]
@@ -92,72 +84,6 @@ class OutlinedMasks:
         for instrument in self._instruments:
             filled(labels, instrument.outline / share, TOOL)
         return labels
-
-
-class _Instrument:
-    """One instrument in working pictures, from the one in which it is outlined.
-
-    Args:
-        outline: corners (column, row), shape [K, 2] [px], also beyond the picture's edge.
-        gray: the picture, uint8 [h, w].
-    """
-
-    def __init__(self, outline: np.ndarray, gray: np.ndarray) -> None:
-        self.outline, self._last = outline, gray
-        """Where it is now, none once it has left the picture; and the picture in which it was seen there."""
-        self._begin()
-        self._largest = self._visible().sum()
-        """How much of it has shown at most [px²]."""
-
-    def _begin(self) -> None:
-        """Follow it from the last picture on."""
-        self._reference, self._drawn, self._motion = self._last, self.outline, np.eye(2, 3)
-        near = cv2.dilate(self._visible(), np.ones((5, 5), np.uint8))  # its edges are often all that shows
-        found = cv2.goodFeaturesToTrack(self._last, MOST_POINTS, TEXTURE, SPACING, mask=near)
-        self._points = np.empty((0, 2), np.float32) if found is None else found[:, 0]
-
-    def _visible(self) -> np.ndarray:
-        return filled(np.zeros(self._last.shape, np.uint8), self.outline, 1)
-
-    def follow(self, gray: np.ndarray) -> bool:
-        """Whether it is found in the next picture, or has left it."""
-        if not len(self.outline):
-            return True
-        motion = self._moved(gray)
-        if motion is None and self._reference is not self._last:
-            # It has turned, or come nearer, too far for the first picture's pattern.
-            self._begin()
-            motion = self._moved(gray)
-        if motion is not None:
-            self._motion, self._last = motion, gray
-            self.outline = cv2.transform(self._drawn[:, None], motion)[:, 0]
-            self._largest = max(self._largest, self._visible().sum())
-        elif self._visible().sum() < LEAVING * self._largest:
-            self.outline = self.outline[:0]
-        return motion is not None or not len(self.outline)
-
-    def _moved(self, gray: np.ndarray) -> np.ndarray | None:
-        """Its motion since the reference, shape [2, 3]; None where too few points agree."""
-        if len(self._points) < FEWEST:
-            return None
-        expected = cv2.transform(self._points[:, None], self._motion)[:, 0]
-        step, known = followed(self._reference, gray, self._points, near=expected)
-        if known.sum() < FEWEST:
-            return None
-        there = (self._points + step).astype(np.float32)
-        found, agree = cv2.estimateAffinePartial2D(
-            self._points[known], there[known], method=cv2.RANSAC, ransacReprojThreshold=AGREE
-        )
-        if found is None or agree.sum() < max(FEWEST, LEAST_SHARE * known.sum()):
-            return None
-        return found
-
-
-def filled(labels: np.ndarray, outline: np.ndarray, label: int) -> np.ndarray:
-    """A label map [H, W], in which a polygon [K, 2] (column, row) [px] has got a label."""
-    if len(outline):
-        cv2.fillPoly(labels, [np.rint(outline).astype(np.int32)], label)
-    return labels
 
 
 def read_outlines(path: Path) -> Mapping[int, list[np.ndarray]]:

@@ -1,10 +1,13 @@
 """The automatic mode finds instruments by shape and abstains on tissue."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from palpate.data.masks.automatic import (
+    MOST_MISSED,
     AutomaticMasks,
     band_values,
     brightest_channel,
@@ -16,8 +19,9 @@ from palpate.data.masks.automatic import (
 from palpate.data.masks.instrument_bands import Band, find_bands, straight_edges
 from palpate.data.masks.sources import AnnotationMasks, MaskClasses
 from palpate.data.source.frames import Frame, open_source
-from palpate.data.source.layout import ClipLayout
+from palpate.data.source.layout import ClipLayout, load_layout
 
+CHECKOUT = Path(__file__).resolve().parents[3]
 HEIGHT, WIDTH = 360, 640
 
 
@@ -190,7 +194,46 @@ def test_real_clip_keeps_what_docs_masks_reports(real_data):
     assert min(scores[number] for number in range(155, 160)) > 0.4
 
 
+@pytest.mark.slow
+def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
+    layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
+    source, automatic = open_source(real_data / "recover_tissue", layout), AutomaticMasks()
+    annotation = AnnotationMasks(layout, MaskClasses(), source.path)
+    for frame in source:
+        found = automatic(frame) == 2
+        assert found.any()
+        assert (annotation(frame) == 2)[found].mean() > 0.98
+
+
 def test_a_covered_lens_shows_neither_tool_nor_tissue():
     masks, black = AutomaticMasks(), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     for index in range(3):
         assert not masks(Frame(index, index, index / 25, black)).any()
+
+
+def moving(step: int) -> tuple[np.ndarray, np.ndarray]:
+    """A shaft that goes to the left, and its mask."""
+    image = tissue()
+    mask = draw_shaft(image, (330 - 5 * step, 180 + step), 0.4, 30)
+    return image, mask
+
+
+def test_an_instrument_that_was_found_twice_is_followed_where_it_is_not_found(monkeypatch):
+    masks = AutomaticMasks()
+    missed = []
+    for step in range(2 + MOST_MISSED + 1):
+        image, mask = moving(step)
+        if step == 2:
+            monkeypatch.setattr(AutomaticMasks, "_is_instrument", lambda *_: False)
+        labels = masks(as_frame(image, step))
+        missed.append(not (labels == 2).any())
+        if not missed[-1]:
+            assert overlap(labels == 2, mask) > 0.8  # more of it comes in from the edge
+    assert missed == [False] * (2 + MOST_MISSED) + [True]
+
+
+def test_what_was_found_once_is_not_followed(monkeypatch):
+    masks = AutomaticMasks()
+    assert (masks(as_frame(moving(0)[0])) == 2).any()
+    monkeypatch.setattr(AutomaticMasks, "_is_instrument", lambda *_: False)
+    assert not (masks(as_frame(moving(1)[0], 1)) == 2).any()

@@ -30,8 +30,8 @@ THINNED = 8
 """Frames with which starts are chosen."""
 FEW, MORE = 5, 8
 """Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
-ROUNDS = 2, 4
-"""Rounds of each."""
+ROUNDS = 2, (1, 2)
+"""Rounds of a start, and of the best one on each of two meshes: of the plane that was found last."""
 CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
@@ -73,10 +73,9 @@ def fit_brightness(
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
     led = [_led(problem, start, tissue, FEW, ROUNDS[0]) for start in _starts(problem, tissue)]
     logs = min(led, key=lambda found: found[0])[1]
-    for _ in range(2):
-        # The mesh of the plane that the first round found.
+    for rounds in ROUNDS[1]:
         problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
-        logs = _led(problem, logs, tissue, MORE, ROUNDS[1] // 2)[1]
+        logs = _led(problem, logs, tissue, MORE, rounds)[1]
     return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
 
 

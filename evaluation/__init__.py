@@ -1,6 +1,6 @@
 """How good the estimates are.
 
-harness      what all share: resuming, tables, pictures and page; an experiment gives rows for a case; options: of it
+harness      what all share: resuming, tables, pictures and page; an experiment gives rows for a case
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
 model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own

@@ -32,13 +32,13 @@ from typing import Any, ClassVar, Literal
 
 from rich.progress import Progress
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import OK, Experiment, Report, Row, run
-from palpate.evaluation.options import require_within
 from palpate.evaluation.page import as_png
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe

@@ -26,12 +26,12 @@ from rich.text import Text
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import all_below, as_json, read_file, replacing
+from palpate.common.options import options
 from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.source.layout import InputError
-from palpate.evaluation.options import options
 from palpate.evaluation.page import render_page
 from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, make_output, writing

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
@@ -28,7 +29,6 @@ from palpate.estimators.records import FrameEstimate
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.harness import Experiment, Report, Row
-from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.estimators import opened
 from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed

@@ -24,13 +24,13 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.network.training import LEAST_STEPS, TrainingError
 from palpate.evaluation.ablation.generated import TrainedGenerator
 from palpate.evaluation.ablation.next_depth import absolute_errors, copies
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.harness import Experiment, Report, Row
-from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.suites import suite_clip_seed
 from palpate.models.checkpoint import CheckpointError

@@ -26,11 +26,11 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 import pandas as pd
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.evaluation.harness import Experiment, Report, Row, run
 from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, Key, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
-from palpate.evaluation.options import require_within
 
 Optimizer = Literal["adam", "gauss-newton"]
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]

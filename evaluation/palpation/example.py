@@ -23,9 +23,9 @@ import yaml
 from rich.console import Console
 
 from palpate.common.command_line import say
+from palpate.common.options import options
 from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
-from palpate.evaluation.options import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.results.store import OutputError, make_output, writing
 

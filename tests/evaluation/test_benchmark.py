@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from palpate.common.doors import INTERRUPTED
+from palpate.common.options import options
 from palpate.evaluation.benchmark import Benchmark, main
-from palpate.evaluation.options import options
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES

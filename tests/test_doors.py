@@ -35,7 +35,6 @@ DOORS = {
     "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
     "palpate.benchmarks.inference": ["-m", "benchmarks.inference"],
     "palpate.benchmarks.rollout": ["-m", "benchmarks.rollout"],
-    "palpate.benchmarks.training_step": ["-m", "benchmarks.training_step"],
 }
 INTERRUPTING = """
 import os, signal, time

@@ -29,7 +29,7 @@ import pandas as pd
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.evaluation.harness import Experiment, Report, Row, run
-from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Case, Key, run_case, summary, table
+from palpate.evaluation.online.compare import HORIZON, METHODS, STARTS, Case, Key, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
 Optimizer = Literal["adam", "gauss-newton"]
@@ -59,8 +59,8 @@ class Online(Experiment):
     """which"""
     starts: tuple[Start, ...] = get_args(Start)
     """stiffness to begin with"""
-    methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
-    """which; PBD-DiffCloud on sheets alone"""
+    methods: tuple[Literal["PBD", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
+    """which"""
     match: Literal["chamfer", "tracks", "both"] = "tracks"
     """what is observed of a frame (the paper: chamfer)"""
     optimizer: Optimizer = "gauss-newton"
@@ -88,8 +88,6 @@ class Online(Experiment):
                 f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer "
                 "or more --frames."
             )
-        if not self.wanted:
-            raise ValueError(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
 
     @property
     def frames_of(self) -> dict[str, int]:
@@ -99,8 +97,7 @@ class Online(Experiment):
     @property
     def wanted(self) -> list[Key]:
         """Sequences, starts and methods."""
-        every = itertools.product(self.sequences, self.starts, self.methods)
-        return [key for key in every if key[2] != BATCH or not SEQUENCES[key[0]].block]
+        return list(itertools.product(self.sequences, self.starts, self.methods))
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""

@@ -66,22 +66,6 @@ COLUMNS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class TermsCase:
-    """One training."""
-
-    row: str
-    turn: int
-    """Its seed."""
-    clips: Path
-    steps: int
-    output: Path
-    seed: int
-    """Of the judged clips."""
-    held_out: int
-    """How many of each suite these are."""
-
-
 def folder_of(output: Path, row: str, seed: int) -> Path:
     """Run folder of a row's training."""
     return output / f"{row}-{seed}"
@@ -169,7 +153,7 @@ def judged_clips(seed: int, count: int) -> dict[str, list[WatchedClip]]:
     return {suite: [clip for clip in clips if clip is not None] for suite, clips in found.items()}
 
 
-def train_and_judge(case: TermsCase) -> list[Row]:
+def train_and_judge(case: tuple[Terms, tuple[str, int]]) -> list[Row]:
     """A row a suite of one training.
 
     Raises:
@@ -177,9 +161,9 @@ def train_and_judge(case: TermsCase) -> list[Row]:
         OutputError: the folder can't be.
         TrainingError: the training did not succeed.
     """
-    generator = TrainedGenerator(train(case.row, case.turn, case.clips, case.steps, case.output))
-    watched = judged_clips(case.seed, case.held_out)
-    named = {"row": case.row, "turn": case.turn}
+    asked, (row, turn) = case
+    generator = TrainedGenerator(train(row, turn, asked.clips, asked.steps, asked.output))
+    watched, named = judged_clips(asked.seed, asked.held_out), {"row": row, "turn": turn}
     return [named | {"suite": suite} | judge(generator, watched[suite]) for suite in SUITES]
 
 
@@ -218,12 +202,11 @@ class Terms(Experiment):
         names = sorted(path.name for path in self.clips.iterdir() if path.is_dir())
         return {"clips": names, "steps": self.steps, "held_out": self.held_out, "seed": self.seed}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[TermsCase], int]:
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """One seed of all rows after the other."""
         wanted = [(row, turn) for turn in range(self.seeds) for row in ROWS if row in self.rows]
         left = [pair for pair in wanted if any((*pair, suite) not in done for suite in SUITES)]
-        rest = self.clips, self.steps, self.output, self.seed, self.held_out
-        return [TermsCase(*pair, *rest) for pair in left], len(wanted)
+        return [self.case(pair) for pair in left], len(wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """A row a suite and what is left out."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.stats import spearmanr
 from palpate.estimators.online.mapping import Chamfer
 from palpate.estimators.online.objective import Objective
 from palpate.estimators.online.session import Method, Session
+from palpate.evaluation.harness import Row
 from palpate.evaluation.online.sequences import Pull
 from palpate.physics.pbd.stiffness import Stiffness
 
@@ -27,26 +27,6 @@ HORIZON = 10
 """T, frames ahead (section III-D)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One method from one start; T frames, J frames from which is predicted."""
-
-    chamfer: np.ndarray
-    """Chamfer distance of the state to the cloud: the root of both ways' mean squared distances added, shape [T] [m].
-    Equation 4 adds squares up, and figure 5 has mm."""
-    ahead: np.ndarray
-    """Frames from which is predicted, shape [J]."""
-    gap: np.ndarray
-    """Mean norm of the residual mapping 1 to 10 frames ahead (equation 10), shape [J] [m]."""
-    keypoint: np.ndarray
-    """Mean distance of keypoints to where they are predicted, over 1 to 10 frames ahead, shape [J] [m]; equation 11 has
-    that of the tenth."""
-    rank: float
-    """Spearman's correlation of the last distance field with truth where tissue moves; of a uniform field NaN."""
-    seconds: float
-    """Median time of a step [s]."""
-
-
 def run_case(
     pull: Pull,
     start: tuple[float, float],
@@ -54,7 +34,7 @@ def run_case(
     match: str,
     every: int,
     optimizer: Literal["adam", "gauss-newton"] = "gauss-newton",
-) -> Case:
+) -> Row:
     """Follow a pull, and predict from every so many frames.
 
     Every method's gap is the residual mapping by k⁰ to what is observed, whether it looks at that itself or not.
@@ -67,6 +47,14 @@ def run_case(
             tissue that slides within its surface.
         every: frames from one prediction to the next.
         optimizer: of PBD-RM-ON.
+
+    Returns:
+        What is measured by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the
+        cloud, the root of both ways' mean squared distances added, shape [T] [m] (equation 4 adds squares up, and
+        figure 5 has mm). `ahead`: those frames, [J]. `gap`: mean norm of the residual mapping 1 to 10 frames ahead
+        (equation 10), [J] [m]. `keypoint`: mean distance of keypoints to where they are predicted, over 1 to 10 frames
+        ahead, [J] [m]; equation 11 has that of the tenth. `rank`: Spearman's correlation of the last distance field
+        with truth where tissue moves; of a uniform field not a number. `seconds`: median time of a step.
     """
     body, frames = pull.body, len(pull.truth)
     objective = Objective(body, pull.gripped)
@@ -88,7 +76,10 @@ def run_case(
     moving, found = pull.moving(), session.fields.distance
     varied = np.ptp(found[moving]) > 1e-9
     rank = float(spearmanr(found[moving], pull.stiffness[moving]).statistic) if varied else float("nan")
-    return Case(np.array(chamfer), np.array(ahead), gap, keypoint, rank, float(np.median(spent)))
+    return {
+        "chamfer": np.array(chamfer), "ahead": np.array(ahead), "gap": gap, "keypoint": keypoint, "rank": rank,
+        "seconds": float(np.median(spent)),
+    }  # fmt: skip
 
 
 def _judged(
@@ -104,13 +95,13 @@ def _judged(
     return float(np.mean(gaps)), float(np.mean(off))
 
 
-def table(cases: Mapping[Key, Case]) -> pd.DataFrame:
+def table(cases: Mapping[tuple, Row]) -> pd.DataFrame:
     """Table II: future gap; keypoints' error [mm] of every method, by sequence and start."""
     columns = dict.fromkeys(key[:2] for key in cases)
 
     def cell(sequence: str, start: str, method: str) -> str:
         case = cases.get((sequence, start, method))
-        return "" if case is None else f"{1e3 * case.gap.mean():.1f}; {1e3 * case.keypoint.mean():.2f}"
+        return "" if case is None else f"{1e3 * case['gap'].mean():.1f}; {1e3 * case['keypoint'].mean():.2f}"
 
     return pd.DataFrame(
         {"method": METHODS} | {f"{s}, {start}": [cell(s, start, method) for method in METHODS] for s, start in columns}
@@ -122,13 +113,13 @@ def orders(gaps: dict[str, float]) -> bool:
     return gaps["PBD"] > gaps["PBD-RM"] > gaps["PBD-RM-ON"]
 
 
-def summary(cases: Mapping[Key, Case]) -> Iterator[tuple[str, str]]:
+def summary(cases: Mapping[tuple, Row]) -> Iterator[tuple[str, str]]:
     """What of the paper's claims holds, a name and a sentence each; of what was run alone.
 
     Args:
         cases: by sequence, start and method.
     """
-    gaps = {key: float(case.gap.mean()) for key, case in cases.items()}
+    gaps = {key: float(case["gap"].mean()) for key, case in cases.items()}
     rows = {(one, two): {m: gaps[one, two, m] for m in METHODS if (one, two, m) in gaps} for one, two, _ in cases}
     whole = {key: row for key, row in rows.items() if {"PBD", "PBD-RM", "PBD-RM-ON"} <= set(row)}
     if whole:
@@ -136,7 +127,7 @@ def summary(cases: Mapping[Key, Case]) -> Iterator[tuple[str, str]]:
         less = np.mean([1 - row["PBD-RM-ON"] / row["PBD"] for row in whole.values()])
         yield "order", f"PBD > PBD-RM > PBD-RM-ON in {kept} of {len(whole)} cases"
         yield "reduction", f"from PBD to PBD-RM-ON by {less:.0%} in the mean over them"
-    ranks = {key[:2]: case.rank for key, case in cases.items() if key[2] == "PBD-RM-ON"}
+    ranks = {key[:2]: case.get("rank", np.nan) for key, case in cases.items() if key[2] == "PBD-RM-ON"}
     if ranks:
         each = ", ".join(f"{sequence} {start} {rank:.2f}" for (sequence, start), rank in ranks.items())
         yield "rank", f"distance field against truth: {each}; above 0.7 in {sum(r > 0.7 for r in ranks.values())}"

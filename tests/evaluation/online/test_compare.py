@@ -7,7 +7,8 @@ import pytest
 
 from palpate.estimators.online.objective import Objective
 from palpate.estimators.online.session import Method, Session
-from palpate.evaluation.online.compare import HORIZON, STARTS, Case, run_case, summary
+from palpate.evaluation.harness import Row
+from palpate.evaluation.online.compare import HORIZON, STARTS, run_case, summary
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 from palpate.physics.pbd.stiffness import Stiffness
 
@@ -21,9 +22,9 @@ def pull() -> Pull:
 
 def test_a_case_is_what_its_session_does(pull: Pull) -> None:
     case = run_case(pull, STARTS["k2"], "PBD", "both", EVERY)
-    assert len(case.chamfer) == FRAMES
-    np.testing.assert_array_equal(case.ahead, [2])
-    assert np.isnan(case.rank)
+    assert len(case["chamfer"]) == FRAMES
+    np.testing.assert_array_equal(case["ahead"], [2])
+    assert np.isnan(case["rank"])
     objective = Objective(pull.body, pull.gripped)
     fields = Stiffness(*(np.full(pull.body.count, value) for value in STARTS["k2"]))
     session = Session(objective, fields, Method("PBD"))
@@ -34,16 +35,16 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
         np.linalg.norm(objective.mapped(state, pull.matches(at, "both")).deformation)
         for at, state in enumerate(states, start=3)
     ]
-    assert case.gap[0] == pytest.approx(np.mean(gaps))
+    assert case["gap"][0] == pytest.approx(np.mean(gaps))
     near = [np.linalg.norm(pull.body.rest - point, axis=1).argmin() for point in pull.points[0, pull.keypoints]]
     errors = [
         np.linalg.norm((state - pull.body.rest)[near] - (pull.points[at + 1] - pull.points[0])[pull.keypoints], axis=1)
         for at, state in enumerate(states, start=3)
     ]
-    assert case.keypoint[0] == pytest.approx(np.mean(errors))
+    assert case["keypoint"][0] == pytest.approx(np.mean(errors))
     apart = np.linalg.norm(session.positions[pull.visible][:, None] - pull.clouds[2], axis=2)
     squares = [np.square(apart.min(axis=axis)).mean() for axis in (0, 1)]
-    assert case.chamfer[2] == pytest.approx(np.sqrt(sum(squares)))
+    assert case["chamfer"][2] == pytest.approx(np.sqrt(sum(squares)))
 
 
 @pytest.mark.slow
@@ -52,18 +53,18 @@ def test_stiff_and_soft_exchanged_are_found_exchanged(name: str) -> None:
     """A field that looks alike whatever the truth, as stiffer towards the gripper, ranks well with one of two."""
     own = SEQUENCES[name]
     pull = dataclasses.replace(own, stiff=lambda rest: ~own.stiff(rest)).pull(300, 50, own.frames)
-    assert run_case(pull, STARTS["k2"], "PBD-RM-ON", "tracks", 40).rank > 0.7
+    assert run_case(pull, STARTS["k2"], "PBD-RM-ON", "tracks", 40)["rank"] > 0.7
 
 
 def test_only_methods_that_fit_change_the_field(pull: Pull) -> None:
     for name in ("PBD-RM", "PBD-RM-ON"):
         case = run_case(pull, STARTS["k3"], name, "tracks", EVERY)
-        assert np.isnan(case.rank) == (name == "PBD-RM")  # of a uniform field there is none
+        assert np.isnan(case["rank"]) == (name == "PBD-RM")  # of a uniform field there is none
 
 
-def case_of(gap: float, rank: float) -> Case:
+def case_of(gap: float, rank: float) -> Row:
     one = np.ones(1)
-    return Case(one, one, gap * one, one, rank, 1.0)
+    return {"gap": gap * one, "rank": rank}
 
 
 def test_the_paper_s_claims_are_counted() -> None:

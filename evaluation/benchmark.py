@@ -36,7 +36,6 @@ from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import OK, Experiment, Report, Row, run
 from palpate.evaluation.page import as_png
@@ -74,8 +73,6 @@ class Benchmark(Experiment):
     direct_model: Literal["sheet", "fem"] = "sheet"
     """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the suite
     fem alone"""
-    noise: float | None = None
-    """σ that direct is given [scene units] (default: the clip's own)"""
     clips: int = 60
     """clips of each suite, a third a regime"""
     seed: int = 0
@@ -110,10 +107,6 @@ class Benchmark(Experiment):
         strange = [name for name in self.suite if name not in (*EVERY, "all")]
         if strange:
             raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
-        if self.noise is not None and not LEAST_SIGMA <= self.noise <= LARGEST:
-            raise ValueError(
-                f"--noise {self.noise} is no noise above the simulator's own error; give {LEAST_SIGMA:g} or more."
-            )
         if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
             raise ValueError(
                 f"--seen {self.seen} is no part of a contact; give at least {LEAST_SEEN} frames, or press."
@@ -165,7 +158,6 @@ class Benchmark(Experiment):
                 name,
                 model=models[name],
                 onset=None if name == "gan" else self.onset,
-                noise=self.noise if name == DIRECT else None,
                 observation=None if name == "gan" else self.observation,
                 horizon=self.seen,
                 threads=1,

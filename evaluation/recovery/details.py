@@ -53,9 +53,10 @@ def _rows(scores: Scores) -> Iterator[Row]:
                 value = float(kstest(ranks(errors, sd), "uniform").pvalue)
                 cells = {"parameter": parameter, "quantity": "rank_uniformity", "n": len(sd), "value": value}
                 yield {**named, "regime": regime, **cells}
-        spread, true = (float(values[:, column].std()) for values in (scores.estimate, scores.truth))
-        if len(scores.rows) > 1 and true > 0:
-            cells = {"quantity": "collapse", "n": len(scores.rows), "value": spread / true}
+        true = float(scores.truth[:, column].std()) if scores.rows else 0.0
+        if true > 0:
+            value = float(scores.estimate[:, column].std()) / true
+            cells = {"quantity": "collapse", "n": len(scores.rows), "value": value}
             yield {**named, "regime": "all", "parameter": parameter, **cells}
     for quantity in _whole(scores):
         yield {**named, "regime": "all", "parameter": "all", **quantity}

@@ -15,11 +15,4 @@ page         Markdown and figures as one HTML page; result_figure: the README's 
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.paper.report": ("write_evaluation",),
-        "palpate.evaluation.recovery.suites": ("SUITES",),
-        "palpate.evaluation.recovery.scores": ("Scores",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -15,18 +15,4 @@ features       an interaction as the vector that networks read; sequence_feature
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.contact.geometry": (
-            "Contact",
-            "FrameGeometry",
-            "GeometrySettings",
-            "find_contact",
-            "frame_geometry",
-        ),
-        "palpate.data.contact.motion": ("ContactMotion",),
-        "palpate.data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
-        "palpate.data.contact.features": ("contact_features",),
-    },
-)
+__getattr__ = exported(__name__, {})

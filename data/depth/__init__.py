@@ -9,12 +9,4 @@ photometric  builds the network that needs no training: brightness under a light
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
-        "palpate.data.depth.sources": ("DepthSource", "ModelDepth", "StoredDepth"),
-        "palpate.data.depth.model": ("DepthModel",),
-        "palpate.data.depth.preset": ("DepthPreset", "load_preset", "preset_names"),
-    },
-)
+__getattr__ = exported(__name__, {})

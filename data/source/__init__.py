@@ -8,11 +8,4 @@ images  image files by their bytes, and paths as text; table: columns of numbers
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.source.frames": ("Frame", "FrameFolder", "FrameSource", "VideoFile", "discover", "open_source"),
-        "palpate.data.source.layout": ("ClipLayout", "InputError", "load_layout"),
-        "palpate.data.source.camera": ("Camera", "back_project", "load_camera"),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -9,7 +9,4 @@ background   the camera's own motion taken off
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {"palpate.data.tracks.following": ("PointFollower",), "palpate.data.tracks.background": ("without_background",)},
-)
+__getattr__ = exported(__name__, {})

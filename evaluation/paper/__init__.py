@@ -10,10 +10,4 @@ recovered   compares estimates with the truth of synthetic clips
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.paper.report": ("write_evaluation",),
-        "palpate.evaluation.paper.analysis": ("Evaluation", "EvaluationError", "analyse"),
-    },
-)
+__getattr__ = exported(__name__, {})

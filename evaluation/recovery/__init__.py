@@ -11,11 +11,4 @@ grips       the table of clips whose tool grips tissue; slabs: of those whose tr
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.recovery.suites": ("SUITES", "Suite"),
-        "palpate.evaluation.recovery.trial": ("Trial", "run_trial"),
-        "palpate.evaluation.recovery.scores": ("Scores", "score_all"),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -108,9 +108,7 @@ class Benchmark(Experiment):
         if strange:
             raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
         if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
-            raise ValueError(
-                f"--seen {self.seen} is no part of a contact; give at least {LEAST_SEEN} frames, or press."
-            )
+            raise ValueError(f"--seen {self.seen} is too little; give at least {LEAST_SEEN} frames, or press.")
         if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
             raise ValueError(
                 f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
@@ -122,16 +120,11 @@ class Benchmark(Experiment):
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         if self.direct_model == FEM and (kinds != {"slab"} or DIRECT not in self.estimator):
-            raise ValueError(
-                "--direct-model fem is for --suite fem --estimator direct, whose clips give the thickness; leave other "
-                "suites out."
-            )
+            raise ValueError("--direct-model fem is for --suite fem --estimator direct; leave other suites out.")
         if self.direct_model == FEM and self.observation == CONTACT:
             raise ValueError("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
         if self.contact == MOTION and (kinds != {"press"} or "gan" in self.estimator):
-            raise ValueError(
-                "--contact motion is for direct and network on suites of presses; leave gan and other suites out."
-            )
+            raise ValueError("--contact motion is for direct and network on suites of presses; leave others out.")
         for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
             if name in self.estimator and given is None:
                 raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")

@@ -201,10 +201,7 @@ class Store:
         recorded = self._recorded()
         for name, value in wanted.items():
             if recorded.get(name, value) != value:
-                raise OutputError(
-                    f"{output}: holds results of another {name}; run with the same arguments or choose another "
-                    "--output."
-                )
+                raise OutputError(f"{output}: holds results of another {name}; choose another --output.")
         self.rows: dict[tuple, Row] = {}
         """By what tells them from others, in the order in which they came."""
         if self._results.exists():
@@ -263,7 +260,7 @@ def read_results(path: Path, keys: tuple[str, ...]) -> dict[tuple, Row]:
             key, row = _parsed(line, keys)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise OutputError(
-                f"{path}: line {number} is not a result; remove that line or choose another --output."
+                f"{path}: line {number} is not a result; remove it or choose another --output."
             ) from error
         found[key] = row
     return found

@@ -198,9 +198,8 @@ def draw_surface_errors(
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
         visible = np.isfinite(distance)
-        drawn.append(
-            axes.hexbin(*places[visible].T, C=distance[visible], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2)
-        )
+        cells = {"gridsize": CELLS, "cmap": "RdBu_r", "linewidths": 0.2}
+        drawn.append(axes.hexbin(*places[visible].T, C=distance[visible], **cells))
         axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
         axes.add_patch(Circle((0, 0), BESIDE * hole, fill=False, linestyle=":", color=MUTED))
         mean = float(np.mean(distance[visible & near])) if (visible & near).any() else np.nan
@@ -211,9 +210,7 @@ def draw_surface_errors(
     for each in drawn:
         each.set_clim(-limit, limit)
     figure.colorbar(drawn[0], ax=list(rows), label="measured less simulated surface [mm]", extend="both", shrink=0.8)
-    scale = (
-        f"All panels on one scale of ± {limit:.2f} mm, means over cells; > 0: measured outside the simulated surface."
-    )
+    scale = f"All panels on one scale of ± {limit:.2f} mm, means over cells; > 0: measured outside the simulated one."
     circles = "Dashed: what the tool hides, left out. Dotted: next to the tool."
     footer = "\n".join([*_lines(f"{scale} {circles}", 60 * len(panels)), NOTICE])
     figure.text(0.01, 0.02, footer, va="bottom", fontsize=10, color=MUTED)
@@ -237,9 +234,8 @@ def _figure(heights: Sequence[float], title: str, subtitle: str) -> tuple[Figure
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(
-        figsize=(WIDTH, sum(heights) + 1.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
-    )
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
+    figure = Figure(figsize=(WIDTH, sum(heights) + 1.4), dpi=100, layout=layout)
     figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
     footer = "\n".join([*_lines(subtitle), NOTICE])
     figure.supxlabel(footer, x=0.01, ha="left", fontsize=10, color=MUTED, linespacing=1.4)
@@ -314,9 +310,8 @@ def _described(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[
     far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
     sentences = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
     if remarks:
-        sentences.append(
-            f"Frames with a remark: {len(remarks)}; the last, frame {remarks[-1].frame}: {remarks[-1].detail}"
-        )
+        last = remarks[-1]
+        sentences.append(f"Frames with a remark: {len(remarks)}; the last, frame {last.frame}: {last.detail}")
     return heading, " ".join(sentences), next(iter(counts)) if len(counts) == 1 else ""
 
 

@@ -146,9 +146,7 @@ def write_clip(
         return target / folder
     require_own_folder(target)
     if target.exists() and not overwrite:
-        raise FileExistsError(
-            f"{target} exists and was made with other settings; give another --output or --overwrite."
-        )
+        raise FileExistsError(f"{target} was made with other settings; give another --output or --overwrite.")
     scene, motion = draw_truth(settings, seed)
     output.mkdir(parents=True, exist_ok=True)
     # The leading dot keeps readers away; the name is nobody else's, so that it can be removed.

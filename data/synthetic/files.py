@@ -49,12 +49,8 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
-    clip = {
-        "fps": settings.fps,
-        "camera": dataclasses.asdict(reported_camera(scene.camera, settings)),
-        "depth_scale": 1.0,
-        "times": motion.times.tolist(),
-    }
+    camera = dataclasses.asdict(reported_camera(scene.camera, settings))
+    clip = {"fps": settings.fps, "camera": camera, "depth_scale": 1.0, "times": motion.times.tolist()}
     own = TEXTS[type(motion).__name__]
     np.savez(
         folder / "truth.npz",

@@ -176,9 +176,8 @@ def _follow(
     """Fields of a `SlabMotion` except the release, by name, and the reactions of every step [T, N, 3]."""
     settings = scene.settings
     row, column = scene.mesh.pixels.T
-    shown = np.flatnonzero(
-        (column > body.columns[0]) & (column < body.columns[-1]) & (row > body.rows[0]) & (row < body.rows[-1])
-    )
+    across = (column > body.columns[0]) & (column < body.columns[-1])
+    shown = np.flatnonzero(across & (row > body.rows[0]) & (row < body.rows[-1]))
     require_room(settings.frames * (len(shown) + load.steps // settings.frames * len(body.solid.rest)) * 3)
     relaxation = Relaxation(tissue.branch, tissue.branch_time) if tissue.branch else None
     step, inertia = 1 / (settings.fps * SUBSTEPS), Inertia(tissue.density, tissue.damping)

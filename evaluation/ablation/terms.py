@@ -135,21 +135,15 @@ def judge(generator: TrainedGenerator, clips: Sequence[WatchedClip]) -> Row:
         estimate.append(np.log(np.abs(generator.estimate(clip, last))))
         totals.append(total)
     errors = np.array(totals)
-    return {
-        "truth": np.array(truth),
-        "estimate": np.array(estimate),
-        "copied": errors[:, :2],
-        "generated": errors[:, 2],
-    }
+    found = {"truth": np.array(truth), "estimate": np.array(estimate)}
+    return found | {"copied": errors[:, :2], "generated": errors[:, 2]}
 
 
 @functools.cache
 def judged_clips(seed: int, count: int) -> dict[str, list[WatchedClip]]:
     """Clips of every suite, of the validation stream."""
-    found = {
-        suite: [watch(suite, index, suite_clip_seed("validation", seed, index)) for index in range(count)]
-        for suite in SUITES
-    }
+    seeds = [suite_clip_seed("validation", seed, index) for index in range(count)]
+    found = {suite: [watch(suite, *clip) for clip in enumerate(seeds)] for suite in SUITES}
     return {suite: [clip for clip in clips if clip is not None] for suite, clips in found.items()}
 
 

@@ -27,10 +27,9 @@ import pandas as pd
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.evaluation.harness import Experiment, Report, Row, run
-from palpate.evaluation.online.compare import HORIZON, METHODS, STARTS, Key, run_case, summary, table
+from palpate.evaluation.online.compare import HORIZON, METHODS, STARTS, Key, Optimizer, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
-Optimizer = Literal["adam", "gauss-newton"]
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
 

@@ -23,17 +23,13 @@ Key = tuple[str, str, str]
 METHODS = ("PBD", "PBD-RM", "PBD-RM-ON")
 STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
 """Stiffness of distances and shapes to begin with: the paper's (section III-B), shapes inside its own bound."""
+Optimizer = Literal["adam", "gauss-newton"]
 HORIZON = 10
 """T, frames ahead (section III-D)."""
 
 
 def run_case(
-    pull: Pull,
-    start: tuple[float, float],
-    name: str,
-    match: str,
-    every: int,
-    optimizer: Literal["adam", "gauss-newton"] = "gauss-newton",
+    pull: Pull, start: tuple[float, float], name: str, match: str, every: int, optimizer: Optimizer = "gauss-newton"
 ) -> Row:
     """Follow a pull, and predict from every so many frames.
 
@@ -103,9 +99,8 @@ def table(cases: Mapping[tuple, Row]) -> pd.DataFrame:
         case = cases.get((sequence, start, method))
         return "" if case is None else f"{1e3 * case['gap'].mean():.1f}; {1e3 * case['keypoint'].mean():.2f}"
 
-    return pd.DataFrame(
-        {"method": METHODS} | {f"{s}, {start}": [cell(s, start, method) for method in METHODS] for s, start in columns}
-    )
+    cells = {", ".join(key): [cell(*key, method) for method in METHODS] for key in columns}
+    return pd.DataFrame({"method": METHODS} | cells)
 
 
 def orders(gaps: dict[str, float]) -> bool:

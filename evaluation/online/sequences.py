@@ -201,10 +201,8 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
     count = len(first)
-    numbers = np.arange(count)
-    ends = csr_array(
-        (np.repeat([1.0, -1.0], count), (np.r_[first, second], np.r_[numbers, numbers])), shape=(len(rest), count)
-    )
+    places = np.r_[first, second], np.tile(np.arange(count), 2)
+    ends = csr_array((np.repeat([1.0, -1.0], count), places), shape=(len(rest), count))
     drag = DRAG * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
@@ -228,9 +226,8 @@ def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     """Of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work."""
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)
     solid = make_solid(nodes, tetrahedra)
-    material = Material(
-        "stable_neo_hookean", YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0), POISSON
-    )
+    young = YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
+    material = Material("stable_neo_hookean", young, POISSON)
     gripped = _held(nodes, True)
     held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
     axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))

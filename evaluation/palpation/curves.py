@@ -46,20 +46,14 @@ class Curves(Measurements):
         """Raise a ValueError where there is nothing to judge."""
         if not self.wanted:
             columns = "; ".join(map(", ".join, JUDGES))
-            raise ValueError(
-                f"{self.data} holds no CSV file with the columns of any of: {columns}; give --data that does."
-            )
+            raise ValueError(f"{self.data} holds no CSV file with columns of any of: {columns}; give one that does.")
 
     @functools.cached_property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Files that can be measured, by the columns of their tables."""
         files = [path for path in all_below(self.data) if path.suffix.lower() == ".csv"] if self.data.is_dir() else []
-        judges = {path: JUDGES.get(kind_of(path) or ()) for path in files}
-        return {
-            path.relative_to(self.data).as_posix(): functools.partial(judge, path)
-            for path, judge in judges.items()
-            if judge is not None
-        }
+        named = ((path.relative_to(self.data).as_posix(), path, JUDGES.get(kind_of(path) or ())) for path in files)
+        return {name: functools.partial(judge, path) for name, path, judge in named if judge is not None}
 
     def record(self) -> Mapping[str, Any]:
         """When every file was changed last."""
@@ -75,11 +69,8 @@ def medians(rows: Sequence[Row]) -> list[Row]:
     found = []
     for kind, measures in SUMMARISED.items():
         values = {measure: [row[measure] for row in rows if measure in row] for measure in measures}
-        named = {
-            f"{measure}, median of {len(each)} files": float(np.median(each))
-            for measure, each in values.items()
-            if each
-        }
+        known = {f"{measure}, median of {len(each)} files": each for measure, each in values.items() if each}
+        named = {name: float(np.median(each)) for name, each in known.items()}
         if named:
             found.append({"file": f"all {kind}", **named})
     return found

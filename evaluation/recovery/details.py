@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,10 +33,8 @@ from palpate.physics.identifiability import LIMIT
 COLUMNS = ("estimator", "suite", "regime", "parameter", "quantity", "n", "value", "note")
 CLEAR = 1.5
 """Verdicts are clear where deciding bounds lie outside the limit times or over this."""
-_AVERAGES = {
-    **dict.fromkeys(("onset_off", "release_off", "place_off", "warned"), np.mean),
-    **dict.fromkeys(("misfit", "seconds"), np.median),
-}
+_AVERAGES: dict[str, Any] = dict.fromkeys(("onset_off", "release_off", "place_off", "warned"), np.mean)
+_AVERAGES |= dict.fromkeys(("misfit", "seconds"), np.median)
 """Of numbers of results that are given for all clips together."""
 
 

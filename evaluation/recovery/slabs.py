@@ -147,11 +147,9 @@ def _determined(rows: Sequence[Row]) -> Iterator[Quantity]:
     for row in rows:
         tissue = SlabTissue(*row["tissue"])
         if "reaction" in row:
-            found, sure = float(row["reaction"][0]), row["verdict"] == PULLED
-            pairs = {
-                "F/k_s and F/E": (found, row["true_force"] / tissue.young, sure),
-                "k_s if F is known and E": (row["true_force"] / found, tissue.young, sure),
-            }
+            found, force, sure = float(row["reaction"][0]), row["true_force"], row["verdict"] == PULLED
+            pairs = {"F/k_s and F/E": (found, force / tissue.young, sure)}
+            pairs["k_s if F is known and E"] = force / found, tissue.young, sure
         else:
             stiffness, damping, _ = row["estimate"]
             pairs = {"k_s and E": (stiffness, tissue.young, row["verdict"] == PRESSED[0])}

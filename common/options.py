@@ -45,7 +45,8 @@ def add_options(parser: argparse._ActionsContainer, kind: type[Any], without: Se
         if not field.init or field.name in without:
             continue
         text, required = texts[field.name], field.default is dataclasses.MISSING
-        if not required and field.default not in (None, False, ()) and "(default" not in text:
+        untold = isinstance(field.default, bool) or field.default in (None, ()) or "(default" in text
+        if not (required or untold):
             shown = field.default if not isinstance(field.default, tuple) else " ".join(map(str, field.default))
             text += f" (default {shown})"
         option: dict[str, Any] = {"help": text.replace("%", "%%"), "default": argparse.SUPPRESS, "required": required}

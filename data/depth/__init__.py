@@ -6,7 +6,3 @@ model        any depth network as an ONNX file: input, session, meaning of its o
 preset       input and output conventions of a network, as YAML files in presets/
 photometric  builds the network that needs no training: brightness under a light at the camera
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -8,7 +8,3 @@ automatic         raw video without a network: an instrument by its shape, other
 instrument_bands  the straight edges of a shaft, for automatic
 class_table       CholecSeg8k's classes and colours
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -30,6 +30,7 @@ from palpate.evaluation.harness import Experiment, Report, Row, run
 from palpate.evaluation.online.compare import HORIZON, METHODS, STARTS, Key, Optimizer, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
+DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
 
@@ -105,17 +106,10 @@ class Online(Experiment):
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """Table II, and what holds of the paper's claims."""
         cases = {key: rows[key] for key in self.wanted if key in rows}
-        cells = [
-            (*key, measure, value)
-            for key, case in cases.items()
-            for measure, value in (
-                ("future gap [mm]", 1e3 * float(case["gap"].mean())),
-                ("keypoint error [mm]", 1e3 * float(case["keypoint"].mean())),
-                ("Chamfer distance [mm]", 1e3 * float(case["chamfer"].mean())),
-                ("rank correlation of distances", case.get("rank")),
-                ("step [s]", case["seconds"]),
-            )
-        ]
+        cells = []
+        for key, case in cases.items():
+            cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in DISTANCES.items()]
+            cells += [(*key, "rank correlation of distances", case.get("rank")), (*key, "step [s]", case["seconds"])]
         frame, gaps = pd.DataFrame(cells, columns=(*self.keys, "measure", "value")), table(cases)
         lines = [f"Matched: {self.match}; {self.optimizer}.", *(f"{name}: {text}" for name, text in summary(cases))]
         return Report({"table.csv": frame, "table_2.csv": gaps}, [gaps], [(line, "") for line in lines])

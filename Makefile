@@ -56,7 +56,6 @@ demo: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout
-	$(BIN)/python -m benchmarks.training_step
 	$(BIN)/python -m benchmarks.inference
 
 # Calibrates an exported posterior:

@@ -2,6 +2,5 @@
 
 rollout        the differentiable rollout against plain torch
 inference      where the time of inference goes: encoder and head alone, and every stage of infer.py
-training_step  where the time of a training step goes
 shared         what all of them need: command line, timing, a table, the machine
 """

@@ -15,6 +15,7 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import itertools
 import json
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
@@ -126,16 +127,12 @@ def _measure(folder: Path) -> None:
     title = f"ms a frame ({machine()}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
     print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
     files = {name: exported(name, folder) for name in NETWORKS}
-    rows = (
-        [name, *(f"{encoder_and_head(file, threads):.1f}" for threads in (1, None))] for name, file in files.items()
-    )
+    rows = ([name, *(f"{encoder_and_head(file, each):.1f}" for each in (1, None))] for name, file in files.items())
     print_table(("configuration", "1 thread", "all threads"), rows)
     print("\nOne contact by the network that ships, 1 thread [ms]\n")
     columns = ("pictures", "--onset", "median", "of it vector and network", "longest")
-    measured = ((size, onset, one_contact(size, onset)) for size in SIZES for onset in ONSETS)
-    print_table(
-        columns, (("x".join(map(str, size)), onset, *(f"{t:.1f}" for t in times)) for size, onset, times in measured)
-    )
+    cases = itertools.product(SIZES, ONSETS)
+    print_table(columns, ((f"{size}", onset, *(f"{t:.1f}" for t in one_contact(size, onset))) for size, onset in cases))
     print()
     make_clips(["--output", str(folder / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
     frames = next(path.parent for path in (folder / "clips").rglob("clip.json"))

@@ -236,9 +236,7 @@ class CacheEntry:
                         raise InputError(f"{self.folder} {problem}.") from error
         except OSError as error:
             reason = error.strerror or error
-            raise InputError(
-                f"{self.cache_dir} can't be written ({reason}); free space or change the cache."
-            ) from error
+            raise InputError(f"{self.cache_dir} can't be written ({reason}); change the cache.") from error
 
 
 def _remove(folder: Path) -> None:

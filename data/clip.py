@@ -103,10 +103,8 @@ class ClipStream:
     @property
     def sources(self) -> dict[str, str]:
         """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
-        return {
-            "depth": self._depth.identity.split(":")[0],
-            "masks": Path(chosen_kind(self.settings.masks, self.source.path, self.settings.layout)).name,
-        }
+        masks = chosen_kind(self.settings.masks, self.source.path, self.settings.layout)
+        return {"depth": self._depth.identity.split(":")[0], "masks": Path(masks).name}
 
     def __iter__(self) -> Iterator[PreparedFrame]:
         """Prepared frames from the clip's beginning, one for each of its frames, up to some thirty frames late.

@@ -13,12 +13,8 @@ import onnxruntime
 
 from palpate.data.source.layout import InputError
 
-_INPUT_TYPES = {
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-    "tensor(double)": np.float64,
-    "tensor(uint8)": np.uint8,
-}
+_NUMBERS = {"float": np.float32, "float16": np.float16, "double": np.float64, "uint8": np.uint8}
+_INPUT_TYPES = {f"tensor({name})": dtype for name, dtype in _NUMBERS.items()}
 """Numpy type of each accepted type of an input."""
 _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 """Name in onnxruntime of each device."""
@@ -45,9 +41,7 @@ class PictureNetwork:
         options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
         options.use_deterministic_compute = True
         if _PROVIDERS[device] not in onnxruntime.get_available_providers():
-            raise InputError(
-                f"depth.device is {device}, which this onnxruntime lacks; install onnxruntime-gpu or use cpu."
-            )
+            raise InputError(f"depth.device {device} is not in this onnxruntime; install onnxruntime-gpu or use cpu.")
         try:
             session = onnxruntime.InferenceSession(str(path), options, providers=[_PROVIDERS[device]])
         except Exception as error:  # onnxruntime's errors share no base class of their own

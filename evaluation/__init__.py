@@ -1,6 +1,6 @@
 """How good the estimates are.
 
-harness      what all share: resuming, tables, pictures and page; an experiment gives rows for a case; options: of it
+harness      what all share: resuming, tables, pictures and page; an experiment gives rows for a case
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
 model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
@@ -10,17 +10,9 @@ plain_video  presses in drawn videos, from the pictures alone; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 online       the online estimator on simulated pulls, as its paper judges it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
-foreign      the finite elements on other people's data: a silicone beam; a door of its own
 page         Markdown and figures as one HTML page; result_figure: the README's picture, a door of its own
 """
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.paper.report": ("write_evaluation",),
-        "palpate.evaluation.recovery.suites": ("SUITES",),
-        "palpate.evaluation.recovery.scores": ("Scores",),
-    },
-)
+__getattr__ = exported(__name__, {})

@@ -32,13 +32,12 @@ from typing import Any, ClassVar, Literal
 
 from rich.progress import Progress
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import OK, Experiment, Report, Row, run
-from palpate.evaluation.options import require_within
 from palpate.evaluation.page import as_png
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
@@ -74,8 +73,6 @@ class Benchmark(Experiment):
     direct_model: Literal["sheet", "fem"] = "sheet"
     """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the suite
     fem alone"""
-    noise: float | None = None
-    """σ that direct is given [scene units] (default: the clip's own)"""
     clips: int = 60
     """clips of each suite, a third a regime"""
     seed: int = 0
@@ -110,14 +107,8 @@ class Benchmark(Experiment):
         strange = [name for name in self.suite if name not in (*EVERY, "all")]
         if strange:
             raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
-        if self.noise is not None and not LEAST_SIGMA <= self.noise <= LARGEST:
-            raise ValueError(
-                f"--noise {self.noise} is no noise above the simulator's own error; give {LEAST_SIGMA:g} or more."
-            )
         if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
-            raise ValueError(
-                f"--seen {self.seen} is no part of a contact; give at least {LEAST_SEEN} frames, or press."
-            )
+            raise ValueError(f"--seen {self.seen} is too little; give at least {LEAST_SEEN} frames, or press.")
         if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
             raise ValueError(
                 f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
@@ -129,16 +120,11 @@ class Benchmark(Experiment):
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         if self.direct_model == FEM and (kinds != {"slab"} or DIRECT not in self.estimator):
-            raise ValueError(
-                "--direct-model fem is for --suite fem --estimator direct, whose clips give the thickness; leave other "
-                "suites out."
-            )
+            raise ValueError("--direct-model fem is for --suite fem --estimator direct; leave other suites out.")
         if self.direct_model == FEM and self.observation == CONTACT:
             raise ValueError("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
         if self.contact == MOTION and (kinds != {"press"} or "gan" in self.estimator):
-            raise ValueError(
-                "--contact motion is for direct and network on suites of presses; leave gan and other suites out."
-            )
+            raise ValueError("--contact motion is for direct and network on suites of presses; leave others out.")
         for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
             if name in self.estimator and given is None:
                 raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")
@@ -165,7 +151,6 @@ class Benchmark(Experiment):
                 name,
                 model=models[name],
                 onset=None if name == "gan" else self.onset,
-                noise=self.noise if name == DIRECT else None,
                 observation=None if name == "gan" else self.observation,
                 horizon=self.seen,
                 threads=1,

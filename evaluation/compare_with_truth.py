@@ -74,9 +74,7 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         onsets = [float(row["onset_time_s"]) for row in rows]
         found = [f"{row['verdict']}." if row["status"] == "ok" else f"no estimate. {row['detail']}" for row in rows]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
-        raise NoTruth(
-            f"{folder} holds no results of infer.py ({reason(error)}); give the folder of one clip."
-        ) from error
+        raise NoTruth(f"{folder} holds no results of infer.py ({reason(error)}); give a clip's folder.") from error
     try:
         truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
         values, onset = true_values(truth["theta"]), float(truth["onset_s"])

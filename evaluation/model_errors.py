@@ -31,11 +31,11 @@ from rich.console import Console
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
+from palpate.common.options import options, require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import Row
-from palpate.evaluation.options import options, require_within
 from palpate.evaluation.plain_video import PlainVideo, measured_video
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial

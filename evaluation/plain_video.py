@@ -31,6 +31,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.api import open_clip, open_estimator
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.settings import SceneSettings
@@ -40,7 +41,6 @@ from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
-from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.suites import LARGEST_SEED
 from palpate.physics.mechanics import damping_ratio
 

@@ -51,16 +51,15 @@ def draw(frame: PreparedFrame, estimates: Sequence[FrameEstimate], index: int, t
     """
     picture, labels = frame.view
     overlay = draw_overlay(picture, picture.shape[1::-1], labels, estimates[index])
-    rows: list[list[Any]] = [["picture", name] for name in PARAMETERS]
-    figure, places = plt.subplot_mosaic(rows, figsize=(12, 4.2), layout="constrained", width_ratios=[2, 1])
+    layout: list[list[Any]] = [["picture", name] for name in PARAMETERS]
+    figure, places = plt.subplot_mosaic(layout, figsize=(12, 4.2), layout="constrained", width_ratios=[2, 1])
     places["picture"].imshow(overlay)
     places["picture"].set_axis_off()
     times = np.array([each.time_s for each in estimates])
     for name in PARAMETERS:
         axes = places[name]
-        middle, low, high = (
-            np.array([each.values.get(f"{name}{end}") for each in estimates], float) for end in ("", "_low", "_high")
-        )
+        rows = [[each.values.get(f"{name}{end}") for end in ("", "_low", "_high")] for each in estimates]
+        middle, low, high = np.array(rows, float).T
         axes.fill_between(times, low, high, color="tab:blue", alpha=0.25, lw=0, label="90 % interval")
         axes.plot(times, middle, color="tab:blue", label="estimate")
         axes.axhline(abs(truth[name]), color="black", ls="--", lw=1, label="truth")

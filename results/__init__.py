@@ -6,7 +6,7 @@ columns   the columns of all tables, whose texts are columns.yaml, and their row
 calibrated  a clip in newtons (--calibration), and compared with measured forces
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
-plots     summary.png and fit.png
+plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
 overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
 field_file  stiffness in fields.npz
 """

@@ -236,13 +236,11 @@ def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def comparison_sentence(found: dict[str, Any]) -> str:
     """The same in words."""
-    parts = [f"{found['forces']} measured forces compared with estimates"]
-    for name, text in (
-        ("measured_over_estimated", "measured over estimated {:.3g}"),
-        ("correlation", "correlation {:.2f}"),
-        ("rms_error_N", "RMS error {:.3g} N"),
-        ("within_90_percent_intervals", "{:.0%} within 90 % intervals"),
-    ):
-        if name in found:
-            parts.append(text.format(found[name]))
-    return ", ".join(parts)
+    parts = {
+        "forces": "{} measured forces compared with estimates",
+        "measured_over_estimated": "measured over estimated {:.3g}",
+        "correlation": "correlation {:.2f}",
+        "rms_error_N": "RMS error {:.3g} N",
+        "within_90_percent_intervals": "{:.0%} within 90 % intervals",
+    }
+    return ", ".join(text.format(found[name]) for name, text in parts.items() if name in found)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
@@ -100,17 +101,9 @@ def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, An
         return []
     times = run.onset_time_s + grip.times
     curve = predict_force(known.at(times), grip.force, grip.force_sd)
-    return [
-        {
-            "onset_frame": run.onset_frame,
-            "time_s": float(time),
-            "force_N": float(force),
-            "force_N_low": float(force - NINETY * sd),
-            "force_N_high": float(force + NINETY * sd),
-            "known_N": float(measured),
-        }
-        for time, force, sd, measured in zip(times, curve.force, curve.sd, curve.known, strict=True)
-    ]
+    names, half = ("time_s", "force_N", "force_N_low", "force_N_high", "known_N"), NINETY * curve.sd
+    values = np.column_stack([times, curve.force, curve.force - half, curve.force + half, curve.known]).tolist()
+    return [{"onset_frame": run.onset_frame, **dict(zip(names, row, strict=True))} for row in values]
 
 
 def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:

@@ -117,17 +117,14 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate, more: str) -> None:
 def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
     """Name and value of what the frame has."""
     names = {"k_s": "stiffness k_s", "k_d": "damping k_d", "|F|": "force |F|"}
-    moved = (
-        ("displacement, simulated", estimate.simulated_displacement),
-        ("displacement, observed", estimate.observed_displacement),
-    )
     found = [(names.get(symbol, symbol), value) for symbol, value in numbers(estimate.verdict, estimate.values)]
-    likely = (
-        []
-        if estimate.contact_probability is None
-        else [("contact, probability", f"{estimate.contact_probability:.2f}")]
-    )
-    return found + [(name, f"{value:.2g}") for name, value in moved if value is not None] + likely
+    for name, digits, value in (
+        ("displacement, simulated", ".2g", estimate.simulated_displacement),
+        ("displacement, observed", ".2g", estimate.observed_displacement),
+        ("contact, probability", ".2f", estimate.contact_probability),
+    ):
+        found += [] if value is None else [(name, format(value, digits))]
+    return found
 
 
 def _notes(estimate: FrameEstimate) -> list[str]:

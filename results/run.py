@@ -86,9 +86,7 @@ class Batch:
         if self.calibration is not None and self.estimator.name == "online":
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
-            raise ValueError(
-                "--known-force and --calibration both tell newtons; give known forces in the latter's file."
-            )
+            raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
         chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
@@ -130,10 +128,10 @@ class Batch:
             progress.remove_task(task)
         if self._has_known_force(path):
             self.carried = folder
-        compared = (
-            [] if newtons is None or newtons.measured is None else [comparison_sentence(newtons.record()["comparison"])]
-        )
-        for warning in [*record["warnings"], *compared]:
+        warnings = record["warnings"]
+        if newtons is not None and newtons.measured is not None:
+            warnings = [*warnings, comparison_sentence(newtons.record()["comparison"])]
+        for warning in warnings:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
             say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
@@ -160,9 +158,7 @@ class Batch:
             return paths
         name = self.calibration.fields.clip
         if name is None and len(paths) > 1:
-            raise ValueError(
-                f"{self.calibration.path} tells of a force in one clip, and there are {len(paths)}; name that as clip."
-            )
+            raise ValueError(f"{self.calibration.path} tells of one clip, and there are {len(paths)}; name it as clip.")
         home = [path for path in paths if self._is_home(path)]
         if paths and len(home) != 1:
             raise ValueError(
@@ -236,11 +232,8 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})
     touching = record.get("statuses", {}).get("ok", 0) - sum(verdicts.values())
-    return (
-        contacts
-        | {f"frames {name}": count for name, count in (verdicts | frames).items()}
-        | ({"frames in contact": touching} if touching else {})
-    )
+    found = contacts | {f"frames {name}": count for name, count in (verdicts | frames).items()}
+    return found | ({"frames in contact": touching} if touching else {})
 
 
 def _kept(clip: ClipStream, frames: deque[PreparedFrame], done: Callable[[], None]) -> Iterator[PreparedFrame]:

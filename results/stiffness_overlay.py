@@ -36,9 +36,8 @@ class StiffnessMap:
         columns, rows = np.arange(0, self._width + STEP, STEP), np.arange(0, height + STEP, STEP)
         self._corners = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
         number = np.arange(len(self._corners)).reshape(len(rows), len(columns))
-        one, two, three, four = (
-            part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
-        )
+        upper, lower = number[:-1], number[1:]
+        one, two, three, four = (part.ravel() for part in (upper[:, :-1], upper[:, 1:], lower[:, 1:], lower[:, :-1]))
         faces = np.concatenate([np.stack([one, two, three], axis=1), np.stack([one, three, four], axis=1)])
         known = field.known(self._corners)
         self._faces = faces[known[faces].all(axis=1)]

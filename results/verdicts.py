@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+import yaml
 
 from palpate.estimators.estimate import SYMBOLS
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -11,37 +14,10 @@ from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
 
-COLORS: dict[str, Color] = {
-    "determined": (22, 163, 74),
-    "ratios": (37, 99, 235),
-    "reaction": (20, 105, 190),
-    "foundation": (8, 120, 165),
-    "relative_force": (76, 90, 140),
-    "stiffness_ratios": (79, 70, 229),
-    "onset_in_view": (129, 140, 248),
-    "undetermined": (217, 119, 6),
-    "doubtful": (217, 119, 6),
-    "no_estimate": (107, 114, 128),
-    "ok": (107, 114, 128),
-    "no_contact": (147, 197, 253),
-    "no_tool": (203, 213, 225),
-    "no_tissue": (148, 163, 184),
-    "bad_depth": (220, 38, 38),
-    "unreadable": (17, 24, 39),
-    "no_mask": (147, 51, 234),
-}
-"""One colour (RGB) a verdict, a fit that can't be trusted or is missing, and a status without verdict, the same in all
-pictures; only `determined` is green."""
-MEANINGS = {
-    "determined": "Stiffness, damping and force are determined.",
-    "ratios": "Only k_s/k_d and |F|/k_d are determined.",
-    "reaction": "Only the force at the grip over E, and how it changes over time, are determined.",
-    "foundation": "Only how firmly tissue is attached, over its stiffness, and relative forces are determined.",
-    "relative_force": "Only how the force at the grip changes over time is determined.",
-    "stiffness_ratios": "Only where tissue is stiffer or softer is determined, where it is coloured.",
-    "onset_in_view": "The onset was observed; the model does not say what is determined.",
-    "undetermined": "Not determined by what was observed so far.",
-}
+_TEXTS = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+COLORS: dict[str, Color] = {name: tuple(color) for name, color in _TEXTS["colors"].items()}
+"""One colour (RGB) a verdict, a fit that can't be trusted or is missing, and a status without verdict."""
+MEANINGS: dict[str, str] = _TEXTS["meanings"]
 """What the verdicts say, a sentence each."""
 FAR = "more than twice or less than half the observed one"
 

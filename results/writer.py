@@ -6,7 +6,7 @@ import csv
 import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,15 +81,11 @@ class ClipResults:
                 self._rows = self._open_table(store.TABLE, columns.FRAMES)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
-                self._fields = FieldFile(self._partial / store.FIELDS) if fields else None
-                if self._fields is not None:
-                    self._open.callback(self._fields.close)
-                self._video = open_video(self._partial / store.OVERLAY, canvas_size(size), fps) if overlay else None
-                if self._video is not None:
-                    self._open.callback(self._video.close)
-                self._waiting = FrameSpool(self._partial) if overlay and maps else None
-                if self._waiting is not None:
-                    self._open.callback(self._waiting.close)
+                keep = self._open.enter_context
+                self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
+                video = self._partial / store.OVERLAY
+                self._video = keep(closing(open_video(video, canvas_size(size), fps))) if overlay else None
+                self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and maps else None
         except BaseException:
             self.__exit__()
             raise

@@ -38,7 +38,14 @@ FENCES = {
     "lightning.pytorch.loggers": ("palpate/command/train.py",),
     "mlflow": ("palpate/command/train.py",),
     "cv2": ("data/", "results/", "evaluation/"),
-    "matplotlib": ("planning/pictures.py", "results/plots.py", "evaluation/", "benchmarks/"),
+    "matplotlib": (
+        "planning/pictures.py",
+        "results/plots.py",
+        "results/panels.py",
+        "results/surface_plot.py",
+        "evaluation/",
+        "benchmarks/",
+    ),
     "pandas": ("evaluation/",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }

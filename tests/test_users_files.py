@@ -6,7 +6,6 @@ import random
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -25,12 +24,10 @@ from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
-from palpate.evaluation import foreign
 from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
-from palpate.evaluation.online.compare import Case
 from palpate.evaluation.palpation import __main__ as palpation
 from palpate.evaluation.palpation import curves, surfaces
 from palpate.evaluation.real import __main__ as real
@@ -54,7 +51,6 @@ PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
-    "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
@@ -76,8 +72,6 @@ KEPT = (".npz", ".ckpt", ".mp4")
 def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "beam_gravity.csv").touch()
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
@@ -103,15 +97,16 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
     patch(real, "draw_summary", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
-    patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
-    patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
     pull = SimpleNamespace(body=SimpleNamespace(count=9))
     sequence = SimpleNamespace(block=False, frames=60, pull=lambda particles, points, frames: pull)
     patch(online, "SEQUENCES", {"thin-shell-1": sequence})
-    patch(online, "run_case", lambda *arguments: Case(*(np.full(1, random.random()) for _ in range(4)), 0.5, 0.1))
+    names = ("chamfer", "ahead", "gap", "keypoint")
+    patch(
+        online, "run_case", lambda *arguments: {"seconds": 0.1} | {name: np.full(1, random.random()) for name in names}
+    )
     patch(cost_table, "simulate_press", quick_press)
     patch(plan, "simulate_press", quick_press)
     settings = SimpleNamespace(law="corotational")
@@ -168,14 +163,11 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_pull(chance: random.Random, out: Path) -> object:
         return real.main(["--pulled", str(inputs), "--output", str(out)])
 
-    def judge_foreign(chance: random.Random, out: Path) -> object:
-        return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
-
     def judge_palpation(chance: random.Random, out: Path) -> object:
         return palpation.main(["curves", "--data", str(inputs / "forces"), "--output", str(out)])
 
     def judge_frank(chance: random.Random, out: Path) -> object:
-        return palpation.main(["frank", "--quick", "--output", str(out)])
+        return palpation.main(["frank", "--output", str(out)])
 
     def judge_online(chance: random.Random, out: Path) -> object:
         asked = f"--sequences thin-shell-1 --starts k1 --methods PBD --every {chance.choice((5, 10))}"
@@ -206,7 +198,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def keep_prepared(chance: random.Random, out: Path) -> object:
         return prepare(inputs / "tiny", SETTINGS, out)
 
-    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
+    every = (draw, estimate, judge_pull, judge_palpation, benchmark, train_network, train_row)
     measured = (judge_frank, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
@@ -277,7 +269,6 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
         "judge_pull": {"table.csv", "report.html", "1.png"},
-        "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
@@ -287,7 +278,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
         "train_row": {"last.ckpt"},
-        "write_depth": {"depth.onnx"},
+        "write_depth": {"depth.onnx", LIST},
         "keep_prepared": {"clip.npz", "0.npz"},
     }
     assert {name: expected[name] & found for name, found in written.items()} == expected

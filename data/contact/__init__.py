@@ -12,21 +12,3 @@ depth_sequence  depth around a contact from frame to frame; patches: which of th
 interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
 features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.contact.geometry": (
-            "Contact",
-            "FrameGeometry",
-            "GeometrySettings",
-            "find_contact",
-            "frame_geometry",
-        ),
-        "palpate.data.contact.motion": ("ContactMotion",),
-        "palpate.data.contact.interaction": ("ContactFrame", "Interaction", "InteractionBuilder"),
-        "palpate.data.contact.features": ("contact_features",),
-    },
-)

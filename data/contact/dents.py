@@ -7,7 +7,6 @@ force has ended, so the release is the last frame before that. Frames wait until
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -15,19 +14,10 @@ import cv2
 import numpy as np
 
 from palpate.data.contact.depth_change import MIN_REST, SCALES, DepthChange, RestingTissue, grid_motion, picture_motion
-from palpate.data.contact.geometry import (
-    FrameGeometry,
-    GeometrySettings,
-    GeometryStatus,
-    RestTissue,
-    smooth_rest,
-    tissue_mesh,
-)
-from palpate.data.labels import TOOL
+from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
 from palpate.data.prepared import PreparedFrame
-from palpate.data.source.camera import Camera, back_project
+from palpate.data.source.camera import Camera
 from palpate.data.tracks.following import Shown
-from palpate.physics.mesh import contact_normal, nearest_vertex
 
 EARLIER, LATE = 3, 8
 """Frames wait for so many others, while nothing presses and while something does: when a dent is clear, or clearly
@@ -46,37 +36,6 @@ EARLY = "Too few frames at rest came before this one to recognise a dent."
 RECOVERS = "The dent of the press before has not gone yet."
 RECOVERY_SECONDS = 1.0
 """After this time what is left of a dent counts as the tissue's shape at rest [s]."""
-
-
-def dent_geometry(
-    prepared: PreparedFrame,
-    pixel: tuple[int, int],
-    camera: Camera,
-    settings: GeometrySettings,
-    rest: RestTissue | None = None,
-) -> FrameGeometry:
-    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; `rest` as of `frame_geometry`.
-
-    Raises:
-        GeometryStatus: `bad_depth` where the tissue gives no mesh.
-    """
-    rest, noise = smooth_rest(prepared.depth, prepared.labels, settings, rest)
-    sheet = back_project(rest.depth, camera)
-    mesh = tissue_mesh(sheet, prepared.labels, settings, rest)
-    vertex = nearest_vertex(mesh, sheet[pixel[1], pixel[0]])
-    row, column = mesh.pixels[vertex].tolist()
-    nowhere = np.full(3, np.nan, np.float32)
-    return FrameGeometry(
-        mesh=mesh,
-        vertex=vertex,
-        normal=contact_normal(mesh, vertex),
-        tool_point=nowhere,
-        tissue_point=mesh.vertices[vertex],
-        distance=math.nan,
-        pixel=(column, row),
-        touching=False,
-        noise=noise,
-    )
 
 
 @dataclass(eq=False)
@@ -152,8 +111,7 @@ class DentContacts:
 
     def _motion(self, frame: PreparedFrame) -> np.ndarray:
         """Motion of the picture on the grid from the frame before to this one, shape [3, 3]."""
-        picture, labels = frame.view
-        before, self._shown = self._shown, Shown.of(picture, labels == TOOL)
+        before, self._shown = self._shown, Shown.of_view(frame.view)
         if before is None or not self._waiting:
             return np.eye(3)
         return grid_motion(picture_motion(before, self._shown), before, frame)
@@ -168,7 +126,8 @@ class DentContacts:
         frame = item.prepared
         if item.place is not None:
             try:
-                frame.geometry = dent_geometry(frame, item.place[::-1], self._camera, self._settings)
+                place = item.place[::-1]
+                frame.geometry = dent_geometry(frame.depth, frame.labels, place, self._camera, self._settings)
                 frame.status, frame.detail = "ok", ""
             except GeometryStatus as status:
                 frame.status, frame.detail = status.status, status.detail

@@ -20,7 +20,7 @@ from palpate.data.contact.outlines import inside, near
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import Background, background_motion
-from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.following import Shown, spread
 from palpate.data.tracks.linking import followed
 
 MAX_REST, MIN_REST = 8, 3
@@ -84,9 +84,8 @@ class RestingTissue:
             return None
         total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
         for depth, tissue, since in self._frames:
-            moved, visible = (
-                cv2.warpAffine(part, since[:2], depth.shape[::-1], flags=cv2.INTER_LINEAR) for part in (depth, tissue)
-            )
+            size = depth.shape[::-1]
+            moved, visible = (cv2.warpAffine(part, since[:2], size) for part in (depth, tissue))
             used = visible > 0.999
             total[used] += moved[used]
             count[used] += 1
@@ -159,8 +158,7 @@ def grid_motion(background: Background | None, shown: Shown, prepared: PreparedF
 
 def picture_motion(before: Shown, after: Shown) -> Background | None:
     """Affine motion of most of a picture without a tool; None where it isn't known."""
-    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
-    places = places[values_at(before.tissue, places)]
+    places = spread(before.tissue, SPACING)
     places = places[:: max(1, len(places) // POINTS)]
     step, known = followed(before.gray, after.gray, places)
     return background_motion(places[known], step[known])

@@ -24,7 +24,7 @@ from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
-from palpate.data.tracks.following import Shown, lattice, values_at
+from palpate.data.tracks.following import Shown, spread, values_at
 from palpate.data.tracks.linking import followed
 
 PRIOR = 0.7
@@ -130,10 +130,10 @@ class ContactEvidence:
             self._came = True
         self._number, self._apart = number, apart
         if apart and prepared.visible:
-            self._begin(_shown(prepared), prepared)
+            self._begin(Shown.of_view(prepared.view), prepared)
         if not prepared.in_contact:
             return
-        probability = self._push(_shown(prepared), prepared)
+        probability = self._push(Shown.of_view(prepared.view), prepared)
         # A tool that was observed to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
@@ -189,12 +189,6 @@ def _ratio_of_tips(tips: list[TipMotion]) -> float:
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _shown(prepared: PreparedFrame) -> Shown:
-    """The picture of a frame that is visible."""
-    picture, labels = prepared.view
-    return Shown.of(picture, labels == TOOL)
-
-
 def _has_sunk(shown: Shown, before: PreparedFrame, after: PreparedFrame, background: Background | None) -> bool:
     """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known.
 
@@ -222,10 +216,8 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     tips = tool_tips(before.tool, before.lit, TIP, MIN_TOOL_PIXELS)
     if not tips:
         return [], None
-    places = lattice(before.gray.shape, SPACING).reshape(-1, 2)
+    places = spread((before.away > GUARD) & before.lit, SPACING)
     distance = values_at(before.away, places) - GUARD
-    usable = (distance > 0) & values_at(before.lit, places)
-    places, distance = places[usable], distance[usable]
     far = np.flatnonzero(distance > RING)
     far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
     # Every point belongs to the tip that it is nearest to, or to a shaft.
@@ -245,10 +237,8 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
         step, found = followed(before.gray, after.gray, places, NARROW)
         motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
-            around = known & (owner == index)
-            motions.append(
-                TipMotion(moved[around], distance[around], SPACING, *motion, background.noise, background.error)
-            )
+            around, errors = known & (owner == index), (background.noise, background.error)
+            motions.append(TipMotion(moved[around], distance[around], SPACING, *motion, *errors))
     return motions, background
 
 
@@ -257,9 +247,8 @@ def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndar
     owner = np.full(view.tool.shape, -1)
     for index, tip in enumerate(tips):
         owner[tip[:, 1], tip[:, 0]] = index
-    label = cv2.distanceTransformWithLabels(
-        (~view.tool).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )[1]
+    bare = (~view.tool).astype(np.uint8)
+    label = cv2.distanceTransformWithLabels(bare, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)[1]
     by_label = np.full(label.max() + 1, -1)
     by_label[label[view.tool]] = owner[view.tool]
     return by_label[label[places[:, 1], places[:, 0]]]

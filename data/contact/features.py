@@ -91,9 +91,8 @@ def join_features(
     relative = (noise / spacing)[:, None]
     along = along * known
     logs = np.log(relative)
-    scales = np.concatenate(
-        [np.log(spacing / REFERENCE_SPACING)[:, None], logs, logs**2 / 4, known.mean(1)[:, None]], axis=1
-    )
+    size, share = np.log(spacing / REFERENCE_SPACING)[:, None], known.mean(axis=1, keepdims=True)
+    scales = np.concatenate([size, logs, logs**2 / 4, share], axis=1)
     scaled = np.arcsinh(along / (2 * relative)) / 5
     return np.concatenate([along / 8, scaled, known, loaded, around, scales], axis=1).astype(np.float32)
 

@@ -146,9 +146,7 @@ class GeometrySettings:
         if not 0.01 <= self.keep <= 1:
             raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
         if self.contact == "motion" and self.smoothing == 0:
-            raise ValueError(
-                "geometry.contact motion needs a rest shape and its noise; give geometry.smoothing above 0."
-            )
+            raise ValueError("geometry.contact motion needs a rest shape and its noise; give smoothing above 0.")
         if self.contact_pixels == 0 and self.contact_distance == 0:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 
@@ -231,6 +229,24 @@ def frame_geometry(
     normal = contact_normal(mesh, vertex)
     pixel = int(column), int(row)
     return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, touching, noise)
+
+
+def dent_geometry(
+    depth: np.ndarray, labels: np.ndarray, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings,
+    rest: RestTissue | None = None,
+) -> FrameGeometry:  # fmt: skip
+    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; the others as of `frame_geometry`.
+
+    Raises:
+        GeometryStatus: `bad_depth` where the tissue gives no mesh.
+    """
+    rest, noise = smooth_rest(depth, labels, settings, rest)
+    sheet = back_project(rest.depth, camera)
+    mesh = tissue_mesh(sheet, labels, settings, rest)
+    vertex = nearest_vertex(mesh, sheet[pixel[1], pixel[0]])
+    (row, column), nowhere = mesh.pixels[vertex].tolist(), np.full(3, np.nan, np.float32)
+    normal, point = contact_normal(mesh, vertex), mesh.vertices[vertex]
+    return FrameGeometry(mesh, vertex, normal, nowhere, point, math.nan, (column, row), False, noise)
 
 
 def smooth_rest(
@@ -320,9 +336,11 @@ def _touching(tool: np.ndarray, tissue: np.ndarray, contact_pixels: float) -> bo
     return contact_pixels > 0 and bool((distance_transform_edt(~tissue)[tool] <= contact_pixels).any())
 
 
-def _outline_pair(
-    points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings
-) -> tuple[np.ndarray, np.ndarray]:
+Pixels = tuple[np.ndarray, np.ndarray]
+"""Of the tool and of the tissue, row and column each."""
+
+
+def _outline_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings) -> Pixels:
     """Pixels (row, column) of g* and b* among those along the outline where the masks touch."""
     reach = settings.contact_pixels
     to_tool, nearest_tool = distance_transform_edt(~tool, return_indices=True)
@@ -340,9 +358,7 @@ def _outline_pair(
     return near_tool[contact.tool_index], near_tissue[contact.tissue_index]
 
 
-def _cloud_pair(
-    points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings
-) -> tuple[np.ndarray, np.ndarray]:
+def _cloud_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings) -> Pixels:
     """Pixels (row, column) of g* and b* among all; only `contact` nearest lets them be beyond the contact distance."""
     valid = points[..., 2] > 0
     tool_pixels, tissue_pixels = np.argwhere(tool & valid), np.argwhere(tissue & valid)

@@ -240,9 +240,8 @@ class InteractionBuilder:
         if self._recorder is not None:
             kept = [(since, change) for index, since, change in self._sequence if counts(index, since)]
             known = sum(until is None or since <= until for _, since, _ in self._sequence)
-            sequence = self._recorder.sequence(
-                np.array([since for since, _ in kept]), [change for _, change in kept], known
-            )
+            times = np.array([since for since, _ in kept])
+            sequence = self._recorder.sequence(times, [change for _, change in kept], known)
         brightness = None
         if self._light is not None:
             lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]

@@ -17,9 +17,9 @@ import numpy as np
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.brightness.registration import Registration, View
 from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
-from palpate.data.contact.dents import RECOVERY_SECONDS, dent_geometry
+from palpate.data.contact.dents import RECOVERY_SECONDS
 from palpate.data.contact.evidence import CERTAIN
-from palpate.data.contact.geometry import GeometrySettings, GeometryStatus
+from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
 from palpate.data.contact.lit_frame import (
     ARRIVED,
     REACH,
@@ -251,7 +251,8 @@ class LightContacts:
         self._deepest, self._pressed_s = max(self._deepest, darkness_at(lit, place)), prepared.frame.time_s
         prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
-            prepared.geometry = dent_geometry(prepared, pixel, self._camera, self._settings)
+            seen = prepared.depth, prepared.labels
+            prepared.geometry = dent_geometry(*seen, pixel, self._camera, self._settings)
         except GeometryStatus as status:
             prepared.status, prepared.detail, prepared.geometry = status.status, status.detail, None
         else:

@@ -13,8 +13,7 @@ from collections import deque
 
 import numpy as np
 
-from palpate.data.contact.dents import dent_geometry
-from palpate.data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, frame_geometry
+from palpate.data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, dent_geometry, frame_geometry
 from palpate.data.contact.outlines import frayed_share, inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
@@ -168,10 +167,11 @@ class ContactMotion:
             with contextlib.suppress(GeometryStatus):
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
+                seen, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
                 if self.settings.contact == "motion" or onset.press is not None:
-                    resting = dent_geometry(onset, onset.contact.pixel, self.camera, self.settings, rest)
+                    resting = dent_geometry(*seen, onset.contact.pixel, *given)
                 else:
-                    resting = frame_geometry(onset.depth, onset.labels, self.camera, self.settings, rest)
+                    resting = frame_geometry(*seen, *given)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
                 share = frayed_share(onset.depth, onset.labels, np.where(rest.known, rest.depth, 0), noise)
                 if share > FRAYED_SHARE:

@@ -57,10 +57,8 @@ class Patches:
         self._focal = focal_length(mesh)
         self._slope = self._rest_slope()
         centre = mesh.pixels[vertex]
-        rows, columns = (
-            footprint(int(middle) + pixels, cells, length, parts)
-            for middle, cells, length in zip(centre, mesh.grid_shape, size[::-1], strict=True)
-        )
+        axes = zip(centre, mesh.grid_shape, size[::-1], strict=True)
+        rows, columns = (footprint(int(middle) + pixels, cells, length, parts) for middle, cells, length in axes)
         side, down, across = self._side, rows[0].shape[1], columns[0].shape[1]
         shape = (side, side, down, across)
         places = (rows[0] - centre[0])[:, None, :, None], (columns[0] - centre[1])[None, :, None, :]
@@ -150,9 +148,8 @@ class Patches:
             return np.zeros((len(moved), self._side**2, slopes.shape[-1]))
         place = self._at_rest(moved)
         dense = self._dense(np.concatenate([self.sunk(moved)[..., None], self.shift(moved)], axis=-1))
-        gradient = np.stack(
-            [between(dense, place + half) - between(dense, place - half) for half in 0.5 * np.eye(2)], axis=-1
-        )
+        steps = [between(dense, place + half) - between(dense, place - half) for half in 0.5 * np.eye(2)]
+        gradient = np.stack(steps, axis=-1)
         flat = self._shift_slopes(moved, slopes).reshape(*moved.shape[:2], -1)
         shifting = between(self._dense(flat), place).reshape(*place.shape, -1)
         # What a pixel shows lies at x with x + shift(x) = pixel.

@@ -124,12 +124,11 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     return int(np.argmax(np.where(equal, mean, -np.inf)))
 
 
-def settle_run(
-    run: ContactRun,
-    size: tuple[int, int],
-    lift: Callable[[np.ndarray, PreparedFrame], np.ndarray],
-    tracker: TissueTracker,
-) -> None:
+Lift = Callable[[np.ndarray, PreparedFrame], np.ndarray]
+"""From pixels of the full picture [P, 2] to points [P, 3] in a frame."""
+
+
+def settle_run(run: ContactRun, size: tuple[int, int], lift: Lift, tracker: TissueTracker) -> None:
     """Move a young run's contact to the nearby tissue that has yielded most, and follow that; a settled one stays.
 
     Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.

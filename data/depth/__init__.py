@@ -6,15 +6,3 @@ model        any depth network as an ONNX file: input, session, meaning of its o
 preset       input and output conventions of a network, as YAML files in presets/
 photometric  builds the network that needs no training: brightness under a light at the camera
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.depth.normalise": ("DepthSettings", "estimate_scale", "open_depth"),
-        "palpate.data.depth.sources": ("DepthSource", "ModelDepth", "StoredDepth"),
-        "palpate.data.depth.model": ("DepthModel",),
-        "palpate.data.depth.preset": ("DepthPreset", "load_preset", "preset_names"),
-    },
-)

@@ -17,7 +17,6 @@ if __name__ == "__main__":
 
 import argparse
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +25,10 @@ import onnx
 from onnx.inliner import inline_local_functions
 from onnxscript import FLOAT, opset18, script
 
-from palpate.common.files import read_file, replacing
-from palpate.common.output import ForeignFile
+from palpate.common.command_line import path_option
+from palpate.common.output import replacing_own
 
 op: Any = opset18
-PRODUCER = "palpate"
-"""Producer's name in the model file, by which the module recognises its own."""
-SHIPPED = Path(__file__).with_name("photometric.onnx")
-"""The model that comes with this project."""
 CHANNELS = onnx.numpy_helper.from_array(np.array([[[[0.7]], [[0.3]], [[0]]]], np.float32))
 """Weights of the linear channels. Blood absorbs green and blue, so red varies least with albedo; green helps where red
 saturates."""
@@ -123,37 +118,26 @@ def build_photometric(field_of_view_deg: float = 60.0) -> onnx.ModelProto:
         return depth  # noqa: RET504  the name is the output's
 
     types = {"input_types": [FLOAT[1, 3, "height", "width"]], "output_types": [FLOAT[1, "height", "width"]]}
-    model = inline_local_functions(photometric_depth.to_model_proto(**types, ir_version=9, producer_name=PRODUCER))
+    model = inline_local_functions(photometric_depth.to_model_proto(**types, ir_version=9, producer_name="palpate"))
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
 def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:
-    """Write the model to a file (under a temporary name first).
+    """Write the model to a file; a user's stays.
 
     Raises:
-        ForeignFile: the path holds a file that is not such a model.
+        ForeignFile: the path holds a file that this program did not write.
     """
-    if os.path.lexists(path) and not _is_own(path):
-        raise ForeignFile(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as partial:
+    with replacing_own(path) as partial:
         onnx.save(build_photometric(field_of_view_deg), str(partial))
-
-
-def _is_own(path: Path) -> bool:
-    """Whether a file is a model that this module wrote."""
-    try:
-        model = onnx.load_model_from_string(read_file(path))
-    except Exception:  # protobuf or onnx raises, depending on where a file is damaged
-        return False
-    return model.producer_name == PRODUCER and not path.is_symlink()
 
 
 def main() -> None:
     """Write the model, e.g. for an endoscope with another field of view."""
     parser = argparse.ArgumentParser(prog="python -m data.depth.photometric", description=main.__doc__)
-    parser.add_argument("--output", type=Path, default=SHIPPED, help="ONNX file to write (default: the shipped one)")
+    parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
     parser.add_argument("--field-of-view-deg", type=float, default=60.0, help="horizontal field of view (default: 60)")
     arguments = parser.parse_args()
     try:

@@ -8,15 +8,3 @@ automatic         raw video without a network: an instrument by its shape, other
 instrument_bands  the straight edges of a shaft, for automatic
 class_table       CholecSeg8k's classes and colours
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.masks.sources": ("MaskClasses", "MaskSource", "open_masks", "read_mask"),
-        "palpate.data.masks.onnx": ("OnnxMasks", "SegmentationSettings"),
-        "palpate.data.masks.automatic": ("AutomaticMasks",),
-        "palpate.data.masks.class_table": ("CLASSES",),
-    },
-)

@@ -163,9 +163,7 @@ def read_settings(path: Path, metadata: dict[str, str]) -> SegmentationSettings:
         try:
             values = json.loads(metadata[METADATA_KEY])
         except (ValueError, RecursionError) as error:
-            raise InputError(
-                f"{where} is not JSON ({error}); write {settings_file.name} next to the model instead."
-            ) from error
+            raise InputError(f"{where} is not JSON ({error}); write {settings_file.name} instead.") from error
     else:
         raise InputError(f"{path} has no settings; write {settings_file.name} next to it that names its tool channels.")
     return from_mapping(SegmentationSettings, values, where)

@@ -141,9 +141,7 @@ class AnnotationMasks:
             raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
         if not has_masks(clip, layout):
             expected = layout.mask_patterns[0]
-            raise InputError(
-                f"{clip} holds no annotation masks (such as {expected}); use --masks automatic or a model."
-            )
+            raise InputError(f"{clip} holds no annotation masks ({expected}); use --masks automatic or a model.")
         self.layout, self.classes = layout, classes
         self.identity = f"annotation:{classes}:{layout.mask_patterns}"
 

@@ -5,14 +5,3 @@ layout  how a folder's frames, masks, depth and camera file are named
 camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.data.source.frames": ("Frame", "FrameFolder", "FrameSource", "VideoFile", "discover", "open_source"),
-        "palpate.data.source.layout": ("ClipLayout", "InputError", "load_layout"),
-        "palpate.data.source.camera": ("Camera", "back_project", "load_camera"),
-    },
-)

@@ -45,10 +45,8 @@ class Camera:
             raise ValueError(f"The camera's focal length is ({self.fx}, {self.fy}); give positive numbers of pixels.")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
-        if (
-            max(self.width / self.fx, self.height / self.fy, abs(self.cx) / self.width, abs(self.cy) / self.height)
-            > MAX_RATIO
-        ):
+        focal, centre = (self.width / self.fx, self.height / self.fy), (self.cx / self.width, self.cy / self.height)
+        if max(*focal, *map(abs, centre)) > MAX_RATIO:
             raise ValueError(
                 f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
                 f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."
@@ -91,11 +89,8 @@ def _camera(entries: Any, where: str) -> Camera:
     Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null.
     """
     if isinstance(entries, dict):
-        entries = {
-            name: [_number(each) for each in value] if isinstance(value, list) else _number(value)
-            for name, value in entries.items()
-            if value is not None
-        }
+        given = ((name, value) for name, value in entries.items() if value is not None)
+        entries = {name: [*map(_number, each)] if isinstance(each, list) else _number(each) for name, each in given}
     return from_mapping(Camera, entries, where)
 
 
@@ -149,9 +144,8 @@ class Undistortion:
     def __init__(self, camera: Camera) -> None:
         matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
         size = (camera.width, camera.height)
-        self._maps = cv2.initUndistortRectifyMap(
-            matrix, np.array(camera.distortion, float), None, matrix, size, cv2.CV_32FC1
-        )
+        bent = np.array(camera.distortion, float)
+        self._maps = cv2.initUndistortRectifyMap(matrix, bent, None, matrix, size, cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

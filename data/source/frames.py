@@ -115,10 +115,7 @@ class FrameFolder(FrameSource):
         for folder in (path, *following):
             files = frame_files(folder, layout)
             if not files:
-                raise InputError(
-                    f"{printable(folder)} holds no frame images ({layout.image}); give a folder of frames or a video "
-                    "file."
-                )
+                raise InputError(f"{printable(folder)} holds no frame images ({layout.image}); give one that does.")
             begin = self._times[-1] + 1 / self.fps if self._times else None
             self._times += _folder_times(folder, files, self.fps, begin)
             self.files += files
@@ -252,9 +249,7 @@ def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, b
     if times is None:
         times = [(number - files[0][0]) / fps for number, _ in files]
     elif len(times) != len(files):
-        raise InputError(
-            f"{folder} has {len(files)} frames while its clip.json gives {len(times)} times; make them agree."
-        )
+        raise InputError(f"{folder} has {len(files)} frames and its clip.json {len(times)} times; make them agree.")
     return times if begin is None else [begin + time_s - times[0] for time_s in times]
 
 

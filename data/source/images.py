@@ -115,8 +115,5 @@ def _truncated(content: bytes) -> bool:
 def printable(path: Path) -> str:
     """The path as text that any terminal and file can hold; the middle of one of many folders is left out."""
     text = plain(os.fsencode(path).decode("utf-8", "replace"))
-    return (
-        text
-        if len(text) <= MOST_PATH_LETTERS
-        else f"{text[: MOST_PATH_LETTERS // 2]}…{text[-MOST_PATH_LETTERS // 2 :]}"
-    )
+    half = MOST_PATH_LETTERS // 2
+    return text if len(text) <= 2 * half else f"{text[:half]}…{text[-half:]}"

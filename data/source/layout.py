@@ -244,14 +244,9 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     if found:
         return [(int(digits), path) for digits, path in found]
     companions = [pattern_expression(p) for p in (*layout.mask_patterns, layout.depth) if p is not None]
-    images = [
-        path
-        for path in list_folder(clip)
-        if path.suffix.lower() in IMAGE_SUFFIXES
-        and not path.name.startswith(".")
-        and not path.stem.endswith("_mask")
-        and not any(expression.fullmatch(path.name) for expression in companions)
-    ]
+    shown = [path for path in list_folder(clip) if path.suffix.lower() in IMAGE_SUFFIXES and path.name[0] != "."]
+    named = [path for path in shown if not path.stem.endswith("_mask")]
+    images = [path for path in named if not any(expression.fullmatch(path.name) for expression in companions)]
     digits = [re.findall(r"\d+", path.stem) for path in images]
     numbers = [int(runs[-1]) if runs else -1 for runs in digits]
     steps = np.diff(numbers) if len(numbers) > 1 else np.array([1])

@@ -10,7 +10,3 @@ source    a clip in memory as a FrameSource; contacts: motions without pictures,
 
 `python -m data.synthetic` is the door.
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -27,9 +27,6 @@ from palpate.data.synthetic.slab import SlabMotion, draw_slab
 from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 from palpate.data.synthetic.turning import CameraTurning
 
-FOLDER_FRAMES = 80
-"""Frames of a video in one folder of CholecSeg8k, which is named by its first frame."""
-
 
 @dataclass(frozen=True)
 class SyntheticClip:
@@ -115,18 +112,6 @@ def synthetic_clip(scene: Scene, motion: TrueMotion, seed: int) -> SyntheticClip
     return SyntheticClip(scene, motion, camera, seed, images, labels, stored_to_depth(stored))
 
 
-def press_seed(seed: int, press: int) -> int:
-    """Seed of one press of a video; the first one's is the video's own."""
-    return clip_seed(seed, press) if press else seed
-
-
-def folder_start(frames: int, press: int) -> int:
-    """Number of a press's first frame, as CholecSeg8k counts: folders begin at multiples of 80, here with a gap between
-    them, since each press is a scene of its own.
-    """
-    return press * FOLDER_FRAMES * (frames // FOLDER_FRAMES + 1)
-
-
 def clip_seed(seed: int, index: int) -> int:
     """Seed of one clip of a set, so that clips of one seed share nothing and clip i doesn't depend on their number."""
     return int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
@@ -138,16 +123,14 @@ def write_clip(
     settings: SceneSettings,
     seed: int,
     *,
-    presses: int = 1,
     overwrite: bool = False,
     advance: Callable[[int], None] = lambda frames: None,
 ) -> Path:
-    """Write a clip as output/videoNN and return its frame folder, the first one of several presses.
+    """Write a clip as output/videoNN and return its frame folder.
 
     The folder appears when it is complete. A clip that is there already with the same settings and seed is kept.
 
     Args:
-        presses: folders of the video, each with a scene, θ and press of its own.
         advance: is called with the number of frames that were written since the last call.
 
     Raises:
@@ -157,40 +140,31 @@ def write_clip(
         SceneError: the settings leave nothing to draw.
     """
     name = f"video{number:02d}"
-    target = output / name
-    folders = {
-        f"{name}_{folder_start(settings.frames, press):05d}": press_seed(seed, press) for press in range(presses)
-    }
-    same = (_same_clip(target / folder / "truth.json", settings, own) for folder, own in folders.items())
-    if not overwrite and all(same) and sum(path.is_dir() for path in target.iterdir()) == presses:
-        advance(presses * settings.frames)
-        return target / next(iter(folders))
+    target, folder = output / name, f"{name}_00000"
+    if not overwrite and _same_clip(target / folder / "truth.json", settings, seed):
+        advance(settings.frames)
+        return target / folder
     require_own_folder(target)
     if target.exists() and not overwrite:
-        raise FileExistsError(
-            f"{target} exists and was made with other settings; give another --output or --overwrite."
-        )
-    truths = {folder: draw_truth(settings, own) for folder, own in folders.items()}
+        raise FileExistsError(f"{target} was made with other settings; give another --output or --overwrite.")
+    scene, motion = draw_truth(settings, seed)
     output.mkdir(parents=True, exist_ok=True)
     # The leading dot keeps readers away; the name is nobody else's, so that it can be removed.
     partial = output / f".{name}.{secrets.token_hex(8)}.partial"
-    partial.mkdir()
     try:
-        for press, (folder, (scene, motion)) in enumerate(truths.items()):
-            (partial / folder).mkdir()
-            start = folder_start(settings.frames, press)
-            with open_video(partial / f"{folder}.mp4", settings) as add_to_video:
-                for index, frame in enumerate(observe(scene, motion, folders[folder])):
-                    write_frame(partial / folder, start + index, *frame)
-                    add_to_video(frame[0])
-                    advance(1)
-            write_truth(partial / folder, scene, motion, folders[folder])
+        (partial / folder).mkdir(parents=True)
+        with open_video(partial / f"{folder}.mp4", settings) as add_to_video:
+            for index, frame in enumerate(observe(scene, motion, seed)):
+                write_frame(partial / folder, index, *frame)
+                add_to_video(frame[0])
+                advance(1)
+        write_truth(partial / folder, scene, motion, seed)
         list_folder(partial)
         require_own_folder(target)
         _swap(partial, target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return target / next(iter(folders))
+    return target / folder
 
 
 def _swap(partial: Path, target: Path) -> None:

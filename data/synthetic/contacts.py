@@ -93,9 +93,8 @@ class _Pressed:
         delay, release = generator.uniform(-self.within, self.within, 2) if self.within else (0.0, 0.0)
         loaded = max(stamped + release - delay, SHORTEST_PRESS) / FINE_MECHANICS.time_step
         low, high = settings.peak_displacement
-        pressed = simulate(
-            theta, self.mesh, Press.at(self.vertex, direction, np.ones(round(loaded) or 1)), FINE_MECHANICS
-        )
+        whole = Press.at(self.vertex, direction, np.ones(round(loaded) or 1))
+        pressed = simulate(theta, self.mesh, whole, FINE_MECHANICS)
         if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
             return None
         view = self.patches[int(generator.integers(len(self.patches)))] if self.patches else None

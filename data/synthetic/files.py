@@ -49,26 +49,13 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
-    clip = {
-        "fps": settings.fps,
-        "camera": dataclasses.asdict(reported_camera(scene.camera, settings)),
-        "depth_scale": 1.0,
-        "times": motion.times.tolist(),
-    }
+    camera = dataclasses.asdict(reported_camera(scene.camera, settings))
+    clip = {"fps": settings.fps, "camera": camera, "depth_scale": 1.0, "times": motion.times.tolist()}
     own = TEXTS[type(motion).__name__]
-    np.savez(
-        folder / "truth.npz",
-        trajectory=motion.contact,
-        in_contact=motion.in_contact,
-        times=motion.times,
-        mesh_vertices=mesh.vertices,
-        mesh_springs=mesh.springs,
-        mesh_rim=mesh.rim,
-        mesh_pixels=mesh.pixels,
-        moving=motion.moving.astype(np.int32),
-        field=motion.field.astype(np.float16),
-        **{name: getattr(motion, name) for name in own},
-    )
+    arrays: dict[str, Any] = {"trajectory": motion.contact, "in_contact": motion.in_contact, "times": motion.times}
+    arrays |= {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "springs", "rim", "pixels")}
+    arrays |= {"moving": motion.moving.astype(np.int32), "field": motion.field.astype(np.float16)}
+    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in own})
     truth = {
         "seed": seed,
         "action": settings.action,

@@ -118,9 +118,7 @@ def draw_tip_path(scene: Scene, generator: np.random.Generator) -> Callable[[np.
         if (end > TIP_MARGIN_PX).all() and (end < size - TIP_MARGIN_PX).all():
             break
     else:
-        raise SceneError(
-            f"scene.peak_displacement {settings.peak_displacement} moves the tip out of the picture; choose smaller."
-        )
+        raise SceneError(f"scene.peak_displacement {settings.peak_displacement} leaves the picture; choose smaller.")
     sideways = generator.uniform(-LARGEST_BEND, LARGEST_BEND) * np.array([-far[1], far[0]])
     rise = generator.uniform(*RISE_SHARE)
 
@@ -194,9 +192,8 @@ def _integrate(
     advanced = matrix + shift * diags_array(np.ones(rows * columns))
     free = advanced[~held]
     # The matrix is symmetric and positive definite, so it needs no pivoting.
-    factors = splu(
-        free[:, ~held].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
+    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    factors = splu(free[:, ~held].tocsc(), **symmetric)
     ties = free[:, held].sum(axis=1)[:, None]
     place, before, speed, speed_before = (np.zeros((rows * columns, 2)) for _ in range(4))
     displacement, reaction = [np.zeros((*scene.mesh.grid_shape, 2))], [np.zeros(2)]
@@ -234,9 +231,8 @@ def edge_anchor(log_stiffness: np.ndarray, anchor: float, grip: np.ndarray) -> n
     falls = k1e(distance / reach) / k0e(distance / reach) / reach
     added = np.zeros(log_stiffness.shape)
     for axis in (0, 1):
-        sides, across = (
-            np.moveaxis(values, axis, 0) for values in (added, np.abs(apart[..., axis]) / distance * falls)
-        )
+        leaving = np.abs(apart[..., axis]) / distance * falls
+        sides, across = (np.moveaxis(values, axis, 0) for values in (added, leaving))
         sides[[0, -1]] += across[[0, -1]]
     return 3 * np.exp(log_stiffness) * added
 

@@ -155,10 +155,8 @@ def surface_normals(points: np.ndarray) -> np.ndarray:
 def rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     """Class codes of the sheet at rest: the organ, liver around it, abdominal wall in one corner."""
     settings = scene.settings
-    columns, rows = np.meshgrid(
-        (np.arange(settings.width) + 0.5) / settings.cell[0] - 0.5,
-        (np.arange(settings.height) + 0.5) / settings.cell[1] - 0.5,
-    )
+    sides = zip((settings.width, settings.height), settings.cell, strict=True)
+    columns, rows = np.meshgrid(*((np.arange(side) + 0.5) / cell - 0.5 for side, cell in sides))
     labels = np.full(columns.shape, GREY["liver"], np.uint8)
     angle = generator.uniform(0, 2 * np.pi)
     x, y = columns / settings.grid_width - 0.5, rows / settings.grid_height - 0.5
@@ -180,10 +178,8 @@ def reflectance(scene: Scene, labels: np.ndarray, generator: np.random.Generator
     border = cv2.morphologyEx(labels, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
     crease = cv2.GaussianBlur(border.astype(np.float32), (0, 0), 1.5 * cell)
     albedo *= 1 - 0.5 * (crease / crease.max())[..., None]
-    mottle = sum(
-        weight * _noise(shape, size * cell, generator)
-        for size, weight in ((1.0, 0.08), (2.5, 0.11), (8.0, 0.08), (30.0, 0.08))
-    )
+    spots = ((1.0, 0.08), (2.5, 0.11), (8.0, 0.08), (30.0, 0.08))
+    mottle = sum(weight * _noise(shape, size * cell, generator) for size, weight in spots)
     hue = _noise(shape, 25 * cell, generator)
     albedo *= np.exp(mottle)[..., None] * np.exp(hue[..., None] * np.array([0.02, -0.06, -0.08], np.float32))
     vessels = _vessels(shape, cell, generator)
@@ -217,8 +213,6 @@ def _vessels(shape: tuple[int, int], cell: float, generator: np.random.Generator
 def bumps(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     """Fine relief that breaks up highlights: offsets of the normal's x and y, shape [H, W, 2], float32."""
     shape, cell = (scene.settings.height, scene.settings.width), scene.settings.cell[0]
-    layers = [
-        sum(w * _noise(shape, s * cell, generator) for s, w in ((2.0, 0.05), (6.0, 0.08), (18.0, 0.08)))
-        for _ in range(2)
-    ]
+    spots = ((2.0, 0.05), (6.0, 0.08), (18.0, 0.08))
+    layers = [sum(weight * _noise(shape, size * cell, generator) for size, weight in spots) for _ in range(2)]
     return np.stack(layers, axis=-1).astype(np.float32)

@@ -155,20 +155,12 @@ class SceneSettings:
                 wanted = "a number" if len(ends) == 1 else "a low end up to a high end"
                 raise ValueError(f"scene.{name} is {value}; give {wanted} within [{lowest:g}, {highest:g}].")
         if self.width < self.grid_width or self.height < self.grid_height:
-            raise ValueError(
-                f"scene.width x scene.height is {self.width}x{self.height}; give at least the grid's size, "
-                f"{self.grid_width}x{self.grid_height}."
-            )
+            raise ValueError(f"scene.width and height {self.width}x{self.height} are below the grid's; give more.")
         if self.rise[1] + self.fall[1] > 1:
-            raise ValueError(
-                f"scene.rise ends at {self.rise[1]:g} and scene.fall at {self.fall[1]:g}; give shares that add up "
-                "to 1 at most."
-            )
+            raise ValueError(f"scene.rise {self.rise[1]:g} and fall {self.fall[1]:g} add up to more than 1; give less.")
         if self.tissue == "sheet":
-            for name, fastest in (
-                ("stiffness", math.sqrt(self.stiffness[1] / self.mass)),
-                ("damping", self.damping[1] / self.mass),
-            ):
+            rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}
+            for name, fastest in rates.items():
                 if fastest > LARGEST_RATE:
                     raise ValueError(
                         f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
@@ -185,9 +177,6 @@ class SceneSettings:
 
 LARGEST_RATE = 1e4
 """Largest rate of a sheet, thirty times that of the defaults; it decides how short the integrator's steps are [1/s]."""
-LIMITS = {
-    name: kind.__metadata__
-    for name, kind in get_type_hints(SceneSettings, include_extras=True).items()
-    if hasattr(kind, "__metadata__")
-}
+_KINDS = get_type_hints(SceneSettings, include_extras=True)
+LIMITS = {name: kind.__metadata__ for name, kind in _KINDS.items() if hasattr(kind, "__metadata__")}
 """Smallest and largest value of each number, and of both ends of each range."""

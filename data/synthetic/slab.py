@@ -9,7 +9,7 @@ that unit an area.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -97,19 +97,13 @@ class GrippedSlab(SlabMotion):
 def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> SlabTissue:
     """Draw the material of a slab; ranges that begin above 0 are drawn log-uniformly, the others uniformly."""
 
-    def between(ends: tuple[float, float]) -> float:
-        return math.exp(generator.uniform(*np.log(ends))) if ends[0] > 0 else float(generator.uniform(*ends))
+    def drawn(value: float | tuple[float, float]) -> float:
+        if not isinstance(value, tuple):
+            return value
+        return math.exp(generator.uniform(*np.log(value))) if value[0] > 0 else float(generator.uniform(*value))
 
-    return SlabTissue(
-        young=between(settings.slab_young),
-        poisson=settings.slab_poisson,
-        density=settings.slab_density,
-        thickness=between(settings.slab_thickness),
-        damping=between(settings.slab_damping),
-        branch=between(settings.slab_branch),
-        branch_time=between(settings.slab_branch_time),
-        inclusion=settings.slab_inclusion,
-    )
+    names = [field.name for field in fields(SlabTissue)]
+    return SlabTissue(**{name: drawn(getattr(settings, f"slab_{name}")) for name in names})
 
 
 def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | GrippedSlab:
@@ -176,9 +170,8 @@ def _follow(
     """Fields of a `SlabMotion` except the release, by name, and the reactions of every step [T, N, 3]."""
     settings = scene.settings
     row, column = scene.mesh.pixels.T
-    shown = np.flatnonzero(
-        (column > body.columns[0]) & (column < body.columns[-1]) & (row > body.rows[0]) & (row < body.rows[-1])
-    )
+    across = (column > body.columns[0]) & (column < body.columns[-1])
+    shown = np.flatnonzero(across & (row > body.rows[0]) & (row < body.rows[-1]))
     require_room(settings.frames * (len(shown) + load.steps // settings.frames * len(body.solid.rest)) * 3)
     relaxation = Relaxation(tissue.branch, tissue.branch_time) if tissue.branch else None
     step, inertia = 1 / (settings.fps * SUBSTEPS), Inertia(tissue.density, tissue.damping)

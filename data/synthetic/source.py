@@ -18,9 +18,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame, FrameSource
 from palpate.data.synthetic.clip import SyntheticClip
 
-PREPARE = PrepareSettings(
-    depth=DepthSettings(source="stored"), geometry=GeometrySettings(smoothing=4, rigid_motion="subtract")
-)
+PREPARE = PrepareSettings(DepthSettings("stored"), GeometrySettings(smoothing=4, rigid_motion="subtract"))
 """How clips are prepared that serve the benchmark, and what the contact posterior is trained for."""
 _LABELS = np.full(256, OTHER, np.uint8)
 """Label of every grey class code."""

@@ -42,9 +42,7 @@ def rest_view(scene: Scene) -> SheetView:
     camera = scene.camera
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     depth = scene.sheet.depth((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy)
-    return SheetView(
-        depth.astype(np.float32), columns.astype(np.float32), rows.astype(np.float32), (slice(0, 0), slice(0, 0))
-    )
+    return SheetView(*(part.astype(np.float32) for part in (depth, columns, rows)), (slice(0, 0), slice(0, 0)))
 
 
 def deformed_view(scene: Scene, motion: TrueMotion, frame: int, rest: SheetView) -> SheetView:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -153,15 +153,13 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     variation = _stiffness_field(settings, generator)
     # The delays have random streams of their own, so that θ and the frames of contact don't depend on them.
     ranges = settings.onset_delay, settings.release_delay
-    delays = [
-        float(stream.uniform(*share)) / settings.fps for stream, share in zip(generator.spawn(2), ranges, strict=True)
-    ]
-    loaded = (release - onset) / settings.fps
+    streams, loaded = generator.spawn(2), (release - onset) / settings.fps
+    delays = [float(stream.uniform(*share)) / settings.fps for stream, share in zip(streams, ranges, strict=True)]
     shape = draw_shape(settings, loaded + delays[1] - delays[0], generator.spawn(1)[0])
     peaks = []
     for _ in range(60):
         theta = draw_theta(settings, generator)
-        peak = _peak_under_load(scene, theta, loaded, variation, shape)
+        peak = _peak_under_load(scene, _Pressing(theta, loaded, shape, variation))
         peaks.append(peak)
         if low <= peak <= high:
             return simulate_motion(scene, theta, onset, release, variation, *delays, shape)
@@ -203,7 +201,7 @@ def simulate_motion(
     shape = shape or middle_shape(settings, load)
     after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
-    window, frames, response = _integrate(scene, theta, load, after, fine, variation, shape)
+    window, frames, response = _integrate(scene, _Pressing(theta, load, shape, variation), after, fine)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
     field[onset:] = frames
     contact = np.zeros((settings.frames, 3))
@@ -251,10 +249,8 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
 
 def draw_shape(settings: SceneSettings, load: float, generator: np.random.Generator) -> PressShape:
     """Shape of a press that lasts for `load` [s], drawn as the settings state."""
-    radius, tilt, rise, fall = (
-        float(generator.uniform(*ends))
-        for ends in (settings.patch_radius, settings.force_tilt_deg, settings.rise, settings.fall)
-    )
+    ranges = settings.patch_radius, settings.force_tilt_deg, settings.rise, settings.fall
+    radius, tilt, rise, fall = (float(generator.uniform(*ends)) for ends in ranges)
     angle = generator.uniform(0, 2 * math.pi)
     lean = math.tan(math.radians(tilt))
     rise, fall = _course(settings, load, rise, fall)
@@ -287,12 +283,21 @@ def force_after(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
     return np.where(loaded, force_factor(shape, time, load), 0.0)
 
 
-def _peak_under_load(
-    scene: Scene, theta: np.ndarray, load: float, variation: np.ndarray | None, shape: PressShape
-) -> float:
+class _Pressing(NamedTuple):
+    """What is integrated."""
+
+    theta: np.ndarray
+    load: float
+    """Time under load [s]."""
+    shape: PressShape
+    variation: np.ndarray | None
+    """Relative stiffness over the grid, shape [h, w]; None = 1 everywhere."""
+
+
+def _peak_under_load(scene: Scene, press: _Pressing) -> float:
     """Largest contact displacement until release [scene units]; after it the tissue only swings back."""
-    times = np.linspace(0, load, 33)[1:]
-    _, _, response = _integrate(scene, theta, load, times[-1:], times, variation, shape)
+    times = np.linspace(0, press.load, 33)[1:]
+    _, _, response = _integrate(scene, press, times[-1:], times)
     return float(np.linalg.norm(response, axis=1).max())
 
 
@@ -327,24 +332,18 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: P
 
 
 def _integrate(
-    scene: Scene,
-    theta: np.ndarray,
-    load: float,
-    coarse: np.ndarray,
-    fine: np.ndarray,
-    variation: np.ndarray | None,
-    shape: PressShape,
+    scene: Scene, press: _Pressing, coarse: np.ndarray, fine: np.ndarray
 ) -> tuple[MeshWindow, np.ndarray, np.ndarray]:
     """The window, all its displacements at the coarse times [C, M, 3], and the contact's at the fine times [R, 3].
 
     Times count from the start of the force, before which the tissue is at rest. The window grows until nothing moves
     where it cuts the mesh.
     """
-    radius = _reach(scene, theta, max(coarse[-1], fine[-1]))
+    radius = _reach(scene, press.theta, max(coarse[-1], fine[-1]))
     largest = max(scene.mesh.grid_shape)
     while True:
-        window = cut_window(scene, radius, variation, shape)
-        displaced, response = _solve(scene, window, theta, load, coarse, fine, shape)
+        window = cut_window(scene, radius, press.variation, press.shape)
+        displaced, response = _solve(scene, window, press, coarse, fine)
         leak = np.abs(_next_to_cut(window, displaced)).max(initial=0)
         if leak <= WINDOW_LEAK or radius >= largest:
             return window, displaced, response
@@ -359,18 +358,11 @@ def _next_to_cut(window: MeshWindow, displaced: np.ndarray) -> np.ndarray:
 
 
 def _solve(
-    scene: Scene,
-    window: MeshWindow,
-    theta: np.ndarray,
-    load: float,
-    coarse: np.ndarray,
-    fine: np.ndarray,
-    shape: PressShape,
+    scene: Scene, window: MeshWindow, press: _Pressing, coarse: np.ndarray, fine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate press and release separately, since the force may jump between them."""
-    settings = scene.settings
-    count = len(window.vertices)
-    state = np.zeros(6 * count)
+    count, load = len(window.vertices), press.load
+    state, tolerances = np.zeros(6 * count), {"rtol": RELATIVE_TOLERANCE, "atol": ABSOLUTE_TOLERANCE}
     require_room(len(coarse) * count * 3)
     displaced, response = np.zeros((len(coarse), count, 3)), np.zeros((len(fine), 3))
     end = max(coarse[-1], fine[-1])
@@ -379,13 +371,13 @@ def _solve(
             continue
         times = np.unique(np.concatenate((coarse, fine, [stop])))
         times = times[(times > start) & (times <= stop)]
-        direction = shape.leaning(scene.direction) if pressed else np.zeros(3)
-        rate = _rate(settings, window, theta, direction, load, shape)
-        solution = solve_ivp(
-            rate, (start, stop), state, "DOP853", times, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE
-        )
+        direction = press.shape.leaning(scene.direction) if pressed else np.zeros(3)
+        rate = _rate(scene.settings, window, press, direction)
+        solution = solve_ivp(rate, (start, stop), state, "DOP853", times, **tolerances)
         if not solution.success:
-            raise SceneError(f"The motion at θ = {theta} can't be integrated ({solution.message}); narrow the θ box.")
+            raise SceneError(
+                f"The motion at θ = {press.theta} can't be integrated ({solution.message}); narrow the θ box."
+            )
         states = solution.y.T.reshape(len(times), 2, count, 3)[:, 0]
         for wanted, result, part in ((coarse, displaced, slice(None)), (fine, response, window.contact)):
             chosen = np.flatnonzero((wanted > start) & (wanted <= stop))
@@ -394,16 +386,9 @@ def _solve(
     return displaced, response
 
 
-def _rate(
-    settings: SceneSettings,
-    window: MeshWindow,
-    theta: np.ndarray,
-    direction: np.ndarray,
-    load: float,
-    shape: PressShape,
-):
+def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, direction: np.ndarray):
     """Right-hand side of the equations of motion for the state (displacement, velocity), flattened."""
-    stiffness, damping, force = theta
+    stiffness, damping, force = press.theta
     transposed = window.difference.T.tocsr()
     scale = stiffness * window.stiffness
     square = np.square(window.lengths)
@@ -421,7 +406,7 @@ def _rate(
         if settings.nonlinearity:
             tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        forces[window.pressed] += force * force_factor(shape, np.asarray(time), load) * push
+        forces[window.pressed] += force * force_factor(press.shape, np.asarray(time), press.load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

@@ -6,10 +6,3 @@ tissue       single tissue points, by what surrounds them, from picture to pictu
 measuring    the same where a model says about where
 background   the camera's own motion taken off
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {"palpate.data.tracks.following": ("PointFollower",), "palpate.data.tracks.background": ("without_background",)},
-)

@@ -13,6 +13,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from palpate.data.labels import TOOL
 from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
 from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 
@@ -84,6 +85,11 @@ class Shown:
         least = cv2.min(cv2.min(red, green), blue)
         return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, lit_field(picture), tool)
 
+    @classmethod
+    def of_view(cls, view: tuple[np.ndarray, np.ndarray]) -> Shown:
+        """A picture with its label map."""
+        return cls.of(view[0], view[1] == TOOL)
+
     @cached_property
     def away(self) -> np.ndarray:
         """Distance of every pixel from the tool, as of `tool_distance`."""
@@ -117,6 +123,12 @@ def lattice(shape: tuple[int, ...], spacing: int) -> np.ndarray:
     height, width = shape
     grid = np.mgrid[spacing : height - spacing : spacing, spacing : width - spacing : spacing]
     return np.moveaxis(grid[::-1], 0, -1)
+
+
+def spread(usable: np.ndarray, spacing: int) -> np.ndarray:
+    """Places of such a grid that are usable, by a mask [H, W], shape [N, 2] (column, row)."""
+    places = lattice(usable.shape, spacing).reshape(-1, 2)
+    return places[values_at(usable, places)]
 
 
 class PointFollower:

@@ -37,6 +37,10 @@ REACH, STEP = 6, 3
 """Of a pattern around a point, to either side, and between its samples [px]."""
 
 
+Mask = np.ndarray | None
+"""Some of N places, bool [N]; None = all."""
+
+
 class _Search(NamedTuple):
     """How Lucas and Kanade's method goes."""
 
@@ -109,12 +113,7 @@ class Linker:
         return Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
 
     def link(
-        self,
-        one: Prepared,
-        other: Prepared,
-        places: np.ndarray,
-        counted: np.ndarray | None = None,
-        apart: np.ndarray | None = None,
+        self, one: Prepared, other: Prepared, places: np.ndarray, counted: Mask = None, apart: Mask = None
     ) -> Links:
         """Where places of one picture are in the other.
 
@@ -170,7 +169,7 @@ class Linker:
         flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
         return sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
-    def _filtered(self, step: np.ndarray, counted: np.ndarray | None, apart: np.ndarray | None = None) -> np.ndarray:
+    def _filtered(self, step: np.ndarray, counted: Mask, apart: Mask = None) -> np.ndarray:
         """Motion [N, 2] with that of those neighbours on the grid that count; by itself where there are none.
 
         Places at an instrument's edge, which drags them along, don't count for those that are apart from it.
@@ -293,9 +292,7 @@ def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
     if not len(places):
         return np.zeros((0, len(rows)), np.float32)
     column, row = places.astype(np.float32).T[..., None]
-    values = cv2.remap(picture, column + columns, row + rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(
-        np.float32
-    )
+    values = sampled(picture, np.stack([column + columns, row + rows], axis=-1)).astype(np.float32)
     values -= values.mean(axis=1, keepdims=True)
     return values / np.sqrt(np.maximum(np.einsum("nk,nk->n", values, values), 1))[:, None]
 

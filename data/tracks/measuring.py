@@ -62,9 +62,8 @@ def fine(gray: np.ndarray, least: np.ndarray, tissue: np.ndarray) -> Fine:
     """
     brighter = cv2.morphologyEx(least, cv2.MORPH_TOPHAT, np.ones((NARROW, NARROW), np.uint8))
     least_highlight = max(BRIGHT, RARE * float(np.median(brighter[::4, ::4])))
-    highlight = cv2.dilate(
-        (brighter > least_highlight).astype(np.uint8), np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
-    )
+    square = np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
+    highlight = cv2.dilate((brighter > least_highlight).astype(np.uint8), square)
     plain = (tissue & (highlight == 0)).astype(np.float32)
     return Fine(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), SMOOTH), plain)
 
@@ -80,10 +79,8 @@ def measure(one: Fine, other: Fine, points: np.ndarray, motion: np.ndarray) -> M
     if not len(points):
         return Measured(np.zeros((0, 2)), np.zeros(0))
     slopes = np.gradient(one.gray)[::-1]
-    pieces = [
-        _steps(one, other, piece.astype(np.int64), motion, slopes)
-        for piece in np.array_split(points, -(-len(points) // AT_ONCE))
-    ]
+    some = np.array_split(points.astype(np.int64), -(-len(points) // AT_ONCE))
+    pieces = [_steps(one, other, piece, motion, slopes) for piece in some]
     moved, variance, unlike, found = (np.concatenate(part) for part in zip(*pieces, strict=True))
     typical = float(np.median(unlike[found])) if found.any() else 0.0
     found &= unlike <= MAX_DIFFERENCE * typical
@@ -122,12 +119,9 @@ def _steps(
     last = against_mean(sampled(other.gray, there + left[:, None]))
     unlike = (weight * np.square(shown - last)).sum(axis=1) / total
     sizes = [(weight * np.square(values)).sum(axis=1) for values in (shown, last)]
-    correlation = (weight * shown * last).sum(axis=1) / np.sqrt(
-        np.maximum(sizes[0] * sizes[1], np.finfo(np.float32).tiny)
-    )
+    size = np.sqrt(np.maximum(sizes[0] * sizes[1], np.finfo(np.float32).tiny))
+    alike = (weight * shown * last).sum(axis=1) / size > MIN_CORRELATION
     variance = 0.5 * np.trace(np.linalg.inv(normal), axis1=1, axis2=2)
-    found = (
-        (total >= MIN_SHARE * len(offsets)) & (correlation > MIN_CORRELATION) & (np.abs(left).max(axis=1) < MAX_STEP)
-    )
+    found = (total >= MIN_SHARE * len(offsets)) & alike & (np.abs(left).max(axis=1) < MAX_STEP)
     moved = motion[points[:, 1], points[:, 0]] + left
     return moved.astype(np.float64), variance, unlike, found

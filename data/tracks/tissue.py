@@ -12,7 +12,7 @@ from collections import deque
 import cv2
 import numpy as np
 
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import TISSUE
 from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
 from palpate.data.tracks.linking import WINDOW, followed
 
@@ -96,7 +96,7 @@ class TissueTracker:
         for known, shown, tissue in self._latest:
             if known is picture:
                 return shown, tissue
-        shown, tissue = Shown.of(picture, labels == TOOL), shrunk(picture, labels == TISSUE)[1]
+        shown, tissue = Shown.of_view(view), shrunk(picture, labels == TISSUE)[1]
         self._latest.append((picture, shown, tissue))
         return shown, tissue
 
@@ -168,9 +168,8 @@ def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usab
     safe = np.maximum(count, 1)
     mean_first, mean_second = total(theirs, first) / safe, total(second, ours) / safe
     covariance = total(second, first) / safe - mean_first * mean_second
-    spread = (total(theirs, first * first) / safe - mean_first**2) * (
-        total(second * second, ours) / safe - mean_second**2
-    )
+    spread = total(theirs, first * first) / safe - mean_first**2
+    spread *= total(second * second, ours) / safe - mean_second**2
     enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
     return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
 

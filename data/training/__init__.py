@@ -6,7 +6,3 @@ batches      samples as torch batches; datamodule: the loaders that Lightning as
 preparation  all clips of a data set, one after the other
 cholecseg8k  checks a data set and prepares it; `python -m data.cholecseg8k` is the door
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

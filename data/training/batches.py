@@ -53,10 +53,8 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         depth-change sequences are asked for, these vectors describe them, too (`data.contact.sequence_features`), and
         `dent_a`, … DepthBatch holds them.
     """
-    batch: dict[str, Any] = {
-        "clip": [sample.clip for sample in samples],
-        "frame": torch.tensor([sample.frame for sample in samples]),
-    }
+    batch: dict[str, Any] = {"clip": [sample.clip for sample in samples]}
+    batch["frame"] = torch.tensor([sample.frame for sample in samples])
     known = [sample.known for sample in samples if sample.known is not None]
     all_known = len(known) == len(samples)
     with_sequence = all_known and any(interaction.sequence is not None for interaction in known)

@@ -165,19 +165,14 @@ def print_table(clips: Sequence[PreparedClip], checks: dict[Path, ClipCheck], co
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m data.cholecseg8k", description="Check a data set and prepare its depth and geometry."
-    )
+    text = "Check a data set and prepare its depth and geometry."
+    parser = argparse.ArgumentParser(prog="python -m data.cholecseg8k", description=text)
     parser.add_argument("root", type=path_option, metavar="DIR", help="folder of the data set, or of one clip")
     parser.add_argument("--depth", default="auto", help="auto, stored, a preset's name, or an .onnx file (%(default)s)")
     parser.add_argument("--depth-model", metavar="FILE", help="ONNX file of the preset")
     parser.add_argument("--masks", default="auto", help="auto, annotation, automatic, or an .onnx file (%(default)s)")
-    parser.add_argument(
-        "--layout", type=path_option, metavar="FILE", help="YAML file that says how a clip's files are named"
-    )
-    parser.add_argument(
-        "--cache", type=path_option, default=Path("runs/cache"), help="folder of the result (%(default)s)"
-    )
+    parser.add_argument("--layout", type=path_option, metavar="FILE", help="YAML file that names a clip's files")
+    parser.add_argument("--cache", type=path_option, default=Path("runs/cache"), help="of results (%(default)s)")
     return parser
 
 

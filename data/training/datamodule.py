@@ -123,10 +123,8 @@ class ClipDataModule(LightningDataModule):
             self.left_out += reasons
         if not found:
             raise InputError(self._nothing_found())
-        loading = self.loading
-        places, warning = split_samples(
-            self.clips, found, self.samples, loading.fractions, loading.seed, loading.videos
-        )
+        shares = self.loading.fractions, self.loading.seed, self.loading.videos
+        places, warning = split_samples(self.clips, found, self.samples, *shares)
         if warning:
             rank_zero_warn(f"{self.root} {warning}")
         if not places["train"]:
@@ -162,9 +160,8 @@ class ClipDataModule(LightningDataModule):
 
     def state_dict(self) -> dict[str, Any]:
         """Record of the data for a checkpoint: where depth and masks of the clips came from."""
-        return {
-            "trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in ("depth", "masks")}
-        }
+        names = "depth", "masks"
+        return {"trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in names}}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over a checkpoint's record, for `metadata`.

@@ -64,9 +64,7 @@ class SampleSettings:
                 "with observation trajectory."
             )
         if self.sequence and self.observation != "trajectory":
-            raise ValueError(
-                f"sequence needs observation trajectory, not {self.observation}; choose that, or sequence false."
-            )
+            raise ValueError(f"sequence needs observation trajectory, not {self.observation}; choose that.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         if not (math.isfinite(self.min_clip_deformation) and self.min_clip_deformation >= 0):

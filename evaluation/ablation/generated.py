@@ -40,9 +40,8 @@ class TrainedGenerator:
         if isinstance(head, ContactHead):
             contact = clip.run.build(self.mechanics, until=clip.since(now))
             with_sequence = len(head.posterior.centre) == FEATURES + SEQUENCE_FEATURES
-            given = torch.from_numpy(
-                dent_features(contact, within=0.0) if with_sequence else contact_features(contact)
-            )[None]
+            vector = dent_features(contact, within=0.0) if with_sequence else contact_features(contact)
+            given = torch.from_numpy(vector)[None]
         return self.generator.answer(features, given).theta[0].double().numpy()
 
     @torch.no_grad()
@@ -56,9 +55,7 @@ class TrainedGenerator:
 
     def _window(self, clip: WatchedClip, now: int) -> torch.Tensor:
         frames = clip.frames
-        consecutive, usable = (
-            np.array([getattr(frame, name) for frame in frames]) for name in ("consecutive", "has_depth")
-        )
+        consecutive, usable = np.array([(frame.consecutive, frame.has_depth) for frame in frames]).T
         indices = window_indices(now, self.generator.channels, consecutive, usable)
         if indices is None:
             raise ValueError(f"There is no depth around frame {now}; take one of the clip's instants.")

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.onset import STAMP
 from palpate.estimators.open import EstimatorOptions
@@ -28,7 +29,6 @@ from palpate.estimators.records import FrameEstimate
 from palpate.evaluation.ablation.generated import TrainedGenerator, carried_ahead
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.harness import Experiment, Report, Row
-from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.estimators import opened
 from palpate.evaluation.recovery.suites import LARGEST_SEED, SUITES, suite_clip_seed
@@ -44,45 +44,32 @@ GENERATED = ("carried by its own θ", "generated")
 """What the depth some frames ahead is taken to be; the last two are a trained generator's."""
 
 
-@dataclass(frozen=True)
-class NextDepthTask:
-    """One clip of a suite."""
-
-    suite: str
-    index: int
-    seed: int
-    """Seed of the clip."""
-    horizon: int
-    """Frames ahead."""
-    network: EstimatorOptions
-    checkpoint: Path | None = None
-    """Of a trained generator, to be judged as well."""
-
-
 @functools.lru_cache(maxsize=1)
 def trained(checkpoint: Path) -> TrainedGenerator:
     """The generator, opened once a process."""
     return TrainedGenerator(checkpoint)
 
 
-def next_depth_errors(task: NextDepthTask) -> list[Row]:
-    """Errors of one clip; no pixels where it has no contact whose onset was observed.
+def next_depth_errors(case: tuple[NextDepth, tuple[str, int]]) -> list[Row]:
+    """Errors of one clip of a suite; no pixels where it has no contact whose onset was observed.
 
     Returns:
         A row with `pixels`: how many count, of all its frames; and `total`: the sum of their absolute errors, by
         COPIES, CARRIED and, of a trained generator, GENERATED [scene units].
     """
-    named: Row = {"suite": task.suite, "index": task.index}
-    generator = None if task.checkpoint is None else trained(task.checkpoint)
+    asked, (suite, index) = case
+    named: Row = {"suite": suite, "index": index}
+    generator = None if asked.checkpoint is None else trained(asked.checkpoint)
     total = np.zeros(len(COPIES + CARRIED) + (0 if generator is None else len(GENERATED)))
-    clip = watch(task.suite, task.index, task.seed)
+    clip = watch(suite, index, suite_clip_seed(asked.split, asked.seed, index))
     if clip is None:
         return [named | {"pixels": 0, "total": total}]
-    session, frames = opened(task.network).start(clip.info), clip.frames
+    network = EstimatorOptions("network", model=asked.model, onset=STAMP, threads=1)
+    session, frames = opened(network).start(clip.info), clip.frames
     outputs = [item for frame in frames for item in session.push(frame) if isinstance(item, FrameEstimate)]
     estimates = {item.frame: item.estimate.theta for item in outputs if item.estimate is not None}
     pixels = 0
-    for now in clip.instants(task.horizon):
+    for now in clip.instants(asked.horizon):
         theta = estimates.get(frames[now].frame.number)
         if theta is None:
             continue
@@ -90,10 +77,10 @@ def next_depth_errors(task: NextDepthTask) -> list[Row]:
         if generator is not None:
             by.append(generator.estimate(clip, now))
         made = copies(clip, now)
-        made += [carried_ahead(clip, now, task.horizon, each, MECHANICS) for each in by]
+        made += [carried_ahead(clip, now, asked.horizon, each, MECHANICS) for each in by]
         if generator is not None:
             made.append(generator.picture(clip, now, by[-1]))
-        counted, errors = absolute_errors(clip, now, task.horizon, made)
+        counted, errors = absolute_errors(clip, now, asked.horizon, made)
         pixels, total = pixels + counted, total + errors
     return [named | {"pixels": pixels, "total": total}]
 
@@ -160,12 +147,6 @@ class NextDepth(Experiment):
     def wanted(self) -> list[tuple[str, int]]:
         """Every clip of every suite."""
         return [(suite, index) for suite in self.suite for index in range(self.clips)]
-
-    def case(self, key: tuple[str, int]) -> NextDepthTask:
-        """A clip."""
-        network = EstimatorOptions("network", model=self.model, onset=STAMP, threads=1)
-        seed = suite_clip_seed(self.split, self.seed, key[1])
-        return NextDepthTask(*key, seed, self.horizon, network, self.checkpoint)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """A row a suite."""

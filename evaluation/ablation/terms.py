@@ -24,13 +24,13 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress
 
+from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.network.training import LEAST_STEPS, TrainingError
 from palpate.evaluation.ablation.generated import TrainedGenerator
 from palpate.evaluation.ablation.next_depth import absolute_errors, copies
 from palpate.evaluation.ablation.watched import WatchedClip, watch
 from palpate.evaluation.harness import Experiment, Report, Row
-from palpate.evaluation.options import require_within
 from palpate.evaluation.recovery.bounds import MECHANICS
 from palpate.evaluation.recovery.suites import suite_clip_seed
 from palpate.models.checkpoint import CheckpointError
@@ -64,22 +64,6 @@ COLUMNS = (
     "suite", "row", "seeds", "error", "error_low", "error_high", *(f"spread_{name}" for name in PARAMETERS),
     "depth_copy", "depth", "depth_low", "depth_high",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class TermsCase:
-    """One training."""
-
-    row: str
-    turn: int
-    """Its seed."""
-    clips: Path
-    steps: int
-    output: Path
-    seed: int
-    """Of the judged clips."""
-    held_out: int
-    """How many of each suite these are."""
 
 
 def folder_of(output: Path, row: str, seed: int) -> Path:
@@ -151,25 +135,19 @@ def judge(generator: TrainedGenerator, clips: Sequence[WatchedClip]) -> Row:
         estimate.append(np.log(np.abs(generator.estimate(clip, last))))
         totals.append(total)
     errors = np.array(totals)
-    return {
-        "truth": np.array(truth),
-        "estimate": np.array(estimate),
-        "copied": errors[:, :2],
-        "generated": errors[:, 2],
-    }
+    found = {"truth": np.array(truth), "estimate": np.array(estimate)}
+    return found | {"copied": errors[:, :2], "generated": errors[:, 2]}
 
 
 @functools.cache
 def judged_clips(seed: int, count: int) -> dict[str, list[WatchedClip]]:
     """Clips of every suite, of the validation stream."""
-    found = {
-        suite: [watch(suite, index, suite_clip_seed("validation", seed, index)) for index in range(count)]
-        for suite in SUITES
-    }
+    seeds = [suite_clip_seed("validation", seed, index) for index in range(count)]
+    found = {suite: [watch(suite, *clip) for clip in enumerate(seeds)] for suite in SUITES}
     return {suite: [clip for clip in clips if clip is not None] for suite, clips in found.items()}
 
 
-def train_and_judge(case: TermsCase) -> list[Row]:
+def train_and_judge(case: tuple[Terms, tuple[str, int]]) -> list[Row]:
     """A row a suite of one training.
 
     Raises:
@@ -177,9 +155,9 @@ def train_and_judge(case: TermsCase) -> list[Row]:
         OutputError: the folder can't be.
         TrainingError: the training did not succeed.
     """
-    generator = TrainedGenerator(train(case.row, case.turn, case.clips, case.steps, case.output))
-    watched = judged_clips(case.seed, case.held_out)
-    named = {"row": case.row, "turn": case.turn}
+    asked, (row, turn) = case
+    generator = TrainedGenerator(train(row, turn, asked.clips, asked.steps, asked.output))
+    watched, named = judged_clips(asked.seed, asked.held_out), {"row": row, "turn": turn}
     return [named | {"suite": suite} | judge(generator, watched[suite]) for suite in SUITES]
 
 
@@ -218,12 +196,11 @@ class Terms(Experiment):
         names = sorted(path.name for path in self.clips.iterdir() if path.is_dir())
         return {"clips": names, "steps": self.steps, "held_out": self.held_out, "seed": self.seed}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[TermsCase], int]:
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """One seed of all rows after the other."""
         wanted = [(row, turn) for turn in range(self.seeds) for row in ROWS if row in self.rows]
         left = [pair for pair in wanted if any((*pair, suite) not in done for suite in SUITES)]
-        rest = self.clips, self.steps, self.output, self.seed, self.held_out
-        return [TermsCase(*pair, *rest) for pair in left], len(wanted)
+        return [self.case(pair) for pair in left], len(wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """A row a suite and what is left out."""

@@ -201,10 +201,8 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
     count = len(first)
-    numbers = np.arange(count)
-    ends = csr_array(
-        (np.repeat([1.0, -1.0], count), (np.r_[first, second], np.r_[numbers, numbers])), shape=(len(rest), count)
-    )
+    places = np.r_[first, second], np.tile(np.arange(count), 2)
+    ends = csr_array((np.repeat([1.0, -1.0], count), places), shape=(len(rest), count))
     drag = DRAG * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
@@ -228,9 +226,8 @@ def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     """Of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work."""
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)
     solid = make_solid(nodes, tetrahedra)
-    material = Material(
-        "stable_neo_hookean", YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0), POISSON
-    )
+    young = YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
+    material = Material("stable_neo_hookean", young, POISSON)
     gripped = _held(nodes, True)
     held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
     axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))
@@ -271,48 +268,36 @@ def _spread_out(points: np.ndarray) -> np.ndarray:
     return np.array(chosen)
 
 
-def _lifted(shares: np.ndarray) -> np.ndarray:
-    """Away from the pins and up."""
-    return np.stack([0.025 * shares, 0 * shares, 0.03 * np.sin(np.pi / 2 * shares)], axis=1)
-
-
-def _swung(shares: np.ndarray) -> np.ndarray:
-    """To one side, to the other and back, lifted on the way."""
-    return np.stack(
-        [0.02 * np.sin(np.pi * shares), 0.03 * np.sin(2 * np.pi * shares), 0.025 * np.sin(np.pi * shares)], axis=1
-    )
-
-
-def _raised(shares: np.ndarray) -> np.ndarray:
-    """A block's free end up, and a little back."""
-    return np.stack([-0.004 * shares, 0 * shares, 0.025 * shares], axis=1)
-
-
-def _turned(shares: np.ndarray) -> np.ndarray:
-    """A block's free end aside and up."""
-    return np.stack([0.006 * shares, 0.015 * np.sin(np.pi * shares), 0.02 * np.sin(np.pi * shares / 2)], axis=1)
-
-
-def _inner(rest: np.ndarray) -> np.ndarray:
-    return rest[:, 0] < SIDE / 2
-
-
-def _spot(rest: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04
-
-
-def _left(rest: np.ndarray) -> np.ndarray:
-    return rest[:, 1] > BLOCK[1] / 2
-
-
-def _right(rest: np.ndarray) -> np.ndarray:
-    return rest[:, 1] < BLOCK[1] / 2
+def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Displacements of a gripper, shape [S, 3], from those along each axis [S] [m]."""
+    return np.stack([right, aside, up], axis=1)
 
 
 SEQUENCES = {
-    "thin-shell-1": Sequence(False, 60, _lifted, _inner),
-    "thin-shell-2": Sequence(False, 100, _swung, _spot),
-    "volume-1": Sequence(True, 60, _raised, _left),
-    "volume-2": Sequence(True, 60, _turned, _right),
+    # Away from the pins and up; the half next to the pins is stiff.
+    "thin-shell-1": Sequence(
+        False,
+        60,
+        lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)),
+        lambda rest: rest[:, 0] < SIDE / 2,
+    ),
+    # To one side, to the other and back, lifted on the way; a spot is stiff.
+    "thin-shell-2": Sequence(
+        False,
+        100,
+        lambda s: _path(0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
+        lambda rest: np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04,
+    ),
+    # A block's free end up, and a little back.
+    "volume-1": Sequence(
+        True, 60, lambda s: _path(-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2
+    ),
+    # A block's free end aside and up.
+    "volume-2": Sequence(
+        True,
+        60,
+        lambda s: _path(0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
+        lambda rest: rest[:, 1] < BLOCK[1] / 2,
+    ),
 }
 """The paper's four, by name."""

@@ -1,7 +1,7 @@
 """Measured forces on tissue, each study judged on known truth or on what was kept back.
 
     python -m evaluation.palpation curves --data DIR --output OUT
-    python -m evaluation.palpation frank --output OUT [--body ball|slab] [--quick]
+    python -m evaluation.palpation frank --output OUT [--body ball|slab]
 
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """

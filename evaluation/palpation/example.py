@@ -23,9 +23,9 @@ import yaml
 from rich.console import Console
 
 from palpate.common.command_line import say
+from palpate.common.options import options
 from palpate.common.output import replacing_own, require_own
 from palpate.estimators.palpation import Palpation
-from palpate.evaluation.options import options
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.results.store import OutputError, make_output, writing
 
@@ -46,14 +46,8 @@ def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, hel
         held_below: as `SceneFile.held_below` [m].
         cells: of the fit's mesh.
     """
-    palpation = {
-        "force": observed.force.tolist(),
-        "contact": observed.contact.tolist(),
-        "points": FILES[2],
-        "pose": observed.pose.tolist(),
-        "tool_radius": observed.tool_radius,
-        "hole": observed.hole,
-    }
+    palpation = {name: getattr(observed, name).tolist() for name in ("force", "contact", "pose")}
+    palpation |= {"points": FILES[2], "tool_radius": observed.tool_radius, "hole": observed.hole}
     scene = {"surface": FILES[1], "held_axis": "z", "held_below": held_below, "cells": cells, "palpations": [palpation]}
     rows = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in surface[0]]
     rows += [f"f {a} {b} {c}" for a, b, c in surface[1] + 1]

@@ -10,7 +10,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -50,70 +50,57 @@ class Frank(Measurements):
 
     body: Literal["ball", "slab"] | None = None
     """that alone, without the six forces where it is the slab (default: both)"""
-    quick: bool = False
-    """one body, one sensor, coarse: to see that it works"""
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Fits from every start, then the six forces."""
         found: dict[str, Callable[[], Row]] = {}
-        presses = 1 if self.quick else len(FORCES)
-        for body in ("slab",) if self.quick else (self.body,) if self.body else BODIES:
-            for sensor, start in itertools.product(("stereo",) if self.quick else SENSORS, STARTS):
-                pictures = presses * (1 if self.quick else PICTURES.get((body, sensor), 1))
-                name = f"{body}, {sensor}, {presses} presses, {pictures} pictures, start E × {start:.3g}"
-                found[name] = functools.partial(fit_from, body, sensor, start, pictures, self.quick)
-        if self.quick or self.body != "slab":
-            name = "slab" if self.quick else "ball"
-            found[f"{name}, stereo, one palpation"] = functools.partial(fit_six, name, self.quick)
+        for body in (self.body,) if self.body else BODIES:
+            for sensor, start in itertools.product(SENSORS, STARTS):
+                pictures = len(FORCES) * PICTURES.get((body, sensor), 1)
+                name = f"{body}, {sensor}, {len(FORCES)} presses, {pictures} pictures, start E × {start:.3g}"
+                found[name] = functools.partial(fit_from, body, sensor, start, pictures)
+        if self.body != "slab":
+            found["ball, stereo, one palpation"] = functools.partial(fit_six, "ball")
         return found
-
-    def record(self) -> Mapping[str, Any]:
-        """Meshes."""
-        return {"quick": self.quick}
 
 
 @functools.cache
-def true_press(name: str, force: float, coarse: bool) -> Truth:
-    """The truth of a body under a force [N], on a coarse mesh if that is asked for."""
+def true_press(name: str, force: float) -> Truth:
+    """The truth of a body under a force [N]."""
     body = BODIES[name]
-    if coarse:
-        return press(body, YOUNG, POISSON, force, PLACE[name], 5)
     spacing, edge = TRUE_SPACING * body.size, TRUE_EDGE[name]
     return press(body, YOUNG, POISSON, force, PLACE[name], TRUE_CELLS[name], spacing=spacing, edge=edge)
 
 
 @functools.cache
-def fitted_mesh(name: str, coarse: bool) -> tuple[Skin, np.ndarray]:
+def fitted_mesh(name: str) -> tuple[Skin, np.ndarray]:
     """Surface and mesh of the fits of a body, and what of it is held."""
     body = BODIES[name]
-    if coarse:
-        return body.skin(4, body.size / 24)
     return body.skin(CELLS[name], SPACING * body.size, around(body.contact(*PLACE[name])[0][None], TOOL, EDGE[name]))
 
 
-def fit_from(body: str, sensor: str, start: float, pictures: int, coarse: bool) -> Row:
+def fit_from(body: str, sensor: str, start: float, pictures: int) -> Row:
     """Measures of a fit that begins at so many times the true E."""
-    forces = FORCES[-1:] if coarse else FORCES
-    truths = itertools.islice(itertools.cycle([true_press(body, force, coarse) for force in forces]), pictures)
+    truths = itertools.islice(itertools.cycle([true_press(body, force) for force in FORCES]), pictures)
     palpations = [observe(*truth, sensor, SEED + number) for number, truth in enumerate(truths)]
-    fit = fit_material(*fitted_mesh(body, coarse), palpations, FitSettings(young=YOUNG * start))
+    fit = fit_material(*fitted_mesh(body), palpations, FitSettings(young=YOUNG * start))
     return {
         "E / truth - 1": fit.young / YOUNG - 1,
         "E, standard deviation of its logarithm": fit.young_sd,
         "ν - truth": fit.poisson - POISSON,
         "ν, standard deviation": fit.poisson_sd,
         "verdict": fit.verdict,
-        "equilibria a press": fit.solves / len(forces),
+        "equilibria a press": fit.solves / len(FORCES),
     }
 
 
-def fit_six(name: str, coarse: bool) -> Row:
+def fit_six(name: str) -> Row:
     """How far E differs between the six forces, one palpation each."""
     fits = []
-    for number, force in enumerate(SIX[:2] if coarse else SIX):
-        observed = observe(*true_press(name, force, coarse), "stereo", SEED + 10 + number)
-        fits.append(fit_material(*fitted_mesh(name, coarse), [observed], FitSettings(young=YOUNG / 30)))
+    for number, force in enumerate(SIX):
+        observed = observe(*true_press(name, force), "stereo", SEED + 10 + number)
+        fits.append(fit_material(*fitted_mesh(name), [observed], FitSettings(young=YOUNG / 30)))
     values = np.array([fit.young for fit in fits])
     return {
         "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),

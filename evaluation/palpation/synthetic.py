@@ -95,9 +95,8 @@ def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
         vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
         one, two, three = triangles.T
         ab, bc, ca = middle.T
-        triangles = np.concatenate(
-            [np.stack(each, axis=1) for each in ((one, ab, ca), (ab, two, bc), (ca, bc, three), (ab, bc, ca))]
-        )
+        parts = (one, ab, ca), (ab, two, bc), (ca, bc, three), (ab, bc, ca)
+        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
     return vertices, triangles
 
 

@@ -7,13 +7,3 @@ simulated   no network: no motion, one constant θ; when a motion comes to rest
 figures     the pictures
 recovered   compares estimates with the truth of synthetic clips
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.paper.report": ("write_evaluation",),
-        "palpate.evaluation.paper.analysis": ("Evaluation", "EvaluationError", "analyse"),
-    },
-)

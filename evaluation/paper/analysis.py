@@ -10,24 +10,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.data.contact.interaction import Interaction
-from palpate.evaluation.paper.simulated import (
-    fit_constant_theta,
-    median_share,
-    motion_row,
-    no_motion_errors,
-    settle,
-    simulate_contacts,
-)
-from palpate.evaluation.paper.statistics import (
-    Statistics,
-    as_reported,
-    compare,
-    conclude,
-    describe,
-    format_number,
-    spread_of,
-    summarise,
-)
+from palpate.evaluation.paper import simulated, statistics
+from palpate.evaluation.paper.statistics import Statistics, compare, format_number, summarise
 from palpate.physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 
 Record = Mapping[str, Any]
@@ -41,7 +25,7 @@ REGIMES = {
     NO_MOTION: "error_no_motion",
 }
 """Column of the table of frames by simulated parameters, in the order of tables."""
-MEASURED = [
+GIVEN = [
     "clip",
     "frame",
     "error_reference",
@@ -128,35 +112,31 @@ def analyse(
         )
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
     contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
-    theta, predicted, reference = (
-        np.array([record[name] for record in records], float)
-        for name in ("theta", "trajectory", "reference_trajectory")
-    )
-    frames = pd.DataFrame(records, columns=MEASURED)
-    frames[list(PARAMETERS)] = as_reported(theta, bounds)
-    constant, training_error = fit_constant_theta(training, bounds, mechanics)
-    frames["error_constant"] = simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
-    frames["error_mean_theta"] = simulate_contacts(theta.mean(axis=0), contacts, mechanics)[1]
-    frames["error_no_motion"] = no_motion_errors(contacts, mechanics)
+    names = "theta", "trajectory", "reference_trajectory"
+    theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
+    frames = pd.DataFrame(records, columns=GIVEN)
+    frames[list(PARAMETERS)] = statistics.as_reported(theta, bounds)
+    constant, training_error = simulated.fit_constant_theta(training, bounds, mechanics)
+    frames["error_constant"] = simulated.simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
+    frames["error_mean_theta"] = simulated.simulate_contacts(theta.mean(axis=0), contacts, mechanics)[1]
+    frames["error_no_motion"] = simulated.no_motion_errors(contacts, mechanics)
     clips, errors = frames["clip"], {name: frames[column] for name, column in REGIMES.items()}
     comparisons = {name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED}
     depth = analyse_depth(frames)
 
     load_steps = np.array([contact.load.factor.sum().round() for contact in contacts], dtype=int)
-    simulated = {
-        REFERENCE: settle(reference, load_steps, mechanics),
-        PREDICTED: settle(predicted, load_steps, mechanics),
-    }
-    motion = {name: motion_row(settling) for name, settling in simulated.items()}
-    for name, trajectories in ((REFERENCE, reference), (PREDICTED, predicted)):
-        motion[name]["median of highest peak"] = median_share(trajectories)
-    settling = {name: frames[["clip", "frame"]].join(each) for name, each in simulated.items()}
+    paths = {REFERENCE: reference, PREDICTED: predicted}
+    settled = {name: simulated.settle(path, load_steps, mechanics) for name, path in paths.items()}
+    motion = {name: simulated.motion_row(each) for name, each in settled.items()}
+    for name, path in paths.items():
+        motion[name]["median of highest peak"] = simulated.median_share(path)
+    settling = {name: frames[["clip", "frame"]].join(each) for name, each in settled.items()}
 
     motions = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
     observed = set(zip(clips, motions, strict=True))
-    spread = spread_of(frames, bounds, len(observed))
+    spread = statistics.spread_of(frames, bounds, len(observed))
     return Evaluation(
-        frames=frames.join(simulated[PREDICTED]),
+        frames=frames.join(settled[PREDICTED]),
         trajectories=predicted,
         summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,
@@ -166,10 +146,10 @@ def analyse(
         spread=spread,
         constant=constant,
         training_error=training_error,
-        conclusion=conclude(spread, comparisons[CONSTANT], comparisons[REFERENCE]),
+        conclusion=statistics.conclude(spread, comparisons[CONSTANT], comparisons[REFERENCE]),
         sentences=(
-            *(describe(found, "The predicted θ", name) for name, found in comparisons.items()),
-            describe(depth["comparison"], "The decoder's next depth map", "repeating the last frame"),
+            *(statistics.describe(found, "The predicted θ", name) for name, found in comparisons.items()),
+            statistics.describe(depth["comparison"], "The decoder's next depth map", "repeating the last frame"),
             describe_depth(depth),
             f"Test frames: {len(frames)}; observed motions of a contact behind them: {len(observed)}. Where frames "
             "share one, p-values and intervals over frames overstate what they prove.",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import torch
+import yaml
 
 from palpate.common.files import as_json
 from palpate.common.output import ForeignFile, replacing_own
@@ -18,13 +19,8 @@ from palpate.data.contact.interaction import Interaction
 from palpate.evaluation.page import as_png, render_page
 from palpate.evaluation.paper.analysis import NO_MOTION, Evaluation, EvaluationError, Record, analyse
 from palpate.evaluation.paper.figures import draw_response, draw_theta
-from palpate.evaluation.paper.statistics import (
-    MINIMUM_FOR_WILCOXON,
-    SIGNIFICANCE,
-    Statistics,
-    as_reported,
-    format_number,
-)
+from palpate.evaluation.paper.statistics import MINIMUM_FOR_WILCOXON, SIGNIFICANCE, Statistics, as_reported
+from palpate.evaluation.paper.statistics import format_number as shown
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.record import versions
 
@@ -34,37 +30,9 @@ FILES = (
 )
 FORMAT_VERSION = 2
 """Version of `evaluation.json`."""
-ERRORS = {
-    "mean ± SD": "{mean}\u00a0±\u00a0{sd}",
-    "95 % interval of the mean (BCa, over frames)": "{interval}",
-    "95 % interval of the mean (over whole clips)": "{clip_interval}",
-    "frames n": "{n}",
-    "clips": "{clips}",
-    "frames left out (error not finite)": "{left_out}",
-}
-COMPARISONS = {
-    "mean difference [scene units²]": "{mean_difference}",
-    "change of the mean error [%]": "{relative_change_percent}",
-    "difference, 95 % interval (BCa, over frames)": "{difference_interval}",
-    "difference, 95 % interval (over whole clips)": "{difference_clip_interval}",
-    "Wilcoxon signed-rank W": "{wilcoxon_w}",
-    "Wilcoxon p (two-sided)": "{wilcoxon_p}",
-    "paired t": "{t}",
-    "paired t-test p (two-sided)": "{t_p}",
-    "Cohen's d (paired, d_z)": "{cohens_d}",
-    "pairs n": "{n}",
-    "clips": "{clips}",
-    "pairs left out (error not finite)": "{left_out}",
-}
-DEPTH_COLUMNS = {"decoder": "decoder", "copy": "repeat the last frame", "sensitivity": "change when θ moves"}
-UNITS = {
-    "stiffness": "normalised, not N/m",
-    "damping": "normalised, not N·s/m",
-    "force": "normalised, not N; a magnitude unless the admissible range crosses 0",
-    "error": "scene units²",
-    "depth_error": "scene units",
-    "time": "s",
-}
+TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+"""Lines of tables, and units."""
+ERRORS, COMPARISONS = TEXTS["errors"], TEXTS["comparisons"]
 ESTIMATES = ("mean", "SD", "lowest", "highest", "lower bound", "upper bound")
 """Columns of the first table of estimates."""
 TITLE = "Evaluation of the estimated tissue parameters"
@@ -118,8 +86,7 @@ def write_evaluation(
         raise EvaluationError(str(error)) from error
     except OSError as error:
         raise EvaluationError(
-            f"{output}: the evaluation can't be written ({error.strerror}); choose a folder that is "
-            "writable and has space."
+            f"{output}: the evaluation can't be written ({error.strerror}); choose a folder with space."
         ) from error
 
 
@@ -133,7 +100,7 @@ def part_of(page: str, *headings: str) -> str:
 
 def _table(table: pd.DataFrame) -> str:
     """Markdown of a table, whose rows are named by its index."""
-    rows = [[format_number(cell) for cell in row] for row in table.itertuples()]
+    rows = [[shown(cell) for cell in row] for row in table.itertuples()]
     return to_markdown(["", *table.columns], rows)
 
 
@@ -150,23 +117,21 @@ def _filled(lines: Mapping[str, str], columns: Mapping[str, Statistics]) -> pd.D
 
 def reading_tables(found: Evaluation) -> dict[str, pd.DataFrame]:
     """Tables for reading, by their names in the page."""
-    constant = dict(zip(PARAMETERS, found.constant, strict=True)) | {
-        "mean error on these contacts [scene units²]": found.training_error
-    }
+    constant = dict(zip(PARAMETERS, found.constant, strict=True))
+    constant["mean error on these contacts [scene units²]"] = found.training_error
     errors = {name: summary["mean"].value for name, summary in found.summaries.items()}
     estimates = found.spread[["mean", "sd", "minimum", "maximum", "low", "high"]].set_axis(ESTIMATES, axis="columns")
     comparisons = {f"vs {name}": comparison for name, comparison in found.comparisons.items()}
+    fit = {"mean squared error [scene units²]": errors, "of that without motion [%]": _shares(errors)}
     return {
-        "fit": pd.DataFrame(
-            {"mean squared error [scene units²]": errors, "of that without motion [%]": _shares(errors)}
-        ),
+        "fit": pd.DataFrame(fit),
         "estimates": estimates,
         "errors": _filled(ERRORS, found.summaries),
         "tests": _filled(COMPARISONS, comparisons),
         "motion": found.motion,
         "spread": found.spread.rename(columns=lambda name: name.replace("_", " ")),
         "constant": pd.DataFrame({"value": constant}),
-        "depth": _filled(ERRORS, {label: found.depth[name] for name, label in DEPTH_COLUMNS.items()}),
+        "depth": _filled(ERRORS, {label: found.depth[name] for name, label in TEXTS["depth"].items()}),
     }
 
 
@@ -220,15 +185,13 @@ def evaluation_json(found: Evaluation, mechanics: Mechanics, bounds: Bounds, mad
         "format_version": FORMAT_VERSION,
         "made": made.isoformat(),
         "versions": made_with(),
-        "units": UNITS,
+        "units": TEXTS["units"],
         "mechanics": asdict(mechanics),
         "bounds": asdict(bounds),
     }
     for name in ("summaries", "comparisons", "depth"):
-        content[name] = {
-            group: {quantity: statistic._asdict() for quantity, statistic in statistics.items()}
-            for group, statistics in getattr(found, name).items()
-        }
+        groups = getattr(found, name).items()
+        content[name] = {group: {name: each._asdict() for name, each in own.items()} for group, own in groups}
     for name, value in content.items():
         if isinstance(value, pd.DataFrame):
             content[name] = value.to_dict("index")

@@ -8,14 +8,3 @@ bounds      what a contact, and its whole dent, could show at best
 scores      of presses, errors, coverage and verdicts of many; details: a row a quantity; figures: the pictures
 grips       the table of clips whose tool grips tissue; slabs: of those whose truth are finite elements
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    __name__,
-    {
-        "palpate.evaluation.recovery.suites": ("SUITES", "Suite"),
-        "palpate.evaluation.recovery.trial": ("Trial", "run_trial"),
-        "palpate.evaluation.recovery.scores": ("Scores", "score_all"),
-    },
-)

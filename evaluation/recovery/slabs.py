@@ -19,7 +19,6 @@ k_d/k_s within 25 %                         of αρ/E, of sheets up to one const
                                             alone
 E, F, αρ/E, F/E: over the true, held        of finite elements: median of the quotient, and share within the 90 %
                                             interval
-E with an inclusion                         median k_s/E with a stiff ball inside over that without
 relative force, off and held                a pull's force over that of the last frame: root mean square error, and
                                             share within the 90 % interval
 
@@ -126,7 +125,6 @@ def _compared(rows: Sequence[Row]) -> Iterator[Quantity]:
     if by_mass:
         mass = tissue.density if solid else MECHANICS.mass
         yield "k_d over αm", count, np.median(viscosity / damping / mass)
-        yield from _related("k_d", viscosity, "α", damping)
         yield from _related("k_d/k_s", viscosity / stiffness, "αρ/E", damping * tissue.density / young)
         off = np.log(viscosity / stiffness) - np.log(damping * tissue.density / young)
         close = np.abs(np.expm1(off if solid else off - np.median(off))) <= CLOSE
@@ -141,11 +139,6 @@ def _compared(rows: Sequence[Row]) -> Iterator[Quantity]:
             powers = np.array(COMBINATIONS[combination])
             sd = np.sqrt(np.einsum("i,nij,j->n", powers, covariances, powers))
             yield from _over_true(name, off[:, powers != 0] @ powers[powers != 0], sd)
-    stiff = tissue.inclusion != 1
-    if stiff.any() and not stiff.all():
-        quotient = np.log(stiffness / young)
-        value = np.exp(np.median(quotient[stiff]) - np.median(quotient[~stiff]))
-        yield "k_s/E with an inclusion over without", int(stiff.sum()), value
 
 
 def _determined(rows: Sequence[Row]) -> Iterator[Quantity]:
@@ -154,11 +147,9 @@ def _determined(rows: Sequence[Row]) -> Iterator[Quantity]:
     for row in rows:
         tissue = SlabTissue(*row["tissue"])
         if "reaction" in row:
-            found, sure = float(row["reaction"][0]), row["verdict"] == PULLED
-            pairs = {
-                "F/k_s and F/E": (found, row["true_force"] / tissue.young, sure),
-                "k_s if F is known and E": (row["true_force"] / found, tissue.young, sure),
-            }
+            found, force, sure = float(row["reaction"][0]), row["true_force"], row["verdict"] == PULLED
+            pairs = {"F/k_s and F/E": (found, force / tissue.young, sure)}
+            pairs["k_s if F is known and E"] = force / found, tissue.young, sure
         else:
             stiffness, damping, _ = row["estimate"]
             pairs = {"k_s and E": (stiffness, tissue.young, row["verdict"] == PRESSED[0])}

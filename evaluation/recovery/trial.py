@@ -183,10 +183,8 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     onset = min(contacts, key=lambda found: abs(found - motion.onset_frame))
     if abs(onset - motion.onset_frame) > (trial.contact == MOTION):
         begun = ", ".join(map(str, contacts))
-        return {
-            "status": "other onset",
-            "reason": f"contact began in frame {begun} instead of {motion.onset_frame}.",
-        }, None
+        reason = f"contact began in frame {begun} instead of {motion.onset_frame}."
+        return {"status": "other onset", "reason": reason}, None
     contact, scene = contacts[onset], clip.scene
     known = _off(contact, clip.frames[onset], scene, motion)
     motion = as_stamped(motion, onset)
@@ -268,9 +266,8 @@ def observed_contacts(
     """
     runs = RunTracker(clip, MECHANICS.seconds)
     ended = [*(runs.push(frame) for frame in frames), runs.finish()]
-    found = {
-        run.index: run.builder.build(MECHANICS, horizon) for run in ended if run is not None and run.builder is not None
-    }
+    known = [(run.index, run.builder) for run in ended if run is not None]
+    found = {index: builder.build(MECHANICS, horizon) for index, builder in known if builder is not None}
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}
 
 

@@ -37,8 +37,9 @@ from palpate.estimators.palpation.descent import OPTIMIZERS
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
-from palpate.results.plots import draw_surface_errors, write_figure
+from palpate.results.plots import write_figure
 from palpate.results.store import OutputError, make_output, writing
+from palpate.results.surface_plot import draw_surface_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from palpate.common.doors import INTERRUPTED
+from palpate.common.options import options
 from palpate.evaluation.benchmark import Benchmark, main
-from palpate.evaluation.options import options
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES
@@ -178,7 +178,6 @@ def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
         (("--seed", "-1"), "--seed: -1 is less than 0"),
         (("--seed", str(2**32)), "is more than 4294967295"),
         (("--clips", "0"), "--clips: 0 is less than 1"),
-        (("--noise", "0"), "--noise 0.0 is no noise above the simulator's own error; give 3e-05 or more"),
         (("--seen", "2"), "give at least 3 frames, or press"),
         (("--size", "854"), "854 is no size of pictures; give WIDTHxHEIGHT from 214x120 up"),
         (("--size", "213x120"), "213x120 is no size of pictures"),

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from palpate.common.doors import INTERRUPTED
+from palpate.common.options import require_within
 from palpate.evaluation.harness import (
     RESULTS,
     Experiment,
@@ -23,7 +24,6 @@ from palpate.evaluation.harness import (
     run,
     write,
 )
-from palpate.evaluation.options import options, require_within
 from palpate.results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
 
@@ -213,33 +213,6 @@ def test_a_case_that_breaks_is_a_row(tmp_path: Path) -> None:
     assert measured("--output", str(tmp_path), "--numbers", "0") == 1
     row = read_results(tmp_path / RESULTS, ("number",))[0,]
     assert (row["status"], row["reason"]) == ("error", "ZeroDivisionError: division by zero")
-
-
-def test_options_are_the_fields_of_the_experiment(capsys: pytest.CaptureFixture) -> None:
-    def told(*arguments: str) -> Squares:
-        return options(Squares, ["--output", "x", *arguments], "tests.squares", "Squares.")
-
-    assert told() == Squares(Path("x"))
-    every = told("--numbers", "1", "2", "--fine", "--most=0.5", "--unit-name", "mm", "--numbers", "3")
-    assert (every.numbers, every.fine, every.most, every.unit_name) == ((1, 2, 3), True, 0.5, "mm")
-    with pytest.raises(SystemExit) as stop:
-        told("--help")
-    assert stop.value.code == 0
-    printed = capsys.readouterr().out
-    assert "--unit-name {m,mm}" in printed
-    assert "some of them" in printed
-    for arguments, sentence in (
-        (["--most", "2"], "--most: 2.0 is more than 1"),
-        (["--unit-name", "cm"], "cm"),
-        (["--numbers", "one"], "one"),
-        (["--strange", "1"], "--strange"),
-        (["--fine", "--most", "1", "2"], "2"),
-        (["--output", ""], "is empty"),
-    ):
-        with pytest.raises(SystemExit) as stop:
-            told(*arguments)
-        assert stop.value.code == 2
-        assert sentence in capsys.readouterr().err
 
 
 def test_cells_that_do_not_exist_are_empty_and_numbers_have_six_digits() -> None:

@@ -19,16 +19,9 @@ from palpate.estimators.grip.stiffness_field import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.columns import UNITS
-from palpate.results.plots import (
-    INK,
-    MOST_PANELS,
-    NOTICE,
-    OBSERVED,
-    draw_fits,
-    draw_summary,
-    draw_surface_errors,
-    write_figure,
-)
+from palpate.results.panels import INK, NOTICE, OBSERVED
+from palpate.results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
+from palpate.results.surface_plot import draw_surface_errors
 from palpate.results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
 from tests.results.fields import FIELD_SEEN, PULL, TIMES

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from palpate.data.contact import depth_change as changes
-from palpate.data.contact.dents import EARLIER, EARLY, LATE, MIN_REST, RECOVERS, DentContacts, dent_geometry
+from palpate.data.contact.dents import EARLIER, EARLY, LATE, MIN_REST, RECOVERS, DentContacts
 from palpate.data.contact.depth_sequence import REACH
-from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue
+from palpate.data.contact.geometry import NO_DENT, GeometrySettings, GeometryStatus, RestTissue, dent_geometry
 from palpate.data.contact.interaction import Interaction
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
@@ -233,14 +233,15 @@ def test_the_picture_s_motion_is_followed() -> None:
 
 
 def test_a_contact_lies_on_the_mesh() -> None:
-    geometry = dent_geometry(frame(0), (41, 33), CAMERA, GRID)
+    seen = frame(0).depth, frame(0).labels
+    geometry = dent_geometry(*seen, (41, 33), CAMERA, GRID)
     assert geometry.pixel == (41, 33)
     np.testing.assert_array_equal(geometry.mesh.vertices[geometry.vertex], geometry.tissue_point)
     np.testing.assert_allclose(geometry.normal, [0, 0, -1], atol=0.05)
     assert geometry.noise == pytest.approx(5e-4, rel=0.1)
     nothing = RestTissue(np.zeros((HEIGHT, WIDTH), np.float32), np.zeros((HEIGHT, WIDTH), bool), np.zeros((1, 1), bool))
     with pytest.raises(GeometryStatus, match="so rough"):
-        dent_geometry(frame(0), (41, 33), CAMERA, GRID, nothing)
+        dent_geometry(*seen, (41, 33), CAMERA, GRID, nothing)
 
 
 def test_a_noise_level_is_needed() -> None:

@@ -7,8 +7,9 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from palpate.common.output import ForeignFile
-from palpate.data.depth.photometric import DARKEST, SHIPPED, build_photometric, main, write_photometric
+from palpate.common.output import LIST, ForeignFile
+from palpate.data.depth.photometric import DARKEST, build_photometric, main, write_photometric
+from palpate.data.depth.preset import PRESET_FOLDER
 
 HEIGHT, WIDTH = 240, 428
 HALF = math.tan(math.radians(30))
@@ -143,9 +144,10 @@ def test_impossible_field_of_view_is_refused(degrees):
 
 def test_the_shipped_file_is_what_the_function_builds():
     picture = np.random.default_rng(3).uniform(0, 1, (1, 3, 120, 214)).astype(np.float32)
-    shipped, built = session_of(str(SHIPPED)), session_of(build_photometric().SerializeToString())
+    path = PRESET_FOLDER.parent / "photometric.onnx"
+    shipped, built = session_of(str(path)), session_of(build_photometric().SerializeToString())
     assert np.array_equal(shipped(picture), built(picture))
-    assert SHIPPED.stat().st_size < 20_000
+    assert path.stat().st_size < 20_000
 
 
 def test_the_door_writes_a_model_for_another_endoscope(tmp_path, monkeypatch, capsys):
@@ -153,7 +155,7 @@ def test_the_door_writes_a_model_for_another_endoscope(tmp_path, monkeypatch, ca
     monkeypatch.setattr(sys, "argv", ["photometric", "--output", str(path), "--field-of-view-deg", "90"])
     main()
     assert str(path) in capsys.readouterr().out
-    assert [file.name for file in path.parent.iterdir()] == ["mine.onnx"]
+    assert {file.name for file in path.parent.iterdir()} == {"mine.onnx", LIST}
     monkeypatch.setattr(sys, "argv", [*sys.argv[:-1], "200"])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -91,7 +91,7 @@ def test_clip_file_gives_times(tmp_path):
     (folder / "clip.json").write_text(json.dumps({"fps": None, "times": None, "depth_scale": None}))
     assert open_source(folder, LAYOUT).fps == 25
     (folder / "clip.json").write_text(json.dumps({"times": [0.0]}))
-    with pytest.raises(InputError, match=r"3 frames while its clip\.json gives 1 times"):
+    with pytest.raises(InputError, match=r"3 frames and its clip\.json 1 times"):
         open_source(folder, LAYOUT)
 
 
@@ -410,7 +410,7 @@ def test_a_folder_that_can_t_be_listed_fails_by_itself(tmp_path, nested):
     unlisted, good = discover([tmp_path], LAYOUT)
     assert good == tmp_path / "b"
     assert tmp_path / "a" / "nested" in unlisted.parents
-    with pytest.raises(InputError, match=r"nested holds no frame images .*; give a folder of frames") as caught:
+    with pytest.raises(InputError, match=r"nested holds no frame images .*; give one that does") as caught:
         open_source(unlisted, LAYOUT)
     assert len(str(caught.value)) < 1000
 

@@ -6,20 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.estimators.onset import STAMP
-from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.ablation.__main__ import main
-from palpate.evaluation.ablation.next_depth import NextDepthTask, next_depth_errors, table
+from palpate.evaluation.ablation.next_depth import NextDepth, next_depth_errors, table
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery.suites import suite_clip_seed
-from palpate.models.onnx_session import SHIPPED
 from tests.evaluation.ablation.trained_generators import write_checkpoint
 
 
-def test_physics_with_the_right_tissue_beats_copying() -> None:
-    seed = suite_clip_seed("validation", 0, 0)
-    network = EstimatorOptions("network", model=SHIPPED, onset=STAMP, threads=1)
-    (found,) = next_depth_errors(NextDepthTask("clean", 0, seed, 4, network))
+def test_physics_with_the_right_tissue_beats_copying(tmp_path: Path) -> None:
+    (found,) = next_depth_errors((NextDepth(tmp_path, split="validation"), ("clean", 0)))
     assert found["pixels"] > 20
     last, mean, true, network_s = found["total"] / found["pixels"]
     assert min(last, mean) > 0.002  # two of the noise's standard deviations
@@ -41,10 +35,8 @@ def test_a_row_is_the_mean_over_pixels_and_its_ratios() -> None:
 @pytest.mark.slow
 def test_a_generator_that_adds_nothing_to_physics_is_as_good(tmp_path: Path) -> None:
     """With the shipped head it says what the network says."""
-    seed = suite_clip_seed("validation", 0, 3)
-    network = EstimatorOptions("network", model=SHIPPED, onset=STAMP, threads=1)
     checkpoint = write_checkpoint(tmp_path / "last.ckpt")
-    (found,) = next_depth_errors(NextDepthTask("clean", 3, seed, 4, network, checkpoint))
+    (found,) = next_depth_errors((NextDepth(tmp_path, split="validation", checkpoint=checkpoint), ("clean", 3)))
     _, _, _, network_s, own, generated = found["total"]
     assert own == pytest.approx(network_s, rel=0.01)
     assert generated == pytest.approx(own, rel=0.01)

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from palpate.common.options import options
 from palpate.common.output import LIST
 from palpate.estimators.estimate import NoEstimate
 from palpate.evaluation.harness import write
-from palpate.evaluation.options import options
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip

@@ -25,6 +25,7 @@ DOORS = {
     "palpate.evaluation.ablation.__main__": ["-m", "evaluation.ablation"],
     "palpate.evaluation.compare_with_truth": ["-m", "evaluation.compare_with_truth"],
     "palpate.evaluation.plain_video": ["-m", "evaluation.plain_video"],
+    "palpate.evaluation.foreign": ["-m", "evaluation.foreign"],
     "palpate.evaluation.online.__main__": ["-m", "evaluation.online"],
     "palpate.evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
     "palpate.evaluation.palpation.example": ["-m", "evaluation.palpation.example"],

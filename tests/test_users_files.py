@@ -6,6 +6,7 @@ import random
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -24,6 +25,7 @@ from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
+from palpate.evaluation import foreign
 from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
@@ -51,6 +53,7 @@ PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
+    "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
@@ -72,6 +75,8 @@ KEPT = (".npz", ".ckpt", ".mp4")
 def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "beam_gravity.csv").touch()
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
@@ -97,6 +102,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
     patch(real, "draw_summary", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
+    patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
+    patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
@@ -163,6 +170,9 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def judge_pull(chance: random.Random, out: Path) -> object:
         return real.main(["--pulled", str(inputs), "--output", str(out)])
 
+    def judge_foreign(chance: random.Random, out: Path) -> object:
+        return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
+
     def judge_palpation(chance: random.Random, out: Path) -> object:
         return palpation.main(["curves", "--data", str(inputs / "forces"), "--output", str(out)])
 
@@ -198,7 +208,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     def keep_prepared(chance: random.Random, out: Path) -> object:
         return prepare(inputs / "tiny", SETTINGS, out)
 
-    every = (draw, estimate, judge_pull, judge_palpation, benchmark, train_network, train_row)
+    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
     measured = (judge_frank, judge_online, calibrate_curves, calibrate_palpation, plan_way)
     return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
 
@@ -269,6 +279,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
         "judge_pull": {"table.csv", "report.html", "1.png"},
+        "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},

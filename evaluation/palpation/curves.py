@@ -7,20 +7,18 @@ what the measures mean is in docs/reports/palpation.md.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
-from palpate.evaluation.harness import Measurements, Row
+from palpate.evaluation.harness import FileMeasurements, Row
 
 FOLDS = 5
 """Parts of a region, each of which is left out once."""
@@ -36,28 +34,15 @@ SUMMARISED = {
 
 
 @dataclass(frozen=True)
-class Curves(Measurements):
-    """Tables of forces in a folder and below, by their paths there."""
+class Curves(FileMeasurements):
+    """Tables of forces."""
 
-    data: Path
-    """folder of the data"""
+    named: ClassVar = f"CSV file with the columns of any of: {'; '.join(map(', '.join, (PROBES, HOLD)))}"
 
-    def __post_init__(self) -> None:
-        """Raise a ValueError where there is nothing to judge."""
-        if not self.wanted:
-            columns = "; ".join(map(", ".join, JUDGES))
-            raise ValueError(f"{self.data} holds no CSV file with columns of any of: {columns}; give one that does.")
-
-    @functools.cached_property
-    def wanted(self) -> Mapping[str, Callable[[], Row]]:
-        """Files that can be measured, by the columns of their tables."""
-        files = [path for path in all_below(self.data) if path.suffix.lower() == ".csv"] if self.data.is_dir() else []
-        named = ((path.relative_to(self.data).as_posix(), path, JUDGES.get(kind_of(path) or ())) for path in files)
-        return {name: functools.partial(judge, path) for name, path, judge in named if judge is not None}
-
-    def record(self) -> Mapping[str, Any]:
-        """When every file was changed last."""
-        return {f"file {name}": (self.data / name).lstat().st_mtime_ns for name in self.wanted}
+    def measure(self, path: Path) -> Callable[[Path], Row] | None:
+        """By the columns of a table."""
+        kind = kind_of(path) if path.suffix.lower() == ".csv" else None
+        return None if kind is None else JUDGES.get(kind)
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
         """Also medians over the files of a kind."""

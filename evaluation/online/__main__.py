@@ -27,7 +27,17 @@ import pandas as pd
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.evaluation.harness import Experiment, Report, Row, run
-from palpate.evaluation.online.compare import HORIZON, METHODS, STARTS, Key, Optimizer, run_case, summary, table
+from palpate.evaluation.online.compare import (
+    BATCH,
+    HORIZON,
+    METHODS,
+    STARTS,
+    Key,
+    Optimizer,
+    run_case,
+    summary,
+    table,
+)
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
 DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
@@ -57,8 +67,8 @@ class Online(Experiment):
     """which"""
     starts: tuple[Start, ...] = get_args(Start)
     """stiffness to begin with"""
-    methods: tuple[Literal["PBD", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
-    """which"""
+    methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
+    """which; PBD-DiffCloud on sheets alone"""
     match: Literal["chamfer", "tracks", "both"] = "tracks"
     """what is observed of a frame (the paper: chamfer)"""
     optimizer: Optimizer = "gauss-newton"
@@ -86,6 +96,8 @@ class Online(Experiment):
                 f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer "
                 "or more --frames."
             )
+        if not self.wanted:
+            raise ValueError(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
 
     @property
     def frames_of(self) -> dict[str, int]:
@@ -95,7 +107,8 @@ class Online(Experiment):
     @property
     def wanted(self) -> list[Key]:
         """Sequences, starts and methods."""
-        return list(itertools.product(self.sequences, self.starts, self.methods))
+        every = itertools.product(self.sequences, self.starts, self.methods)
+        return [key for key in every if key[2] != BATCH or not SEQUENCES[key[0]].block]
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""

@@ -25,7 +25,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert all(float(row["value"]) > 0 for row in rows if row["measure"] == "future gap [mm]")
     head, *lines = (tmp_path / "table_2.csv").read_text().splitlines()
     assert head == 'method,"thin-shell-1, k2"'
-    assert [line.split(",")[0] for line in lines] == ["PBD", "PBD-RM", "PBD-RM-ON"]
+    assert [line.split(",")[0] for line in lines] == ["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"]
     (tmp_path / "table_2.csv").write_text("mine")
     assert main(asked) == 2
     assert "is not as this program wrote it" in " ".join(capsys.readouterr().err.split())

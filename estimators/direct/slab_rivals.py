@@ -19,6 +19,7 @@ from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.direct.slab_posterior import DONE, ROUGH, descend, shown_change
 from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 
 REGION = 9.0
@@ -27,7 +28,7 @@ ASIDE = 0.5, 1.0
 """Of its middle from the contact's normal, over its radius."""
 WAYS = 8
 """Directions from the contact in which it may lie."""
-USUAL, USUAL_SD = 3.0, 0.3
+USUAL, USUAL_SD = MODEL_ERRORS.firm_usual, MODEL_ERRORS.firm_usual_sd
 """Its E over that around, and the standard deviation of the logarithm over it, by which places are compared."""
 REGIONS, FIRMER = 2, (1.8, 3.2)
 """Firm regions that are fitted, the likeliest ones, and by which factors they are firmer."""

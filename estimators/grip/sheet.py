@@ -71,12 +71,9 @@ LIMITS = -10.0, 1.0
 """Of log foundation: motion that dies away over 260 nodes, and within one."""
 STEP = 0.1
 """Of log foundation, for derivatives."""
-EXCESS = 0.03
-"""Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15
-drawn clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
-MOST_TOGETHER = 2.0
-"""Where what is left of the motion goes together over so many times as many points as following errs together (1.0
-times on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either."""
+EXCESS = MODEL_ERRORS.sheet_excess
+"""Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: free forces then
+explain too much. Nor is it one where what is left of the motion goes together over many points (`sheet_together`)."""
 
 
 class NoSheet(ValueError):
@@ -374,7 +371,7 @@ def _with_forces(
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     errors = MODEL_ERRORS
-    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > MOST_TOGETHER else (0.0, 0.0)
+    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > errors.sheet_together else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (

@@ -50,14 +50,8 @@ STEPS_APART, MOST_NODES = (2, 3), 3000
 """Every second row and column of points are nodes, or, of more points or loaded places than are wanted, every third."""
 KNOT, MOST_KNOTS = 32.0, 160
 """Least distance between knots [px]; most knots."""
-ROUGHNESS = 0.55
-"""Standard deviation of the difference between neighbouring knots: intervals hold at a step by a factor 3, too."""
-TOGETHER = 24.0
-"""So many points err together: neighbours share what flow sees of them."""
-UNEXPLAINED = 2.0
-"""Where a sheet does not explain the motion to within its noise, so many times as many do."""
-STRAINED = MODEL_ERRORS.strained_motion
-"""Following errs by this share of the motion besides the given noise: windows are strained with the tissue."""
+ROUGHNESS, TOGETHER = MODEL_ERRORS.stiffness_roughness, MODEL_ERRORS.stiffness_together
+"""Standard deviation of the difference between neighbouring knots, and how many points err together."""
 LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
 """Times that points are weighted anew, in so many rounds, evaluations between, and the relative fall of χ² that ends
 them."""
@@ -128,7 +122,7 @@ class _Problem:
         """Points that are visible, shape [n]."""
         self._moved = frame.moved[kept][seen]
         given = np.square(np.maximum(frame.noise[kept][seen], LINK))
-        self._given = given + np.square(STRAINED * far[kept][seen])
+        self._given = given + np.square(MODEL_ERRORS.strained_motion * far[kept][seen])
         self._terms = affine_terms(self.points)
         self.together = max(TOGETHER / step**2, 1.0)
         self.scale = 0.0
@@ -232,7 +226,7 @@ def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> Sti
     excess = math.sqrt(problem.scale)
     if excess > EXCESS:
         # What a sheet can't explain is the same over a larger piece of it.
-        problem.together *= UNEXPLAINED
+        problem.together *= MODEL_ERRORS.stiffness_unexplained
         numbers, covariance = problem.fit(numbers)
     return StiffnessField(
         (int(problem.shape[0]), int(problem.shape[1])),

@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from palpate.estimators.grip.lattice import length
-from palpate.estimators.grip.stiffness_fit import ROUGHNESS
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.fitting import LEAST
 from palpate.estimators.online.gauss_newton import knot_shares
 from palpate.estimators.online.objective import Objective
@@ -34,10 +34,6 @@ STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
-LARGEST_MISFIT = 1.5
-"""What the likeliest values leave of the motion over what the fields do, root mean squares. On drawn sheets of the
-estimator's own kind 0.7 to 1.2, and what is known is true; 2.0 on one that was drawn on another mesh and followed in a
-video, whose true field leaves more than others do, so that what would be known is wrong."""
 ROUNDS = 4
 """Of finding the likeliest values and, with them, the noise."""
 NOISE = 0.3
@@ -165,8 +161,8 @@ class Determined:
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        known &= self._left_by_likeliest <= LARGEST_MISFIT**2 * self._left
-        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        known &= self._left_by_likeliest <= MODEL_ERRORS.field_misfit**2 * self._left
+        stray = MODEL_ERRORS.stiffness_roughness * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:

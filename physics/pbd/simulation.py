@@ -11,11 +11,10 @@ import numpy as np
 from palpate.common.settings import require_numbers
 from palpate.physics.jit import COMPILED, say_slow
 from palpate.physics.load import Grip
-from palpate.physics.pbd.adjoint_kernel import sweep_adjoint
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import unturned
 from palpate.physics.pbd.stiffness import Stiffness, gather, spread
-from palpate.physics.pbd.sweep_kernel import sweep_forward
+from palpate.physics.pbd.sweep_kernel import sweep_adjoint, sweep_forward
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate

@@ -25,8 +25,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.direct.brightness_fit import fit_brightness
-from palpate.estimators.direct.contact_fit import fit_contact
-from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.contact_fit import fit_contact, fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab

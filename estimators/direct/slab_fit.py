@@ -3,7 +3,7 @@
 Tissue right under the tip is left out: how the tip presses there is known least. What the slab itself gets wrong counts
 among the errors. The posterior, its valley followed, holds besides what a finer mesh changes
 (`estimators.direct.slab_posterior`), and firm regions beneath; tissue that relaxes refutes the model
-(`estimators.direct.slab_rivals`).
+(`estimators.direct.slab_posterior`).
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ from palpate.estimators.direct.slab_posterior import (
     DONE,
     ROUGH,
     Valley,
+    averaged,
     descend,
     find_tip,
+    firm_regions,
     follow_valley,
     moved_by_mesh,
+    relaxation,
     slab_start,
+    with_firm_regions,
 )
-from palpate.estimators.direct.slab_rivals import averaged, firm_regions, relaxation, with_firm_regions
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody

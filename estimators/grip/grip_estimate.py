@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
 
 LEAST_LEAD = 0.1

@@ -23,8 +23,7 @@ from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from palpate.estimators.grip.pull_fit import CELLS, fit_pull
 from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
-from palpate.estimators.grip.stiffness_field import StiffnessField
-from palpate.estimators.grip.stiffness_fit import fit_stiffness
+from palpate.estimators.grip.stiffness_fit import StiffnessField, fit_stiffness
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody
 from palpate.physics.fem.slab import slab_beneath

@@ -45,8 +45,7 @@ from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
 from palpate.models.checkpoint import load_posterior, posterior_features
-from palpate.models.onnx_calibration import calibrate
-from palpate.models.onnx_export import export
+from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import CONTACT, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 

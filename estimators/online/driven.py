@@ -10,10 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.estimators.estimate import LEAST_SKILL
-from palpate.estimators.online.determined import Determined
-from palpate.estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
-from palpate.estimators.online.mapping import Chamfer, Match, Tracks
-from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.determined import BENDINGS, Determined, Fit, fit_motion, uniform
+from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface

@@ -12,8 +12,7 @@ import numpy as np
 
 from palpate.common.settings import require_choices, require_numbers
 from palpate.estimators.online.gauss_newton import GaussNewton
-from palpate.estimators.online.mapping import Match, Residual
-from palpate.estimators.online.objective import Objective, Terms
+from palpate.estimators.online.objective import Match, Objective, Residual, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 

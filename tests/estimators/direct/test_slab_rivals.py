@@ -8,11 +8,11 @@ import pytest
 
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
-from palpate.estimators.direct.slab_posterior import descend
-from palpate.estimators.direct.slab_rivals import (
+from palpate.estimators.direct.slab_posterior import (
     WAYS,
     Firm,
     averaged,
+    descend,
     fall,
     firm_regions,
     relaxation,

@@ -8,8 +8,7 @@ from scipy.sparse import eye_array
 
 from palpate.estimators.online import gauss_newton
 from palpate.estimators.online.gauss_newton import CHANGE, DRAWN, KNOTS, GaussNewton, bumps, roughness
-from palpate.estimators.online.mapping import Tracks
-from palpate.estimators.online.objective import Objective, Weights
+from palpate.estimators.online.objective import Objective, Tracks, Weights
 from palpate.estimators.online.session import Method, Session
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.stiffness import Stiffness

@@ -1,21 +1,25 @@
-"""The training step: two generators, two discriminators, three optimisers (Bini 2026, sections 3.4 and 3.5)."""
+"""The training step: two generators, two discriminators, three optimisers (Bini 2026, sections 3.4 and 3.5).
+
+Sensor noise on the windows that the networks see is optional, and off by default.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from kornia.augmentation import RandomGaussianNoise
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
-from torch import Tensor
+from torch import Tensor, nn
 
-from palpate.models.augmentation import AugmentationSettings, WindowAugmentation
 from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
-from palpate.models.expected_bound import bound_loss
+from palpate.models.evidence import bound_loss
 from palpate.models.generator import Generator, HeadOutput
 from palpate.models.losses import (
     LossTerms,
@@ -32,6 +36,38 @@ from palpate.models.losses import (
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
+
+
+@dataclass(frozen=True)
+class AugmentationSettings:
+    """Noise on the windows that enter the networks; the depth maps in the losses stay without it."""
+
+    noise: float = 0.0
+    """Standard deviation of Gaussian noise on every valid depth pixel [scene units]; 0 = none."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise ValueError(f"augmentation.noise is {self.noise}; give a standard deviation of at least 0.")
+
+
+class WindowAugmentation(nn.Module):
+    """Adds noise to windows of depth maps, reproducibly: the same seed gives the same noise."""
+
+    def __init__(self, settings: AugmentationSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.noise = RandomGaussianNoise(mean=0.0, std=settings.noise, p=1.0)
+
+    def forward(self, window: Tensor, seed: int) -> Tensor:
+        """Window [B, K, H, W] with 0 = invalid → the window with noise; invalid pixels stay invalid.
+
+        The global random state is left as it was, so that a resumed training gets the noise of an uninterrupted one.
+        """
+        if not self.settings.noise:
+            return window
+        with torch.random.fork_rng(devices=[window.device] if window.device.type == "cuda" else []):
+            torch.manual_seed(seed)
+            return self.noise(window).clamp(0.0, 1.0) * (window > 0)
 
 
 class TrainingDiverged(ValueError):
@@ -84,7 +120,7 @@ class PhysicsInformedGAN(LightningModule):
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
-        augmentation: AugmentationSettings = AugmentationSettings(),  # noqa: B008
+        augmentation: AugmentationSettings = AugmentationSettings(),
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
     ) -> None:

@@ -25,8 +25,8 @@ import numpy as np
 
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.estimators.online.gauss_newton import knot_shares
 from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import knot_shares
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body

@@ -22,7 +22,7 @@ from palpate.estimators.palpation.registration import View, join_views, placed
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
-from palpate.physics.fem.refinement import around
+from palpate.physics.fem.meshing import around
 
 MOST_BYTES = 2**26
 """Of a surface's file."""

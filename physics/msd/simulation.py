@@ -17,8 +17,14 @@ from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd import reference
 from palpate.physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, window_radii
-from palpate.physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
-from palpate.physics.msd.grid_layout import GridLayout, grid_layout, places
+from palpate.physics.msd.grid_kernel import (
+    FORWARD_PLANES,
+    SENSITIVITY_PLANES,
+    GridLayout,
+    grid_layout,
+    places,
+    specialised,
+)
 
 SENSITIVITY_LIMIT = {np.dtype(np.float32): 100.0, np.dtype(np.float64): 1e8}
 """Relative change of the trajectory for a relative change of θ from which on rounding spoils the derivatives.

@@ -5,7 +5,6 @@ Sensor noise on the windows that the networks see is optional, and off by defaul
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +15,7 @@ from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 
+from palpate.common.settings import require_numbers
 from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
@@ -46,8 +46,7 @@ class AugmentationSettings:
     """Standard deviation of Gaussian noise on every valid depth pixel [scene units]; 0 = none."""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.noise) and self.noise >= 0):
-            raise ValueError(f"augmentation.noise is {self.noise}; give a standard deviation of at least 0.")
+        require_numbers(self, not_negative=("noise",), group="augmentation.")
 
 
 class WindowAugmentation(nn.Module):
@@ -133,30 +132,18 @@ class PhysicsInformedGAN(LightningModule):
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
         if not 0 <= pretrained_rate <= 1:
             raise ValueError(f"pretrained_rate is {pretrained_rate}; give a share of learning_rate in [0, 1].")
+        shape: dict[str, Any] = {"width": width, "residual_blocks": residual_blocks, "decoder": decoder, "head": head}
+        shape |= {"contact_features": contact_features, "picture": picture}
+        groups = {"bounds": bounds, "mechanics": mechanics, "weights": weights, "augmentation": augmentation}
         # Plain values only: a checkpoint must load without running code.
-        self.save_hyperparameters(
-            {
-                "window": window,
-                "width": width,
-                "residual_blocks": residual_blocks,
-                "decoder": decoder,
-                "head": head,
-                "contact_features": contact_features,
-                "picture": picture,
-                "bounds": asdict(bounds),
-                "mechanics": asdict(mechanics),
-                "weights": asdict(weights),
-                "augmentation": asdict(augmentation),
-                "learning_rate": learning_rate,
-                "betas": list(betas),
-            }
-        )
+        plain = {name: asdict(settings) for name, settings in groups.items()}
+        rates = {"learning_rate": learning_rate, "betas": list(betas)}
+        self.save_hyperparameters({"window": window, **shape, **plain, **rates})
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
         self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
-        shape = (window, width, residual_blocks, bounds, decoder, head, contact_features, picture)
-        self.generator_ab, self.generator_ba = Generator(*shape), Generator(*shape)
+        self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
         self.augmentation = WindowAugmentation(augmentation)
@@ -233,8 +220,7 @@ class PhysicsInformedGAN(LightningModule):
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
-        optimizer_g, optimizer_a, optimizer_b = self.optimizers()  # ty: ignore[not-iterable]  there are three
-        real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
+        optimizer_g, *judging = self.optimizers()  # ty: ignore[not-iterable]  there are three
 
         self.toggle_optimizer(optimizer_g)  # freezes both discriminators
         terms, fakes, theta = self.generator_losses(batch)
@@ -242,11 +228,10 @@ class PhysicsInformedGAN(LightningModule):
         self.untoggle_optimizer(optimizer_g)
 
         losses = terms.items()
-        pairs = len(real_a)
+        pairs = len(theta)
         self.log_dict(losses, prog_bar=True, logger=False, batch_size=pairs)
-        if fakes is not None:
-            losses["discriminator_a"] = self._judge(optimizer_a, self.discriminator_a, real_a, fakes[0], batch)
-            losses["discriminator_b"] = self._judge(optimizer_b, self.discriminator_b, real_b, fakes[1], batch)
+        for side, optimizer, fake in zip("ab", judging, fakes or (), strict=False):
+            losses[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
         self._theta["train"].append(theta.detach())
         averages = {f"train/{name}": value for name, value in losses.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
@@ -314,33 +299,18 @@ class PhysicsInformedGAN(LightningModule):
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(output.theta, mesh, load, observation, self.mechanics)
         noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior = generator.posterior
-        evidence, information = posterior_physics_loss(
-            output.mean,
-            output.factor,
-            noise,
-            mesh,
-            load,
-            observed,
-            self.mechanics,
-            (posterior.lower, posterior.upper),
-            batch.get(f"dent_{side}"),
-        )
+        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
+        box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
+        evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
         error = bound_loss(expected, information.cpu().numpy())
         return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 
-    def _judge(
-        self,
-        optimizer: LightningOptimizer,
-        discriminator: PatchDiscriminator,
-        real: Tensor,
-        fake: Tensor,
-        batch: dict[str, Any],
-    ) -> Tensor:
-        """Train a discriminator by one step and return its loss, detached."""
+    def _judge(self, side: str, optimizer: LightningOptimizer, fake: Tensor, batch: dict[str, Any]) -> Tensor:
+        """Train the discriminator of a side by one step and return its loss, detached."""
+        discriminator, real = getattr(self, f"discriminator_{side}"), batch[f"window_{side}"][:, -1:]
         self.toggle_optimizer(optimizer)
         loss = discriminator_loss(discriminator(real), discriminator(fake.detach()))
         self._step(optimizer, loss, batch)

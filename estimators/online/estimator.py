@@ -211,18 +211,10 @@ class _Followed:
         """What the run tells by now."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
-        return FieldEstimate(
-            self.field(),
-            self._picture,
-            driven.surface.pixels,
-            self._follower.points[driven.around],
-            driven.alone.moved,
-            driven.alone.predicted,
-            times,
-            course,
-            {name: np.array(values) for name, values in self._numbers.items()},
-            bool(driven.stretched.any()),
-        )
+        numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
+        points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
+        where = self._picture, driven.surface.pixels, *points
+        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched))
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""
@@ -237,23 +229,10 @@ class _Followed:
         surface, session = self._driven.surface, self._driven.session
         (distance_sd, shape_sd), (known, shape_known) = self._driven.determined()
         size = surface.camera.height, surface.camera.width
-        pixels = surface.project(session.positions) + self._background
-        return ParticleField(
-            self._number,
-            surface.body.rest,
-            surface.faces,
-            surface.body.tetrahedra,
-            session.positions,
-            grid_to_picture(pixels, size, self._clip.size),
-            session.fields.distance,
-            session.fields.shape,
-            distance_sd,
-            shape_sd,
-            known,
-            shape_known,
-            self._driven.alone.skill,
-            self._gap,
-        )
+        pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
+        tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
+        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
+        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
 
     def _cloud(self, frame: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""

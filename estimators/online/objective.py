@@ -216,12 +216,11 @@ class Bounds:
             ValueError: a stiffness on a bound or outside; two of the paper's three starts are.
         """
         found = []
-        for name, values, bound in (("distance", fields.distance, self.distance), ("shape", fields.shape, self.shape)):
+        for name, values, bound in zip(("distance", "shape"), fields[:2], (self.distance, self.shape), strict=True):
             share = np.asarray(values, np.float64) / bound
             if not ((share > 0) & (share < 1)).all():
-                raise ValueError(
-                    f"a stiffness of {name} begins on its bounds, 0 and {bound:g}, or outside; begin inside."
-                )
+                said = f"a stiffness of {name} begins on its bounds, 0 and {bound:g}, or outside"
+                raise ValueError(f"{said}; begin inside.")
             found.append(np.log(share / (1 - share)))
         return np.stack(found)
 
@@ -232,12 +231,8 @@ class Bounds:
 
     def by_logits(self, fields: Stiffness, slopes: Stiffness) -> np.ndarray:
         """Derivatives by the logits [2, N] from those by the fields [N]."""
-        return np.stack(
-            [
-                slopes.distance * fields.distance * (1 - fields.distance / self.distance),
-                slopes.shape * fields.shape * (1 - fields.shape / self.shape),
-            ]
-        )
+        every = zip(slopes[:2], fields[:2], (self.distance, self.shape), strict=True)
+        return np.stack([slope * values * (1 - values / bound) for slope, values, bound in every])
 
 
 PAPER = Bounds(distance=10.0, shape=0.02)

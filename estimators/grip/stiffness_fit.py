@@ -23,18 +23,9 @@ from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky
 from scipy.optimize import least_squares
 
 from palpate.common.robust import affine_terms, error_scale, student_weights
+from palpate.estimators.grip import sheet
 from palpate.estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
-from palpate.estimators.grip.sheet import (
-    ENERGY,
-    EXCESS,
-    LEAST_SCALE,
-    LINK,
-    MOST_LOADED,
-    TINY,
-    NoSheet,
-    PointGrid,
-    SeenFrame,
-)
+from palpate.estimators.grip.sheet import NoSheet, PointGrid, SeenFrame
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.sheet import Equilibrium, equilibrium
@@ -110,7 +101,7 @@ class StiffnessField:
     @property
     def tells(self) -> bool:
         """Whether a sheet explains the motion to within its noise, and most tissue that moves is known."""
-        return self.excess <= EXCESS and bool(self.known(self.moving).mean() > MOST)
+        return self.excess <= sheet.EXCESS and bool(self.known(self.moving).mean() > MOST)
 
     def _relative(self, places: np.ndarray) -> np.ndarray:
         """How log stiffness over the mean of tissue that moves follows the knots, shape [N, K]."""
@@ -192,11 +183,11 @@ class _Problem:
             self.spacing, self.points, self.count = spacing * step, points[kept], int(kept.sum())
             nodes = continued(self.points, self.spacing, BEYOND)
             self._loaded = self._may_be_loaded(nodes, distance[kept], hidden, spacing)
-            if self.count <= MOST_NODES and self._loaded.sum() <= MOST_LOADED:
+            if self.count <= MOST_NODES and self._loaded.sum() <= sheet.MOST_LOADED:
                 break
-        if not 0 < self._loaded.sum() <= MOST_LOADED:
+        if not 0 < self._loaded.sum() <= sheet.MOST_LOADED:
             found = int(self._loaded.sum())
-            raise NoSheet(f"Forces may act on {found} places; from 1 to {MOST_LOADED} can be distinguished.")
+            raise NoSheet(f"Forces may act on {found} places; from 1 to {sheet.MOST_LOADED} can be distinguished.")
         self._springs = lattice_springs(nodes, self.spacing)
         apart, self.shape = KNOT, np.array([MOST_KNOTS + 1, 1])
         while self.shape.prod() > MOST_KNOTS:
@@ -214,7 +205,7 @@ class _Problem:
         self.seen = np.flatnonzero(seen)
         """Points that are visible, shape [n]."""
         self._moved = frame.moved[kept][seen]
-        given = np.square(np.maximum(frame.noise[kept][seen], LINK))
+        given = np.square(np.maximum(frame.noise[kept][seen], sheet.LINK))
         self._given = given + np.square(STRAINED * far[kept][seen])
         self._terms = affine_terms(self.points)
         self.together = max(TOGETHER / step**2, 1.0)
@@ -241,7 +232,7 @@ class _Problem:
         """Weight the points anew by how far they lie from the sheet, and find the size of their errors."""
         for _ in range(ROUNDS):
             squares = np.square(self._solved(numbers).left).sum(axis=1)
-            self.scale = error_scale(squares, self._given, self._weights, self.scale, LEAST_SCALE)
+            self.scale = error_scale(squares, self._given, self._weights, self.scale, sheet.LEAST_SCALE)
             self._weights = student_weights(squares, self._given + self.scale)
 
     def residual(self, numbers: np.ndarray) -> np.ndarray:
@@ -275,8 +266,8 @@ class _Problem:
             # Where the nodes go for a unit of motion of every loaded one.
             unit = equilibrium(self._springs, stiffness, everywhere, self._loaded, np.eye(held))
             prior = np.zeros((held + 3, held + 3))
-            prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * ENERGY)
-            prior += TINY * prior.max() * np.eye(held + 3)
+            prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * sheet.ENERGY)
+            prior += sheet.TINY * prior.max() * np.eye(held + 3)
             self._latest = np.array(numbers), unit, cholesky(prior, check_finite=False)
         _, unit, loads = self._latest
         root = np.sqrt(self._weights / (self._given + self.scale) / self.together)[:, None]
@@ -317,7 +308,7 @@ def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> Sti
     moving = grid.points[np.linalg.norm(frame.moved, axis=1) > MOVES]
     numbers, covariance = problem.fit(problem.mean)
     excess = math.sqrt(problem.scale)
-    if excess > EXCESS:
+    if excess > sheet.EXCESS:
         # What a sheet can't explain is the same over a larger piece of it.
         problem.together *= MODEL_ERRORS.stiffness_unexplained
         numbers, covariance = problem.fit(numbers)

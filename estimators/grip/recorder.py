@@ -45,6 +45,11 @@ class _Kept:
     shown: Shown
     """Its picture."""
 
+    @property
+    def seen(self) -> SeenFrame:
+        """Its points."""
+        return SeenFrame(self.frame.moved, self.noise)
+
 
 class GripRecorder:
     """One run of contact.
@@ -133,13 +138,8 @@ class GripRecorder:
             raise NoEstimate(f"No slab fits under the tissue: {error}") from error
         height, width = self._picture.shape[:2]
         cell = np.array([width, height]) / contact.mesh.grid_shape[::-1]
-        fit = fit_pull(
-            slab,
-            cell,
-            self._grid,
-            np.array([item.time_s for item in self._kept]),
-            [SeenFrame(item.frame.moved, item.noise) for item in self._kept],
-        )
+        times = np.array([item.time_s for item in self._kept])
+        fit = fit_pull(slab, cell, self._grid, times, [item.seen for item in self._kept])
         known = _interval("reaction_over_young", fit.log_force, fit.log_force_sd)
         return {**known, "slab_error": fit.error, "force": fit.force, "force_sd": fit.force_sd}
 
@@ -159,20 +159,19 @@ class GripRecorder:
         motion is not taken from them; where it does not, unknown forces would explain too much, and it is.
         """
         follower = self._follower
-        seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
 
         def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
             return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32), which))
 
         again = Measuring(follower.everywhere, measure)
         try:
-            return fit_foundation(self._grid, seen, again)
+            return fit_foundation(self._grid, [item.seen for item in self._kept], again)
         except NoSheet:
             held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            return FoundationFit(held.log_anchor, float(sd), pull, float(pull_sd), *held.relative_force(frames))
+            return FoundationFit(pull, float(pull_sd), *held.relative_force(frames), held.log_anchor, float(sd))
 
 
 def _interval(name: str, log: float, sd: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -278,17 +279,16 @@ class _Problem:
 
     def fit(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest numbers [P], from some on, and their covariance [P, P]."""
+
+        def beyond(of: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+            return lambda apart: of(self.mean + apart)
+
         jacobian = np.zeros((0, 0))
         for _ in range(LOOKS):
             self.look(numbers)
             # From the prior's mean, so that first steps are short.
-            end = least_squares(
-                lambda apart: self.residual(self.mean + apart),
-                numbers - self.mean,
-                lambda apart: self.jacobian(self.mean + apart),
-                ftol=ENOUGH,
-                max_nfev=EVALUATIONS,
-            )
+            what = beyond(self.residual), numbers - self.mean, beyond(self.jacobian)
+            end = least_squares(*what, ftol=ENOUGH, max_nfev=EVALUATIONS)
             numbers, jacobian = self.mean + end.x, end.jac
         return numbers, np.linalg.inv(jacobian.T @ jacobian)
 
@@ -312,15 +312,6 @@ def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> Sti
         # What a sheet can't explain is the same over a larger piece of it.
         problem.together *= MODEL_ERRORS.stiffness_unexplained
         numbers, covariance = problem.fit(numbers)
-    return StiffnessField(
-        (int(problem.shape[0]), int(problem.shape[1])),
-        problem.low,
-        problem.extent,
-        numbers[:-1],
-        covariance[:-1, :-1],
-        np.linalg.inv(problem.precision),
-        ROUGHNESS,
-        moving,
-        excess,
-        picture,
-    )
+    knots = (int(problem.shape[0]), int(problem.shape[1])), problem.low, problem.extent
+    known = numbers[:-1], covariance[:-1, :-1], np.linalg.inv(problem.precision), ROUGHNESS
+    return StiffnessField(*knots, *known, moving, excess, picture)

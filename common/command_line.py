@@ -1,7 +1,5 @@
 """Parts that the programs' command lines share: types of options, sentences and progress."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

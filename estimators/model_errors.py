@@ -4,8 +4,6 @@ They are read from `model_errors.yaml`, which `python -m evaluation.model_errors
 `value`, its `source` (which clips, by what) and, as far as that command has measured it, what it found (`measured`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What an estimator says of a frame, and of a whole run of contact."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Any

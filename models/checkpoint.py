@@ -1,7 +1,5 @@
 """Checkpoints of the training: reading them safely, and whether a configuration still fits them."""
 
-from __future__ import annotations
-
 import json
 import warnings
 import zipfile

@@ -10,8 +10,6 @@ the motion holds no information. So the bound, by which verdicts are given, has 
 contacts with equal features.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

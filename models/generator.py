@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.4.1 and figure 2.
 """
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import torch

@@ -6,8 +6,6 @@ A term that belongs to one generator is added over the two directions of time, a
 share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

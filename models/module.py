@@ -3,8 +3,6 @@
 Sensor noise on the windows that the networks see is optional, and off by default.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal

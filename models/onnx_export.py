@@ -6,8 +6,6 @@ contact's vector. `calibrate` gives the standard deviations of any exported post
 coverage within the file itself: nothing but the file is needed.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import platform

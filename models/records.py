@@ -1,7 +1,5 @@
 """The records that `train.py test` makes of every pair of frames, for the tables and figures of `evaluation.paper`."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@
 The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

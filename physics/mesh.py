@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.2.2 (grid triangulation, edge filter, decimation, equations 4 to 8).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ way to the cost, and whole ways are compared by the pair of cost and way. Afterw
 lowers this price.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The tip is a disc. Tissue is upright blocks, such as folds or curtains; the plane cuts them at the tip's height.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A contact's followed point, or its whole dent, fitted from start to verdict: optima, the posterior, the estimate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -17,8 +17,6 @@ it is refuted. But it is by their covariance that they differ from noise.
 The numbers behind the constants, and where they come from, are entries of `estimators/model_errors.yaml`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

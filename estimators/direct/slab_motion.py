@@ -9,8 +9,6 @@ Linear elements that can be followed in a second move far too early. So what qua
 added (defect correction): these are linear in the load, and few modes tell them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What the motion around an instrument tells that holds tissue, and what of it is determined."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

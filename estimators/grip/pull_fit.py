@@ -8,8 +8,6 @@ as these differ in time alone. Errors of points are Student's, and as many err t
 (`estimators.grip.sheet`).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

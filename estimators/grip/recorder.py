@@ -3,8 +3,6 @@
 Rest is the run's first frame: what the tissue was stretched by before is not known, and counts as none.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -12,8 +12,6 @@ Followed points are filtered, which biases them where neighbours lie on one side
 are measured again where it says they are. Should more points err together than expected, they count for less.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import compress

@@ -11,8 +11,6 @@ The numbers are found by least squares, with the loaded tissue's motion at its l
 `estimators.grip.sheet`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -5,8 +5,6 @@ Estimation and model identification for continuous spatial processes): the inver
 sparse.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree

@@ -13,8 +13,6 @@ and, for a network with an input for how well the instants are known, once for u
 of validation clips is used for this and nothing else; no weight of the network changes.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -15,8 +15,6 @@ costs more than the network:
  4. `bound`: a second network learns the size of the Cramér–Rao bound at those fits, by which verdicts are given.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

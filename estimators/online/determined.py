@@ -13,8 +13,6 @@ number each for how fast tissue follows, what holds it to its rest, and how it b
 simulation alone; stiffness place by place is left to the optimiser.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

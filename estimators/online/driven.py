@@ -1,7 +1,5 @@
 """Tissue that an instrument drives, stepped on by what is followed of it in every frame."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 

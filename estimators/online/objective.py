@@ -6,8 +6,6 @@ value [m²], its gradient [N, 3] [m], and its second derivatives by one axis [N,
 below 0. Once its pairs are fixed a term is quadratic in positions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ forgotten. A norm ‖r‖ has at r no more than the quadratic ½‖r‖²/‖r�
 minimised.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

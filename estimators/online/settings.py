@@ -1,7 +1,5 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path

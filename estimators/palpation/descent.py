@@ -3,8 +3,6 @@
 `docs/reports/palpation.md` lists what differs from the paper's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The file that `calibrate.py palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

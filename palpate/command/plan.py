@@ -7,8 +7,6 @@ same tissue finds them there. Writes plan.json and plan.png: the way, what it co
 cost, the tissue pushed aside and the forces along both. Not a medical device.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time

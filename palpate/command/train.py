@@ -9,8 +9,6 @@
 pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib

@@ -4,8 +4,6 @@ The nodes in the middle of the body's outer edges are drawn to the surface. What
 deformation F of its straight twin, by which gradients and volumes change: ∇N ↦ ∇N F⁻¹, V ↦ V det F.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -9,8 +9,6 @@ Derivatives along directions in the parameters are those of the discrete motion,
 equation, so one solve with its matrix at the solution carries them on (implicit function theorem).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -10,8 +10,6 @@ Where an instrument presses, tetrahedra are divided by bisection of longest edge
 is not the longest edge are halved first through their own, so that the mesh stays one without hanging nodes.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

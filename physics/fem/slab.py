@@ -5,8 +5,6 @@ the contact's normal; it is held at the bottom, at its sides, and, where that is
 Tissue that an instrument hides goes on beneath it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ N nodes, E elements of n nodes (4 linear, 10 quadratic) with Q quadrature points
 what nearly incompressible material and bending need: linear ones lock.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial

@@ -12,8 +12,6 @@ with sensitivities nine planes of u̇ (by k_s, k_d, F; x, y, z each) and nine of
 constants where everything is copied into `specialised`.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import NamedTuple

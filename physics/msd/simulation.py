@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.4.4 (forward simulation with the estimated parameters) and equation 9.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Particles and the constraints that join them, in one list that every solver walks along; volumes under sheets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

@@ -12,8 +12,6 @@ The rotation of a shape is carried along as a quaternion: Newton's method from t
 two or three steps, so that it depends on where it began no more than a singular value decomposition would.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.jit import inlined

@@ -1,7 +1,5 @@
 """Elastic energy that a body's constraints hold, U = ½ Cᵀ diag(k) C (Liang 2024, equation 2), and its derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

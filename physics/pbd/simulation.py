@@ -1,7 +1,5 @@
 """Time steps of position-based dynamics under a grip, with their exact derivatives by the fields of stiffness."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Stiffness that differs from particle to particle, and what it makes of every constraint."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

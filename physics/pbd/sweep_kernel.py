@@ -9,8 +9,6 @@ x⁺ = x + M⁻¹ ∇Cᵀ Δλ, the derivative p by x⁺ and q by λ⁺ give s =
 and by x: p - (w s/g) ∇C + ∇²C M⁻¹ (Δλ p - 2 (w s/g) Δλ ∇C).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.jit import inlined, kernel

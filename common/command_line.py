@@ -20,6 +20,12 @@ LARGEST_NUMBER = 2**63 - 1
 """Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
 
 
+def described_parser(program: str, text: str | None, statuses: str) -> argparse.ArgumentParser:
+    """A parser whose help shows a program's text as it stands, and its exit statuses."""
+    how: dict[str, Any] = {"description": text, "formatter_class": argparse.RawDescriptionHelpFormatter}
+    return argparse.ArgumentParser(prog=program, epilog=f"Exit status: {statuses}.", **how)
+
+
 def path_option(text: str) -> Path:
     """A path on the command line. An empty one, as of an unset shell variable, would be the whole working folder.
 

@@ -86,15 +86,10 @@ class PressedRun:
         found, contact = run.estimate, run.interaction
         if found is None or contact is None or not np.all(found.theta):
             return None
-        return cls(
-            run.onset_frame,
-            run.onset_time_s,
-            run.onset_time_s + (contact.load_seconds if run.load_s is None else run.load_s),
-            np.log(np.abs(found.theta)),
-            found.covariance,
-            covariance(found.verdict_information) if found.covariance is not None else None,
-            found.explained,
-        )
+        end = run.onset_time_s + (contact.load_seconds if run.load_s is None else run.load_s)
+        expected = covariance(found.verdict_information) if found.covariance is not None else None
+        known = np.log(np.abs(found.theta)), found.covariance, expected, found.explained
+        return cls(run.onset_frame, run.onset_time_s, end, *known)
 
     def pressing(self, times: np.ndarray) -> np.ndarray:
         """Whether the force acts at some times, shape as given, bool."""
@@ -325,15 +320,14 @@ class CalibrationFile:
             raise ValueError("rest_s needs known_s, whose dents tell the scale.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        if self.homogeneous == STIFFNESS and given and given[0] not in ("force_N", "known_s"):
+        otherwise = bool(given) and given[0] not in ("force_N", "known_s")
+        if self.homogeneous == STIFFNESS and otherwise:
             raise ValueError(f"homogeneous is for a known force; leave it out next to {given[0]}.")
-        if self.clip is not None and given and given[0] not in ("force_N", "known_s"):
+        if self.clip is not None and otherwise:
             raise ValueError(f"clip names that of a known force; leave it out next to {given[0]}.")
-        require_numbers(
-            self,
-            positive=("force_N", "stiffness", "thickness_m", "metres_per_depth"),
-            not_negative=("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd"),
-        )
+        deviations = ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd")
+        values = ("force_N", "stiffness", "thickness_m", "metres_per_depth")
+        require_numbers(self, positive=values, not_negative=deviations)
         for name in ("known_s", "rest_s"):
             part = getattr(self, name)
             if part is not None and not part[0] < part[1]:

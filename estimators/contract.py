@@ -42,12 +42,9 @@ class Chosen:
     def without_model(self) -> PrepareSettings:
         """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
         smoothing = SMOOTHING if self.smoothing is None else self.smoothing
-        return PrepareSettings(
-            depth=DepthSettings(**self.depth),
-            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found),
-            masks=self.masks or "auto",
-            layout=self.layout,
-        )
+        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found)
+        chosen = {"masks": self.masks or "auto", "layout": self.layout}
+        return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
 
 
 @dataclass(frozen=True)

@@ -200,17 +200,10 @@ def to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[str
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            network,
-            tuple(inputs.values()),
-            dynamo=True,
-            dynamic_shapes=tuple({0: torch.export.Dim("batch")} for _ in inputs),
-            input_names=list(inputs),
-            output_names=list(outputs),
-            opset_version=OPSET,
-            external_data=False,
-            verbose=False,
-        )
+        how: dict[str, Any] = {"dynamo": True, "opset_version": OPSET, "external_data": False, "verbose": False}
+        names: dict[str, Any] = {"input_names": list(inputs), "output_names": list(outputs)}
+        shapes = tuple({0: torch.export.Dim("batch")} for _ in inputs)
+        program = torch.onnx.export(network, tuple(inputs.values()), dynamic_shapes=shapes, **names, **how)
     model = program.model_proto  # ty: ignore[missing-union-attribute]  none only without dynamo
     # The exporter's notes hold stack traces with the paths of the machine that exported.
     graph = model.graph

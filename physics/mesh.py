@@ -155,11 +155,5 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
         reach = 2 * math.ceil(OCCLUDER_REACH * spacing) + 1
         hidden = binary_dilation(np.asarray(occluder, dtype=bool), np.ones((reach, reach), dtype=bool))
         rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
-    return Mesh(
-        vertices=points.reshape(-1, 3)[used],
-        triangles=triangles,
-        springs=springs.astype(np.int32),
-        rim=rim,
-        pixels=pixels,
-        grid_shape=(height, width),
-    )
+    vertices = points.reshape(-1, 3)[used]
+    return Mesh(vertices, triangles, springs.astype(np.int32), rim, pixels, grid_shape=(height, width))

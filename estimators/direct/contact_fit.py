@@ -112,15 +112,15 @@ def press_estimate(
         information: of all parameters, shape [D, D].
         known: further fields of the estimate.
     """
-    motion, prior = problem.motion, box_information(box)
+    motion, prior, delays = problem.motion, box_information(box), mean[problem.motion.delays]
     found = Estimate(
         information=information[:3, :3],
         noise=problem.sigma,
         misfit=problem.misfit(best),
         largest_misfit=LARGEST_MISFIT,
         at_bound=np.minimum(best - box[0], box[1] - best)[:3] < AT_BOUND,
-        delays=tuple((motion.within * mean[motion.delays]).tolist()),
-        delays_at_end=bool((np.abs(mean[motion.delays]) > DELAY_AT_END).any()),
+        delays=tuple((motion.within * delays).tolist()),
+        delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
         **known,
     )
@@ -146,15 +146,10 @@ def _sample(
     shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
     # Less information where an optimum explains the motion badly.
     trusted = [each.information / max(variance_scale(2 * each.cost, len(observed)), 1.0) for each in optima]
-    start = Mixture(
-        shares / shares.sum(),
-        np.array([optimum.logs for optimum in optima]),
-        np.array([WIDER * np.linalg.inv(each + prior) for each in trusted]),
-    )
-    candidates, paths = known
-    return sample_posterior(
-        lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, (candidates, likelihoods(paths))
-    )
+    widths = [WIDER * np.linalg.inv(each + prior) for each in trusted]
+    start = Mixture(shares / shares.sum(), np.array([optimum.logs for optimum in optima]), np.array(widths))
+    before = known[0], likelihoods(known[1])
+    return sample_posterior(lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, before)
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:

@@ -89,11 +89,9 @@ class SequenceProblem(LeastSquares, Generic[M]):
             raise ValueError(
                 "the contact has no depth-change sequence; gather it with frames that have depth and labels."
             )
-        sequence = (
-            contact.sequence
-            if noise is None
-            else dataclasses.replace(contact.sequence, noise=SequenceNoise(noise, 0.0))
-        )
+        sequence = contact.sequence
+        if noise is not None:
+            sequence = dataclasses.replace(sequence, noise=SequenceNoise(noise, 0.0))
         self.contact, self.sequence = contact, sequence
         self.patches = Patches(contact.mesh, contact.vertex, sequence.size, parts=parts)
         self.motion = motion(self.patches.vertices, sequence.times)

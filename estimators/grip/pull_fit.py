@@ -198,12 +198,8 @@ class _Problem:
         off = design @ way - wanted
         squares = np.square(off).sum(axis=-1) / np.maximum(np.square(root), np.finfo(float).tiny)
         spread = cho_solve(factor, held.reshape(-1, len(way)).T).T.reshape(held.shape)
-        return _Solved(
-            np.concatenate([off.ravel(), bends @ way]),
-            np.where(self._seen, squares, 0.0),
-            held @ way,
-            (held * spread).sum(axis=(1, 2)) / 2,
-        )
+        residual, variance = np.concatenate([off.ravel(), bends @ way]), (held * spread).sum(axis=(1, 2)) / 2
+        return _Solved(residual, np.where(self._seen, squares, 0.0), held @ way, variance)
 
     def look(self, motion: PullMotion, logs: np.ndarray) -> None:
         """Weight the points anew by how far they lie from the slab, and find the size of their errors."""

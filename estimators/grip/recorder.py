@@ -108,15 +108,11 @@ class GripRecorder:
         ]
         judged = fit_sheet(points, spacing, against[:half])
         fit = self._determined(frames)
-        found = GripEstimate(
-            skill=_mean_skill(judged, against[half:]),
-            rival=_rival_skill(points, spacing, distance, against),
-            times=np.array([item.time_s for item in kept]),
-            force=fit.force,
-            force_sd=fit.force_sd,
-            **_interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd),
-            **_interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd),
-        )
+        known = _interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd)
+        known |= _interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd)
+        known |= {"times": np.array([item.time_s for item in kept]), "force": fit.force, "force_sd": fit.force_sd}
+        rival = _rival_skill(points, spacing, distance, against)
+        found = GripEstimate(skill=_mean_skill(judged, against[half:]), rival=rival, **known)
         if not found.explained:
             return found
         moved = np.stack([frame.moved for frame in frames])

@@ -119,24 +119,16 @@ def metadata(weights: Path, features: int) -> dict[str, object]:
         weights: file of the network's weights.
         features: length of the network's input vector.
     """
-    geometry = dataclasses.asdict(PREPARE.geometry)
-    depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
+    settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
+    made = {"motions": "simulated contacts (estimators.network.training)", "weights_sha256": file_sha256(weights)}
     return {
-        "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
+        **{name: dataclasses.asdict(values) for name, values in settings.items()},
+        "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
         "contact": {"features": features, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
-        "observation": "trajectory",
-        "preprocessing_version": PREPROCESSING_VERSION,
-        "bounds": dataclasses.asdict(BOUNDS),
-        "mechanics": dataclasses.asdict(MECHANICS),
-        "geometry": geometry,
-        "depth": depth,
-        "masks": "auto",
-        "classes": dataclasses.asdict(MaskClasses()),
-        "training": {
-            "motions": "simulated contacts (estimators.network.training)",
-            "weights_sha256": file_sha256(weights),
-        },
+        **{"observation": "trajectory", "preprocessing_version": PREPROCESSING_VERSION, "masks": "auto"},
+        "depth": dataclasses.asdict(PREPARE.depth) | {"source": "auto"},
+        "training": made,
     }
 
 

@@ -86,15 +86,12 @@ class Fits(DepthSequences):
     def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Fits:
         """Make the arrays from contacts without noise, the fit of each, and the largest delay of its instants [s]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
-        names = [name for name in Fitted._fields if name != "rms"]
-        return cls(
-            motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
-            loaded=np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0,
-            around=np.stack([item.vector for item in surroundings]),
-            spacing=np.array([item.spacing for item in surroundings]),
-            within=np.asarray(within, np.float64),
-            **{name: np.stack([getattr(fit, name) for fit in fitted]) for name in names},
-        )
+        found = {name: np.stack([getattr(fit, name) for fit in fitted]) for name in Fitted._fields if name != "rms"}
+        found["motion"] = np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64)
+        found["loaded"] = np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0
+        found["around"] = np.stack([item.vector for item in surroundings])
+        spacing = np.array([item.spacing for item in surroundings])
+        return cls(spacing=spacing, within=np.asarray(within, np.float64), **found)
 
 
 class Fitted(NamedTuple):

@@ -142,13 +142,9 @@ class Determined:
         rest = objective.body.rest
         (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
         total = self._shares.shape[2]
-        stepping = objective.stepping
-        self._others = [
-            dataclasses.replace(
-                objective, stepping=dataclasses.replace(stepping, **{name: getattr(stepping, name) * math.exp(CHANGE)})
-            )
-            for name in STEPPED
-        ]
+        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in STEPPED}
+        others = (dataclasses.replace(objective.stepping, **{name: value}) for name, value in own.items())
+        self._others = [dataclasses.replace(objective, stepping=stepping) for stepping in others]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell = cells(stretch).argmax(axis=1)

@@ -127,13 +127,9 @@ class System:
         for _ in range(INNER):
             step, sd = system.step()
             step = trust * step
-            compliance = 1 + system.change[0]
-            change = np.array(
-                [
-                    np.clip(compliance + step[0], compliance / FARTHEST, FARTHEST * compliance) - 1,
-                    np.clip(system.change[1] + step[1], *self._bounds()),
-                ]
-            )
+            before = 1 + system.change[0]
+            compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
+            change = np.array([compliance - 1, np.clip(system.change[1] + step[1], *self._bounds())])
             poses = [turned(pose, part) for pose, part in zip(system.poses, step[2:].reshape(-1, 6), strict=True)]
             following = System(self.bench, self.states, change, poses, self.poisson, self.chosen)
             if following.cost > ROUGH * system.cost and trust > SHORTEST:

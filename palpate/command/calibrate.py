@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import path_option, real_number, say
+from palpate.common.command_line import described_parser, path_option, real_number, say
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
 from palpate.common.tables import to_csv
@@ -48,12 +48,8 @@ CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="palpate calibrate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done; 1 something could not be; 2 wrong usage; 130 interrupted.",
-    )
+    statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
+    parser = described_parser("palpate calibrate", __doc__, statuses)
     doors = parser.add_subparsers(dest="what", required=True)
     palpation = doors.add_parser("palpation", help="surfaces under forces")
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
@@ -109,16 +105,10 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         raise InputError(f"{path}: {error}") from error
     verdict = found.verdict if optimizer == "gauss-newton" else None
     nothing = verdict == NOTHING
-    record: dict[str, object] = {
-        "law": scene.settings.law,
-        "optimizer": optimizer,
-        "young_pa": None if nothing else found.young,
-        "poisson": None if nothing else found.poisson,
-        "surface_error_rms_m": found.noise,
-        "equilibria": found.solves,
-        "poses": found.poses,
-        "source": f"{len(scene.palpations)} palpations of {path.name}",
-    }
+    young, poisson = (None, None) if nothing else (found.young, found.poisson)
+    record: dict[str, object] = {"law": scene.settings.law, "optimizer": optimizer}
+    record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
+    record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
     if thickness is not None:
         record["thickness_m"] = thickness / 1000
     if verdict is not None:

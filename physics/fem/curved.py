@@ -43,9 +43,5 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     else:
         step[:] = 0
     bent = solid.deformation(step)
-    return dataclasses.replace(
-        solid,
-        rest=solid.rest + step,
-        gradients=np.matmul(solid.gradients, np.linalg.inv(bent)),
-        weights=solid.weights * np.linalg.det(bent),
-    )
+    gradients, weights = np.matmul(solid.gradients, np.linalg.inv(bent)), solid.weights * np.linalg.det(bent)
+    return dataclasses.replace(solid, rest=solid.rest + step, gradients=gradients, weights=weights)

@@ -133,10 +133,8 @@ def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
         found = _on_grid(case, case.load, sensitive)
         if found is not None:
             return found
-    found = [
-        (displacement[case.watch], np.moveaxis(moved[:, case.watch], 0, -1))
-        for displacement, moved in reference.steps(*case[:4], sensitive=sensitive)
-    ]
+    steps = reference.steps(*case[:4], sensitive=sensitive)
+    found = [(moved[case.watch], np.moveaxis(slopes[:, case.watch], 0, -1)) for moved, slopes in steps]
     path, slopes = (np.stack(values) for values in zip(*found, strict=True))
     return path, slopes if sensitive else slopes[:0]
 

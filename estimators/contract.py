@@ -43,7 +43,7 @@ class Chosen:
         """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
         smoothing = SMOOTHING if self.smoothing is None else self.smoothing
         geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found)
-        chosen = {"masks": self.masks or "auto", "layout": self.layout}
+        chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.layout}
         return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
 
 

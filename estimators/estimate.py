@@ -1,12 +1,10 @@
 """What an estimator says of θ, and how well that is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -134,7 +132,7 @@ class Estimate:
         """Whether the model explains the motion."""
         return not self.misfit > self.largest_misfit and not self.refuted
 
-    def widened(self, added: np.ndarray) -> Estimate:
+    def widened(self, added: np.ndarray) -> Self:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)

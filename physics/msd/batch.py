@@ -1,10 +1,8 @@
 """Meshes, loads and observations of a batch, joined into tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import torch
@@ -50,7 +48,7 @@ class MeshBatch:
     """Height and width of the grid [px]."""
 
     @classmethod
-    def from_meshes(cls, meshes: list[Mesh]) -> MeshBatch:
+    def from_meshes(cls, meshes: list[Mesh]) -> Self:
         """Join meshes of one grid shape.
 
         Raises:
@@ -102,7 +100,7 @@ class PressBatch:
     """Share of F in each step, shape [B, T], float32."""
 
     @classmethod
-    def of(cls, loads: Sequence[Press]) -> PressBatch:
+    def of(cls, loads: Sequence[Press]) -> Self:
         """Join presses of one number of steps."""
         vertices, weights = (load.vertices for load in loads), (load.weights for load in loads)
         patches = _joined(vertices, np.int64), _joined(weights, np.float32), _offsets(load.vertices for load in loads)
@@ -133,7 +131,7 @@ class ObservationBatch:
     """Weight of each observation, 0 for padding, shape [B, M], float32."""
 
     @classmethod
-    def of(cls, observations: Sequence[Observation], time_step: float) -> ObservationBatch:
+    def of(cls, observations: Sequence[Observation], time_step: float) -> Self:
         """Join observations of one point each, for trajectories with this time step [s]; what was not observed weighs
         0."""
         steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]

@@ -4,8 +4,6 @@ Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward
 and discriminators are not needed.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -55,7 +53,7 @@ class GanEstimator(ModelEstimator):
                 f"{model.path} was trained with the unknown observation '{self.observation}'; export it again."
             )
 
-    def start(self, clip: ClipInfo) -> GanSession:
+    def start(self, clip: ClipInfo) -> "GanSession":
         """Open a session."""
         return GanSession(self, clip)
 

@@ -10,8 +10,6 @@ with a uniform prior on the box of these: mean and covariance of φ are the esti
 Where the tissue's thickness is given a slab of finite elements takes the sheet's place (`estimators.direct.slab_fit`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
@@ -100,7 +98,7 @@ class DirectEstimator:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
         return chosen.without_model()
 
-    def start(self, clip: ClipInfo) -> DirectSession:
+    def start(self, clip: ClipInfo) -> "DirectSession":
         """Open a session."""
         return DirectSession(self, clip)
 

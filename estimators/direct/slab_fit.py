@@ -17,8 +17,6 @@ that of homogeneous tissue (Bayesian model averaging). And it may relax: where a
 sequence better than damping does, with a firm region or without, that model is refuted, however small its misfit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -104,6 +102,19 @@ def fit_slab(
     refuted = relaxation(problem, logs, problem_of(place, relaxing=True), fits, scale)
     found = press_estimate(problem, box, logs, logs, problem.information(logs), refuted=refuted, **known)
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))
+
+
+class Valley(NamedTuple):
+    """The posterior of (log E, log d, log |F|) of a slab that is homogeneous."""
+
+    mean: np.ndarray
+    """Shape [3]."""
+    covariance: np.ndarray
+    """Shape [3, 3]."""
+    best: np.ndarray
+    """All parameters of the least χ² found, shape [D]."""
+    fall: float
+    """By so much χ²/2 is less there than where it began."""
 
 
 def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float]:
@@ -219,19 +230,6 @@ def descend(problem: SequenceProblem[SlabMotion], start: np.ndarray, box: np.nda
     if not np.isfinite(problem.motion.at(start)[0]).all():
         raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
     return find_optimum(problem, start, *box, EVALUATIONS, enough).logs
-
-
-class Valley(NamedTuple):
-    """The posterior of (log E, log d, log |F|) of a slab that is homogeneous."""
-
-    mean: np.ndarray
-    """Shape [3]."""
-    covariance: np.ndarray
-    """Shape [3, 3]."""
-    best: np.ndarray
-    """All parameters of the least χ² found, shape [D]."""
-    fall: float
-    """By so much χ²/2 is less there than where it began."""
 
 
 def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: np.ndarray, scale: float) -> Valley:

@@ -1,7 +1,5 @@
 """Sessions of the contact posterior: θ, its uncertainty and a verdict for every frame, from the observation so far."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
@@ -72,7 +70,7 @@ class NetworkEstimator(ModelEstimator):
         )
         """Shortest and longest press that the network was trained on [s]."""
 
-    def start(self, clip: ClipInfo) -> NetworkSession:
+    def start(self, clip: ClipInfo) -> "NetworkSession":
         """Open a session."""
         return NetworkSession(self, clip)
 

@@ -4,14 +4,12 @@ Every motion is explained once by least squares; around that fit its log likelih
 rounding or cut-off window is drawn in addition: errors, windows and missing depth changes cost no rollout.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -63,6 +61,20 @@ class DepthSequences:
     """The contact's motion in its own pixel, as in `Fits.motion`, shape [N, SLOTS] [scene units]."""
 
 
+class Fitted(NamedTuple):
+    """What explains one contact; other arrays as of `Fits`, without N."""
+
+    logs: np.ndarray
+    slopes: np.ndarray
+    rms: float
+    """Root mean square residual [scene units]."""
+    change: np.ndarray
+    amounts: np.ndarray
+    amount_slopes: np.ndarray
+    factors: np.ndarray
+    middle: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True)
 class Fits(DepthSequences):
     """N contacts with the PARAMETERS D that explain their motions, as arrays."""
@@ -83,7 +95,7 @@ class Fits(DepthSequences):
     """Largest delay of the press's instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
 
     @classmethod
-    def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Fits:
+    def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Self:
         """Make the arrays from contacts without noise, the fit of each, and the largest delay of its instants [s]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
         found = {name: np.stack([getattr(fit, name) for fit in fitted]) for name in Fitted._fields if name != "rms"}
@@ -92,20 +104,6 @@ class Fits(DepthSequences):
         found["around"] = np.stack([item.vector for item in surroundings])
         spacing = np.array([item.spacing for item in surroundings])
         return cls(spacing=spacing, within=np.asarray(within, np.float64), **found)
-
-
-class Fitted(NamedTuple):
-    """What explains one contact; other arrays as of `Fits`, without N."""
-
-    logs: np.ndarray
-    slopes: np.ndarray
-    rms: float
-    """Root mean square residual [scene units]."""
-    change: np.ndarray
-    amounts: np.ndarray
-    amount_slopes: np.ndarray
-    factors: np.ndarray
-    middle: np.ndarray
 
 
 def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ class System:
             counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
             if np.count_nonzero(counts) < 12:
                 raise ValueError(
-                    "fewer than 12 points lie on the surface beside the hole; give more, or a smaller hole."
+                    "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
                 )
             along = match.normal[counts] / cosine[counts, None]
             met = match.at(triangles, skin.vertices + moved)[counts]

@@ -240,7 +240,7 @@ def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslan
     monkeypatch, truth, misfit, angle, warned
 ):
     theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
-    estimate = Estimate(theta, np.eye(3), np.eye(3), 0.001, misfit, 1.5, at_bound, view_angle=angle)
+    estimate = Estimate(theta, np.eye(3), None, np.eye(3), 0.001, misfit, 1.5, at_bound, view_angle=angle)
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["warned"], row["verdict"]) == ("ok", warned, "undetermined")
     assert (row["noise"], row["misfit"]) == (0.001, misfit)

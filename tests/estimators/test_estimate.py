@@ -184,7 +184,7 @@ def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -
 
 
 def test_depth_and_light_that_contradict_each_other_determine_nothing(by_depth) -> None:
-    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), 100 * np.eye(3))
+    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3))
     found = combined(by_depth, by_light)
     assert found.refuted == "The tissue's depth and its brightness contradict each other."
     assert found.verdict == "undetermined"

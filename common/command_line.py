@@ -1,7 +1,5 @@
 """Parts that the programs' command lines share: types of options, sentences and progress."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import time
@@ -9,18 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TaskID,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 
 from palpate.common.doors import plain
@@ -30,6 +18,12 @@ PROGRESS_SECONDS = 30.0
 """Time between two lines of progress where the output is no terminal [s]."""
 LARGEST_NUMBER = 2**63 - 1
 """Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
+
+
+def described_parser(program: str, text: str | None, statuses: str) -> argparse.ArgumentParser:
+    """A parser whose help shows a program's text as it stands, and its exit statuses."""
+    how: dict[str, Any] = {"description": text, "formatter_class": argparse.RawDescriptionHelpFormatter}
+    return argparse.ArgumentParser(prog=program, epilog=f"Exit status: {statuses}.", **how)
 
 
 def path_option(text: str) -> Path:
@@ -86,32 +80,32 @@ def say(console: Console, sentence: str, style: str = "") -> None:
     console.print(Text(plain(sentence), style=style), soft_wrap=True)
 
 
-class Rate(ProgressColumn):
+class Rate(progress.ProgressColumn):
     """Speed of a task, in steps a second."""
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: progress.Task) -> Text:
         """Text of the column."""
-        return TaskProgressColumn.render_speed(task.finished_speed or task.speed)
+        return progress.TaskProgressColumn.render_speed(task.finished_speed or task.speed)
 
 
-class LineProgress(Progress):
+class LineProgress(progress.Progress):
     """Progress for an output that is no terminal and shows no bars: one line every `PROGRESS_SECONDS`."""
 
-    def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
+    def __init__(self, *columns: progress.ProgressColumn, **options: Any) -> None:
         super().__init__(*columns, **options)
         self._printed = time.monotonic()
 
-    def update(self, task_id: TaskID, **fields: Any) -> None:
+    def update(self, task_id: progress.TaskID, **fields: Any) -> None:
         """Update a task as rich does, and print a line where one is due."""
         super().update(task_id, **fields)
         self._print_line(task_id)
 
-    def advance(self, task_id: TaskID, advance: float = 1) -> None:
+    def advance(self, task_id: progress.TaskID, advance: float = 1) -> None:
         """Advance a task as rich does, and print a line where one is due."""
         super().advance(task_id, advance)
         self._print_line(task_id)
 
-    def _print_line(self, task_id: TaskID) -> None:
+    def _print_line(self, task_id: progress.TaskID) -> None:
         if self.disable or time.monotonic() - self._printed < PROGRESS_SECONDS:
             return
         self._printed = time.monotonic()
@@ -119,19 +113,19 @@ class LineProgress(Progress):
         total = "?" if task.total is None else f"{task.total:g}"
         parts = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
         if task.time_remaining is not None:
-            parts.append(f"{TimeRemainingColumn().render(task)} left")
-        self.console.print(
-            ", ".join(filter(None, parts)), markup=False
-        )  # speed and time left are unknown after one step
+            parts.append(f"{progress.TimeRemainingColumn().render(task)} left")
+        # Speed and time left are unknown after one step.
+        self.console.print(", ".join(filter(None, parts)), markup=False)
 
 
-def progress_bars(console: Console, *, disable: bool = False) -> Progress:
+def progress_bars(console: Console, *, disable: bool = False) -> progress.Progress:
     """Bars with progress, speed and time left; without a terminal, a line every half minute.
 
     Args:
         console: console on which they appear.
         disable: whether to draw nothing.
     """
-    name, rest = TextColumn("{task.description}", markup=False), (BarColumn(), MofNCompleteColumn(), Rate())
-    kind = Progress if console.is_terminal else LineProgress
-    return kind(name, *rest, TimeRemainingColumn(), console=console, disable=disable)
+    name = progress.TextColumn("{task.description}", markup=False)
+    columns = name, progress.BarColumn(), progress.MofNCompleteColumn(), Rate(), progress.TimeRemainingColumn()
+    kind = progress.Progress if console.is_terminal else LineProgress
+    return kind(*columns, console=console, disable=disable)

@@ -3,8 +3,6 @@
 A program calls `enter_door` before its slow imports, and `run_door` at its end, both only where it is the program.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

@@ -1,7 +1,5 @@
 """Files that appear complete or not at all, reading that neither waits nor goes on for ever, and JSON."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

@@ -5,8 +5,6 @@ In a wheel everything lies under `palpate.`. In a checkout the rooms lie next to
 class that is loaded twice is two classes.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import sys

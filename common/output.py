@@ -3,8 +3,6 @@
 A hidden list in every folder holds their hashes. Results of a clip have theirs in their record, `results/store.py`.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

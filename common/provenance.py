@@ -1,7 +1,5 @@
 """What code a result was made with: one digest of the project's sources, the same from a checkout and installed."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from pathlib import Path

@@ -5,8 +5,6 @@ little, by weights that are found anew with every fit (iteratively reweighted le
 1989, "Robust statistical modeling using the t distribution", equations 6 and 7).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 FREEDOM = 3.0

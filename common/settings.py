@@ -1,7 +1,5 @@
 """Values of settings that come from files: whether they are what a field's annotation asks for, and that in words."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import reprlib

@@ -1,7 +1,5 @@
 """Many independent tasks in a few processes of one native thread each."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -1,10 +1,8 @@
 """What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometrySettings
@@ -42,12 +40,9 @@ class Chosen:
     def without_model(self) -> PrepareSettings:
         """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
         smoothing = SMOOTHING if self.smoothing is None else self.smoothing
-        return PrepareSettings(
-            depth=DepthSettings(**self.depth),
-            geometry=GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found),
-            masks=self.masks or "auto",
-            layout=self.layout,
-        )
+        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found)
+        chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.layout}
+        return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ class ClipInfo:
     """Contact that is missing on up to this many frames is still the same run."""
 
     @classmethod
-    def of(cls, clip: ClipStream) -> ClipInfo:
+    def of(cls, clip: ClipStream) -> Self:
         """Of an opened clip."""
         settings = clip.settings
         return cls(clip.source.fps, clip.source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)

@@ -3,8 +3,6 @@
 On a linear sheet that is pressed on one patch every displacement is the force times a shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

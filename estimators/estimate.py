@@ -1,12 +1,10 @@
 """What an estimator says of θ, and how well that is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -134,7 +132,7 @@ class Estimate:
         """Whether the model explains the motion."""
         return not self.misfit > self.largest_misfit and not self.refuted
 
-    def widened(self, added: np.ndarray) -> Estimate:
+    def widened(self, added: np.ndarray) -> Self:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
@@ -161,13 +159,9 @@ class Estimate:
                 found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
                 found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
                 found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
-        if self.shape is not None:
-            found |= {
-                "press_radius": self.shape.radius,
-                "press_lean_deg": math.degrees(math.atan(math.hypot(*self.shape.lean))),
-                "press_rise_s": self.shape.rise,
-                "press_fall_s": self.shape.fall,
-            }
+        if (shape := self.shape) is not None:
+            found |= {"press_radius": shape.radius, "press_rise_s": shape.rise, "press_fall_s": shape.fall}
+            found["press_lean_deg"] = math.degrees(math.atan(math.hypot(*shape.lean)))
         if self.information is not None:
             limits = bounds(self.information)
             found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}

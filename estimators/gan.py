@@ -4,8 +4,6 @@ Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward
 and discriminators are not needed.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -55,7 +53,7 @@ class GanEstimator(ModelEstimator):
                 f"{model.path} was trained with the unknown observation '{self.observation}'; export it again."
             )
 
-    def start(self, clip: ClipInfo) -> GanSession:
+    def start(self, clip: ClipInfo) -> "GanSession":
         """Open a session."""
         return GanSession(self, clip)
 
@@ -108,13 +106,9 @@ class GanSession(RunSession):
                 self._count += 1
             lengths = self._displacements(theta, current, following, onset)
             direction = force_direction(contact.normal, current.displacement, self.clip.geometry)
-            yield frame_estimate(
-                current,
-                self.clip,
-                Estimate(theta, given_verdict=_verdict(self._contacts)),
-                lengths=lengths,
-                arrow=force_arrow(theta, contact, self.clip, self.estimator.bounds, direction),
-            )
+            arrow = force_arrow(theta, contact, self.clip, self.estimator.bounds, direction)
+            found = Estimate(theta, given_verdict=_verdict(self._contacts))
+            yield frame_estimate(current, self.clip, found, lengths=lengths, arrow=arrow)
         else:
             yield frame_estimate(current, self.clip)
         if not current.consecutive:
@@ -124,14 +118,12 @@ class GanSession(RunSession):
         """Yield a run's record, whose log |θ| is the mean over its frames in contact."""
         if run is None:
             return
+        logs, self._log_sum, self._count = self._log_sum / max(self._count, 1), np.zeros(3), 0
         if run.builder is None or run.passed:
-            self._log_sum, self._count = np.zeros(3), 0
             yield run.estimate(detail=run.unobserved)
             return
-        theta = np.exp(self._log_sum / self._count) * SIGNS
-        self._log_sum, self._count = np.zeros(3), 0
-        interaction, estimate = run.builder.build(self.mechanics), Estimate(theta, given_verdict="undetermined")
-        yield run.estimate(interaction=interaction, estimate=estimate, detail=run.detail)
+        found = Estimate(np.exp(logs) * SIGNS, given_verdict="undetermined")
+        yield run.estimate(interaction=run.builder.build(self.mechanics), estimate=found, detail=run.detail)
 
     def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """θ = [k_s, k_d, F] of a depth window, shape [3]."""

@@ -4,8 +4,6 @@ A linear motion determines its force up to one factor: the deepest dent of a pre
 proportional to the force. The frames whose force is known give the factor and its error; no length is needed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ They are read from `model_errors.yaml`, which `python -m evaluation.model_errors
 `value`, its `source` (which clips, by what) and, as far as that command has measured it, what it found (`measured`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ FILE = Path(__file__).with_suffix(".yaml")
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Standard deviations, of natural logarithms where nothing else is said."""
+    """Standard deviations, of natural logarithms where nothing else is said, and the thresholds that go with them."""
 
     foundation_measured: float
     """Of the foundation by points that are measured again where a sheet says that they are."""
@@ -73,6 +71,47 @@ class ModelErrors:
     show another patch than it seems."""
     palpated_motion: float
     """Of a palpated body's simulated displacement, as a share of it: mesh and law are not the body's."""
+    sheet_excess: float
+    """The largest that points may err besides their noise, by axis, on tissue that is a homogeneous sheet [px]."""
+    sheet_together: float
+    """No standard deviation: over so many times as many points as following errs together what is left of the motion
+    may go together, there."""
+    followed_reach: float
+    """No standard deviation, but the reach of the correlation between neighbouring points' errors, Matérn's of 3/2
+    [px]."""
+    measured_reach: float
+    """The same of points that are measured again, in wide windows."""
+    stiffness_roughness: float
+    """Of the difference of log stiffness between neighbouring knots, before anything is observed."""
+    stiffness_together: float
+    """No standard deviation: so many followed points err together where stiffness is looked for place by place."""
+    stiffness_unexplained: float
+    """No standard deviation: so many times as many, where a sheet leaves more than `sheet_excess`."""
+    contact_rest: float
+    """Of a tracked contact's position at rest [σ]."""
+    contact_tracking: float
+    """Of the independent error that following it and taking off the camera's motion add to its depth's [σ]."""
+    step_blur: float
+    """Of what blurs the ends of a step to which its depth is rounded [σ]."""
+    step_astray: float
+    """No standard deviation, but the share of depths that lie outside of their step for other reasons."""
+    step_wander: float
+    """Of these depths [σ]."""
+    step_reach: float
+    """No standard deviation: depths farther apart are taken to correlate less than rounding in theory does [steps]."""
+    step_independent: float
+    """No standard deviation, but the share of the rounding errors' variance that is taken to be independent."""
+    step_log_odds: float
+    """No standard deviation, but the log odds of rounded to noisy depth before a motion is observed."""
+    noise_freedom: float
+    """No standard deviation, but the degrees of freedom with which σ is taken to be known."""
+    firm_usual: float
+    """No standard deviation, but E of a firm region over that around, by which places of it are compared."""
+    firm_usual_sd: float
+    """Of the logarithm of that over its mean."""
+    field_misfit: float
+    """The largest that the likeliest fields of stiffness may leave of the motion over what the fitted ones leave, root
+    mean squares, on tissue as `online` simulates it."""
 
 
 def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:

@@ -1,7 +1,5 @@
 """Preparation settings from an exported network's metadata."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from os.path import isfile

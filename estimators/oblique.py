@@ -6,8 +6,6 @@ doesn't always reveal that: softer, less deeply pressed tissue may explain it as
 --suite oblique` shows the effect on estimates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction

@@ -9,8 +9,6 @@ mixture is the estimate. All instants have the same weight: so far apart, the mi
 `python -m evaluation.benchmark --suite late-onset --onset between`, or without that option, shows what it is worth.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

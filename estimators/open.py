@@ -1,7 +1,5 @@
 """Opens an estimator by its name and its model's file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What an estimator says of a frame, and of a whole run of contact."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Any
@@ -58,12 +56,8 @@ class FrameEstimate:
     def values(self) -> dict[str, Any]:
         """Everything by name, the numbers of estimate and field included; what is not known is missing or None."""
         numbers = {} if self.estimate is None else self.estimate.numbers()
-        return {
-            **vars(self),
-            **numbers,
-            **({} if self.field is None else self.field.numbers()),
-            "verdict": self.verdict,
-        }
+        field = {} if self.field is None else self.field.numbers()
+        return {**vars(self), **numbers, **field, "verdict": self.verdict}
 
 
 @dataclass(frozen=True, eq=False)

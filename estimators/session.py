@@ -1,7 +1,5 @@
 """Runs an estimator's session over a clip: the one way in which frames become estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 from palpate.data.prepared import PreparedFrame

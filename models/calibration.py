@@ -1,7 +1,5 @@
 """How a contact posterior's standard deviations become ones that hold, as found on validation clips."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 Triple = tuple[float, float, float]

@@ -8,8 +8,6 @@ normalised score). Both come from the same results and several suites observe th
 exact.
 """
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 

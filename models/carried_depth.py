@@ -5,8 +5,6 @@ meshes are projected into the picture and rendered to depth; the map changes by 
 differentiable by θ. Only the surroundings of the contact are carried: farther away, hardly anything moves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Checkpoints of the training: reading them safely, and whether a configuration still fits them."""
 
-from __future__ import annotations
-
 import json
 import warnings
 import zipfile
@@ -62,16 +60,9 @@ def load_generator(path: Path) -> tuple[Generator, Mechanics, int]:
     checkpoint = read_checkpoint(path)
     settings = checkpoint["hyper_parameters"]
     try:
-        generator = Generator(
-            settings["window"],
-            settings["width"],
-            settings["residual_blocks"],
-            Bounds(**settings["bounds"]),
-            settings["decoder"],
-            settings["head"],
-            settings["contact_features"],
-            settings["picture"],
-        )
+        names = ("width", "residual_blocks", "decoder", "head", "contact_features", "picture")
+        shape = {name: settings[name] for name in names}
+        generator = Generator(settings["window"], bounds=Bounds(**settings["bounds"]), **shape)
         own = "generator_ab."
         named = checkpoint["state_dict"].items()
         generator.load_state_dict({name.removeprefix(own): value for name, value in named if name.startswith(own)})

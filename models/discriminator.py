@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.4.1; the 70×70 layout is that of Isola 2017 (pix2pix).
 """
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 

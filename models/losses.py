@@ -6,14 +6,12 @@ A term that belongs to one generator is added over the two directions of time, a
 share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
 """
 
-from __future__ import annotations
-
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from palpate.common.settings import require_numbers
 from palpate.models.evidence import negative_evidence
 from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
 from palpate.physics.msd import rollout, rollout_sensitivities
@@ -37,11 +35,8 @@ class LossWeights:
     """λ_reg; the paper only calls it comparatively low."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"weights.{field.name} is {value}; give a finite number of at least 0.")
-        if not any(getattr(self, field.name) for field in fields(self)):
+        require_numbers(self, not_negative=vars(self), group="weights.")
+        if not any(vars(self).values()):
             raise ValueError("weights are all 0; give at least one term a weight.")
 
 
@@ -57,11 +52,11 @@ class LossTerms:
 
     def total(self, weights: LossWeights) -> Tensor:
         """L = Σ λ·term (Bini 2026, equation 10)."""
-        return sum(getattr(weights, field.name) * getattr(self, field.name) for field in fields(self))
+        return sum(getattr(weights, name) * value for name, value in vars(self).items())
 
     def items(self) -> dict[str, Tensor]:
         """Detached terms by name, for logging."""
-        return {field.name: getattr(self, field.name).detach() for field in fields(self)}
+        return {name: value.detach() for name, value in vars(self).items()}
 
 
 def generator_adversarial_loss(fake_scores: Tensor) -> Tensor:

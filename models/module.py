@@ -1,21 +1,23 @@
-"""The training step: two generators, two discriminators, three optimisers (Bini 2026, sections 3.4 and 3.5)."""
+"""The training step: two generators, two discriminators, three optimisers (Bini 2026, sections 3.4 and 3.5).
 
-from __future__ import annotations
+Sensor noise on the windows that the networks see is optional, and off by default.
+"""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from kornia.augmentation import RandomGaussianNoise
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
-from torch import Tensor
+from torch import Tensor, nn
 
-from palpate.models.augmentation import AugmentationSettings, WindowAugmentation
+from palpate.common.settings import require_numbers
 from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
-from palpate.models.expected_bound import bound_loss
+from palpate.models.evidence import bound_loss
 from palpate.models.generator import Generator, HeadOutput
 from palpate.models.losses import (
     LossTerms,
@@ -32,6 +34,37 @@ from palpate.models.losses import (
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
+
+
+@dataclass(frozen=True)
+class AugmentationSettings:
+    """Noise on the windows that enter the networks; the depth maps in the losses stay without it."""
+
+    noise: float = 0.0
+    """Standard deviation of Gaussian noise on every valid depth pixel [scene units]; 0 = none."""
+
+    def __post_init__(self) -> None:
+        require_numbers(self, not_negative=("noise",), group="augmentation.")
+
+
+class WindowAugmentation(nn.Module):
+    """Adds noise to windows of depth maps, reproducibly: the same seed gives the same noise."""
+
+    def __init__(self, settings: AugmentationSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.noise = RandomGaussianNoise(mean=0.0, std=settings.noise, p=1.0)
+
+    def forward(self, window: Tensor, seed: int) -> Tensor:
+        """Window [B, K, H, W] with 0 = invalid → the window with noise; invalid pixels stay invalid.
+
+        The global random state is left as it was, so that a resumed training gets the noise of an uninterrupted one.
+        """
+        if not self.settings.noise:
+            return window
+        with torch.random.fork_rng(devices=[window.device] if window.device.type == "cuda" else []):
+            torch.manual_seed(seed)
+            return self.noise(window).clamp(0.0, 1.0) * (window > 0)
 
 
 class TrainingDiverged(ValueError):
@@ -84,7 +117,7 @@ class PhysicsInformedGAN(LightningModule):
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
-        augmentation: AugmentationSettings = AugmentationSettings(),  # noqa: B008
+        augmentation: AugmentationSettings = AugmentationSettings(),
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
     ) -> None:
@@ -97,30 +130,18 @@ class PhysicsInformedGAN(LightningModule):
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
         if not 0 <= pretrained_rate <= 1:
             raise ValueError(f"pretrained_rate is {pretrained_rate}; give a share of learning_rate in [0, 1].")
+        shape: dict[str, Any] = {"width": width, "residual_blocks": residual_blocks, "decoder": decoder, "head": head}
+        shape |= {"contact_features": contact_features, "picture": picture}
+        groups = {"bounds": bounds, "mechanics": mechanics, "weights": weights, "augmentation": augmentation}
         # Plain values only: a checkpoint must load without running code.
-        self.save_hyperparameters(
-            {
-                "window": window,
-                "width": width,
-                "residual_blocks": residual_blocks,
-                "decoder": decoder,
-                "head": head,
-                "contact_features": contact_features,
-                "picture": picture,
-                "bounds": asdict(bounds),
-                "mechanics": asdict(mechanics),
-                "weights": asdict(weights),
-                "augmentation": asdict(augmentation),
-                "learning_rate": learning_rate,
-                "betas": list(betas),
-            }
-        )
+        plain = {name: asdict(settings) for name, settings in groups.items()}
+        rates = {"learning_rate": learning_rate, "betas": list(betas)}
+        self.save_hyperparameters({"window": window, **shape, **plain, **rates})
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
         self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
-        shape = (window, width, residual_blocks, bounds, decoder, head, contact_features, picture)
-        self.generator_ab, self.generator_ba = Generator(*shape), Generator(*shape)
+        self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
         self.augmentation = WindowAugmentation(augmentation)
@@ -197,8 +218,7 @@ class PhysicsInformedGAN(LightningModule):
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
-        optimizer_g, optimizer_a, optimizer_b = self.optimizers()  # ty: ignore[not-iterable]  there are three
-        real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
+        optimizer_g, *judging = self.optimizers()  # ty: ignore[not-iterable]  there are three
 
         self.toggle_optimizer(optimizer_g)  # freezes both discriminators
         terms, fakes, theta = self.generator_losses(batch)
@@ -206,11 +226,10 @@ class PhysicsInformedGAN(LightningModule):
         self.untoggle_optimizer(optimizer_g)
 
         losses = terms.items()
-        pairs = len(real_a)
+        pairs = len(theta)
         self.log_dict(losses, prog_bar=True, logger=False, batch_size=pairs)
-        if fakes is not None:
-            losses["discriminator_a"] = self._judge(optimizer_a, self.discriminator_a, real_a, fakes[0], batch)
-            losses["discriminator_b"] = self._judge(optimizer_b, self.discriminator_b, real_b, fakes[1], batch)
+        for side, optimizer, fake in zip("ab", judging, fakes or (), strict=False):
+            losses[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
         self._theta["train"].append(theta.detach())
         averages = {f"train/{name}": value for name, value in losses.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
@@ -278,33 +297,18 @@ class PhysicsInformedGAN(LightningModule):
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(output.theta, mesh, load, observation, self.mechanics)
         noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior = generator.posterior
-        evidence, information = posterior_physics_loss(
-            output.mean,
-            output.factor,
-            noise,
-            mesh,
-            load,
-            observed,
-            self.mechanics,
-            (posterior.lower, posterior.upper),
-            batch.get(f"dent_{side}"),
-        )
+        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
+        box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
+        evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
         error = bound_loss(expected, information.cpu().numpy())
         return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 
-    def _judge(
-        self,
-        optimizer: LightningOptimizer,
-        discriminator: PatchDiscriminator,
-        real: Tensor,
-        fake: Tensor,
-        batch: dict[str, Any],
-    ) -> Tensor:
-        """Train a discriminator by one step and return its loss, detached."""
+    def _judge(self, side: str, optimizer: LightningOptimizer, fake: Tensor, batch: dict[str, Any]) -> Tensor:
+        """Train the discriminator of a side by one step and return its loss, detached."""
+        discriminator, real = getattr(self, f"discriminator_{side}"), batch[f"window_{side}"][:, -1:]
         self.toggle_optimizer(optimizer)
         loss = discriminator_loss(discriminator(real), discriminator(fake.detach()))
         self._step(optimizer, loss, batch)

@@ -4,8 +4,6 @@ There are two kinds: `ParameterModel` (depth windows → θ) and `PosteriorModel
 of log θ).
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -4,8 +4,6 @@ A residual network on the contact's features (`data.contact.features`); a pictur
 projection that starts at zero, so that it changes nothing until it helps.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

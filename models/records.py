@@ -1,7 +1,5 @@
 """The records that `train.py test` makes of every pair of frames, for the tables and figures of `evaluation.paper`."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -63,23 +61,15 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
         kept = observation.weight[index] > 0
         times = (_numpy(observation.steps[index][kept]) + 1) * mechanics.time_step
         observed = _numpy(observation.displacement[index][kept])
-        records.append(
-            {
-                "clip": clip,
-                "frame": int(batch["frame"][index]),
-                "theta": _numpy(theta[index]),
-                "trajectory": _numpy(trajectory[index]),
-                "reference_trajectory": _numpy(reference[index]),
-                "mesh": sheet,
-                "load": press,
-                "observation": Observation.of_point(press.vertex, times, observed, math.nan),
-                "error_predicted": float(error[index]),
-                "error_reference": float(reference_error[index]),
-                "next_depth_error": float(masked_l1(predicted[index], target)),
-                "copy_error": float(masked_l1(now[index], target)),
-                "theta_sensitivity": float(masked_l1(moved[index], predicted[index])),
-            }
-        )
+        known = Observation.of_point(press.vertex, times, observed, math.nan)
+        found: dict[str, Any] = {"clip": clip, "frame": int(batch["frame"][index])}
+        found |= {"mesh": sheet, "load": press, "observation": known}
+        arrays = {"theta": theta, "trajectory": trajectory, "reference_trajectory": reference}
+        found |= {name: _numpy(values[index]) for name, values in arrays.items()}
+        errors = {"error_predicted": error[index], "error_reference": reference_error[index]}
+        errors |= {"next_depth_error": masked_l1(predicted[index], target), "copy_error": masked_l1(now[index], target)}
+        errors["theta_sensitivity"] = masked_l1(moved[index], predicted[index])
+        records.append(found | {name: float(value) for name, value in errors.items()})
     return records
 
 

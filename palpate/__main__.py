@@ -5,8 +5,6 @@
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, load_program, run_door
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """What a script calls; `palpate infer`, `calibrate` and `plan` do the same for files and folders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

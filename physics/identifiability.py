@@ -5,8 +5,6 @@ coordinate the Fisher information of φ = (log k_s, log k_d, log |F|) is I = Σ 
 estimate of φ has a covariance below I⁻¹ (Cramér–Rao bound). A bound of 0.1 is a relative error of about 10 %.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compilation of the simulator's loops with numba, where it is installed."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

@@ -4,8 +4,6 @@
 The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +40,35 @@ class Linearised(NamedTuple):
         return fisher_information(self.jacobian, 1.0)
 
 
-class Likelihood:
+class LeastSquares:
+    """What is explained by parameters, D of them: `_linearise` is what a kind of observation has of its own."""
+
+    _known: tuple[np.ndarray, Linearised] | None = None
+
+    def linearise(self, logs: np.ndarray) -> Linearised:
+        """Residual and its derivatives at some parameters [D]; the last ones are remembered."""
+        known = self._known  # once: another thread may put its own there
+        if known is None or not np.array_equal(logs, known[0]):
+            known = self._known = np.array(logs), self._linearise(np.asarray(logs, np.float64))
+        return known[1]
+
+    def residual(self, logs: np.ndarray) -> np.ndarray:
+        """What is left, in standard deviations, shape [K]."""
+        return self.linearise(logs).residual
+
+    def jacobian(self, logs: np.ndarray) -> np.ndarray:
+        """Its derivatives by the parameters, shape [K, D]."""
+        return self.linearise(logs).jacobian
+
+    def information(self, logs: np.ndarray) -> np.ndarray:
+        """Fisher information at some parameters, shape [D, D]."""
+        return self.linearise(logs).information
+
+    def _linearise(self, logs: np.ndarray) -> Linearised:
+        raise NotImplementedError
+
+
+class Likelihood(LeastSquares):
     """The simulator against what was observed.
 
     Args:
@@ -75,39 +101,17 @@ class Likelihood:
         """Their standard deviations, shape [K] [scene units]."""
         if not (self.noise > 0).all():
             raise ValueError("noise of a seen point isn't a positive number; give a standard deviation above 0.")
-        self._known: tuple[np.ndarray, Linearised] | None = None
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F] at φ, shape [3]."""
         return theta_of(logs[:3])
-
-    def linearise(self, logs: np.ndarray) -> Linearised:
-        """Residual and its exact derivatives at φ [D]; the last ones are remembered.
-
-        Without derivatives where the motion is so chaotic that rounding decides them.
-        """
-        known = self._known  # once: another thread may put its own there
-        if known is None or not np.array_equal(logs, known[0]):
-            known = self._known = np.array(logs), self._linearise(np.asarray(logs, np.float64))
-        return known[1]
-
-    def residual(self, logs: np.ndarray) -> np.ndarray:
-        """(Φ - d)/σ of every observed coordinate, shape [K]."""
-        return self.linearise(logs).residual
-
-    def jacobian(self, logs: np.ndarray) -> np.ndarray:
-        """Its derivatives by φ, shape [K, D]."""
-        return self.linearise(logs).jacobian
-
-    def information(self, logs: np.ndarray) -> np.ndarray:
-        """Fisher information at φ, shape [D, D]."""
-        return self.linearise(logs).information
 
     def simulated(self, logs: np.ndarray) -> np.ndarray:
         """Φ of every observed coordinate, shape [K] [scene units]."""
         return self.residual(logs) * self.noise + self.observed
 
     def _linearise(self, logs: np.ndarray) -> Linearised:
+        """Exact; without derivatives where the motion is so chaotic that rounding decides them."""
         what = self.theta(logs), self.mesh, self.load, self.mechanics
         path, slopes = simulate_tangent(*what, watch=self.observation.vertices, dtype=self.dtype)
         simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))

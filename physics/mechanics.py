@@ -3,12 +3,10 @@
 Sources: Bini 2026, section 3.3, equation 9 and table 1 (constants), section 3.4.1 (admissible box).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from scipy.sparse import coo_array, diags_array
@@ -68,7 +66,7 @@ class Mechanics:
         if not 0 <= self.window_error < 1:
             raise ValueError(f"mechanics.window_error is {self.window_error}; give 0 (exact) or a share below 1.")
 
-    def matched(self, interval: float) -> Mechanics:
+    def matched(self, interval: float) -> Self:
         """The same over the same time, with the largest step of at most Δt that divides an interval [s].
 
         Observations at multiples of the interval then lie on steps; rounding them to the nearest step would shift a

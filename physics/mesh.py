@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.2.2 (grid triangulation, edge filter, decimation, equations 4 to 8).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -157,11 +155,5 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
         reach = 2 * math.ceil(OCCLUDER_REACH * spacing) + 1
         hidden = binary_dilation(np.asarray(occluder, dtype=bool), np.ones((reach, reach), dtype=bool))
         rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
-    return Mesh(
-        vertices=points.reshape(-1, 3)[used],
-        triangles=triangles,
-        springs=springs.astype(np.int32),
-        rim=rim,
-        pixels=pixels,
-        grid_shape=(height, width),
-    )
+    vertices = points.reshape(-1, 3)[used]
+    return Mesh(vertices, triangles, springs.astype(np.int32), rim, pixels, grid_shape=(height, width))

@@ -41,12 +41,8 @@ class Observation:
     @classmethod
     def of_point(cls, vertex: int, times: np.ndarray, displacement: np.ndarray, noise: float) -> Observation:
         """One point, displacements of shape [N, 3], with the same noise along every axis."""
-        return cls(
-            np.array([vertex], np.int64),
-            np.asarray(times, np.float64),
-            np.asarray(displacement, np.float32).reshape(1, -1, 3),
-            np.full(3, noise, np.float64),
-        )
+        moved = np.asarray(displacement, np.float32).reshape(1, -1, 3)
+        return cls(np.array([vertex], np.int64), np.asarray(times, np.float64), moved, np.full(3, noise, np.float64))
 
     def __len__(self) -> int:
         """N."""

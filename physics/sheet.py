@@ -5,8 +5,6 @@ Laplacian of the springs' stiffness plus the foundation's. Tension makes the for
 whatever axis: every axis is alone, and a picture's plane does. Only ratios of stiffness and foundation count for u.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ of the presses tell all. The file's name is a digest of all that the costs depen
 finds it.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

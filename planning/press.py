@@ -5,8 +5,6 @@ until 20 N (Frank 2010, section V); the work is the deformation's cost. Where no
 force goes on along its last straight piece.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -6,8 +6,6 @@ way to the cost, and whole ways are compared by the pair of cost and way. Afterw
 lowers this price.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -102,7 +100,7 @@ class EdgeCosts:
             way = (ends[which] - starts[which]) / lengths[which, None]
             reached = gone[which]
             tip = piece.inside_frame(starts[which] + reached[:, None] * way)
-            place = np.clip(tip, -np.array(piece.half), piece.half)
+            place = np.clip(tip, -piece.half, piece.half)
             turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)
             through = piece.clearance(ends[which]) >= self.scene.tip_radius
             longest = self.tables[kind].lengths[-1]

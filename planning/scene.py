@@ -3,8 +3,6 @@
 The tip is a disc. Tissue is upright blocks, such as folds or curtains; the plane cuts them at the tip's height.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,10 +69,15 @@ class Placed:
 
     centre: Pair
     """[m]."""
-    degrees: float
+    size: Pair
+    """Its width and thickness [m]."""
+    degrees: float = 0.0
     """By how much its width is turned from the x axis, anticlockwise."""
-    half: Pair
-    """Half of its width and thickness [m]."""
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half of its size, shape [2] [m]."""
+        return np.array(self.size) / 2
 
     def inside_frame(self, points: np.ndarray) -> np.ndarray:
         """Points of the plane [..., 2] in the block's frame."""
@@ -163,15 +166,6 @@ class PieceFile:
     degrees: float = 0.0
 
 
-@dataclass(frozen=True)
-class ObstacleFile:
-    """An obstacle in the file."""
-
-    centre: Pair
-    size: Pair
-    degrees: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class PlanScene:
     """A scene, read."""
@@ -202,21 +196,18 @@ def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene:
     """
     where = printable(path)
     file = from_mapping(PlanFile, read_mapping(path, "a scene to plan in"), where)
-    kinds = {}
-    for name, values in file.objects.items():
-        kinds[name] = from_mapping(SoftObject, values, f"{where}, object {name}")
+    objects = file.objects.items()
+    kinds = {name: from_mapping(SoftObject, values, f"{where}, object {name}") for name, values in objects}
     tissue = []
     for number, values in enumerate(file.tissue, start=1):
         piece = from_mapping(PieceFile, values, f"{where}, tissue {number}")
         if piece.kind not in kinds:
             raise InputError(f"{where}, tissue {number}: there is no object '{piece.kind}'; objects has {list(kinds)}.")
-        width, thickness, _ = kinds[piece.kind].size
-        tissue.append((piece.kind, Placed(piece.centre, piece.degrees, (width / 2, thickness / 2))))
+        tissue.append((piece.kind, Placed(piece.centre, kinds[piece.kind].size[:2], piece.degrees)))
     obstacles = []
     for number, values in enumerate(file.obstacles, start=1):
-        each = from_mapping(ObstacleFile, values, f"{where}, obstacle {number}")
-        if min(each.size) <= 0:
+        obstacles.append(from_mapping(Placed, values, f"{where}, obstacle {number}"))
+        if min(obstacles[-1].size) <= 0:
             raise InputError(f"{where}, obstacle {number}: its size is not positive; give width and thickness in m.")
-        obstacles.append(Placed(each.centre, each.degrees, (each.size[0] / 2, each.size[1] / 2)))
     places = np.array(file.area), np.array(file.start), np.array(file.goal)
     return PlanScene(*places, kinds, tissue, obstacles, file.tip_radius, file.alpha if alpha is None else alpha)

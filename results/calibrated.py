@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from palpate.data.prepared import PreparedFrame
-from palpate.estimators.calibration_file import Calibration
+from palpate.estimators.calibration_file import Calibration, ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.dent import DentRecorder
 from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
 from palpate.estimators.records import InteractionEstimate

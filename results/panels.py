@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.results.verdicts import digits
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.results.field_overlay import paint
 
 STEP = 16

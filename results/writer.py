@@ -13,8 +13,8 @@ from typing import Any
 
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import open_video
+from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store

@@ -11,7 +11,7 @@ import yaml
 
 from palpate.command import train
 from palpate.estimators.network.training import ContactSettings
-from palpate.estimators.online.fitting import BENDINGS
+from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.physics.mechanics import Mechanics

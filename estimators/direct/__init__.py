@@ -3,12 +3,12 @@
 estimator    the settings, the session, and the fit from start to verdict
 motion       how vertices move under a press that began and ended at its time stamps, or near them
 patch        the same under a press on a patch, in any direction, whose force rises and falls
-problem      one followed point by least squares from several starts; contact_fit: from there to an estimate
-field        the whole dent by least squares; field_fit: from there to an estimate
+problem      one followed point by least squares from several starts; field: the whole dent
+contact_fit  from there to an estimate
 lit_sheet    what a camera with a light next to it sees of a pressed plane
 brightness   that light by least squares; brightness_fit: from there to an estimate
-slab_motion, slab_fit  the same by finite elements beneath the surface, where its thickness is given;
-             slab_posterior: what it tells, in the end; slab_rivals: what else would explain the dent
+slab_motion, slab_fit  the same by finite elements beneath the surface, where its thickness is given; what it tells, in
+             the end, and what else would explain the dent
 sampling     mean and covariance of the posterior by importance sampling
 error_model  how errors of a tracked contact belong together
 """

@@ -14,43 +14,31 @@ Whether depth was rounded isn't said by the contact, so both are held possible. 
 more about θ than their covariance does: where a simulated motion's depth lies in another step than the observed one,
 it is refuted. But it is by their covariance that they differ from noise.
 
-What is said of BLUR, ASTRAY, REACH and INDEPENDENT was measured once on those clips (2026-11); that script is gone.
+The numbers behind the constants, and where they come from, are entries of `estimators/model_errors.yaml`.
 """
-
-from __future__ import annotations
 
 import math
 
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-REST = 0.1
-"""Standard deviation of the rest position's error [σ]; a little more than measured."""
-TRACKING = 0.27
-"""Standard deviation of the independent error that following the point and taking off the camera's motion add to the
-depth's [σ]. Within a clip errors spread by 1.01 σ (`clean`) and 1.03 σ (`noisy`), so that this is on the safe side."""
+from palpate.estimators.model_errors import MODEL_ERRORS
+
+REST, TRACKING = MODEL_ERRORS.contact_rest, MODEL_ERRORS.contact_tracking
+"""Standard deviations of the rest position's error, and of the independent error that following the point and taking
+off the camera's motion add to the depth's [σ]."""
 STEP = math.sqrt(12)
 """Rounding step whose error has a standard deviation of σ [σ]."""
-BLUR = 0.08
-"""Standard deviation of what blurs a step's ends [σ]: following the point, the camera's motion, the mesh. Of 0.08,
-0.12, 0.16 and 0.2 it gave the truth of 240 validation clips of `8bit` the largest density under the posterior."""
-ASTRAY = 0.005
-"""Share of observations that lie outside their step for other reasons, with a standard deviation of WANDER. None of
-6,000 did: it is there so that one badly followed frame doesn't refute a motion."""
-WANDER = 1.5
-"""[σ]"""
-REACH = 3.0
-"""Depths farther apart than this are taken to correlate less than the theory says [steps]. True motions follow the
-theory over a dozen steps; simulated ones are not exact enough to count several."""
-INDEPENDENT = 0.2
-"""Share of the rounding errors' variance that is taken to be independent, for the same reason; measured: none."""
-ROUNDED_ODDS = math.exp(-3.0)
-"""Odds of rounded to noisy depth before the motion was observed. In one of 20 clips noise alone was evidence for
-rounding by a factor of more than 3, and in one of 20 rounding was by less than 47."""
-SIGMA_FREEDOM = 100.0
-"""Degrees of freedom with which σ is taken to be known: to 7 %. It comes from the first frame in contact, on synthetic
-clips to 1 %. Where a model can't explain a motion, behind drifting fat say, the residuals then widen the posterior.
-With 20, chance narrows it."""
+BLUR = MODEL_ERRORS.step_blur
+"""Standard deviation of what blurs a step's ends [σ]: following the point, the camera's motion, the mesh."""
+ASTRAY, WANDER = MODEL_ERRORS.step_astray, MODEL_ERRORS.step_wander
+"""Share of observations that lie outside their step for other reasons, and their standard deviation [σ]."""
+REACH, INDEPENDENT = MODEL_ERRORS.step_reach, MODEL_ERRORS.step_independent
+"""Depths farther apart than the first are taken to correlate less than the theory says [steps]; the second is the share
+of the rounding errors' variance that is taken to be independent."""
+SIGMA_FREEDOM = MODEL_ERRORS.noise_freedom
+"""Degrees of freedom with which σ is taken to be known. Where a model can't explain a motion, behind drifting fat say,
+the residuals then widen the posterior."""
 _NODES, _SHARES = np.polynomial.hermite_e.hermegauss(7)
 _SHARES = _SHARES / _SHARES.sum()
 
@@ -73,7 +61,7 @@ def log_likelihoods(observed: np.ndarray, simulated: np.ndarray) -> tuple[np.nda
     frames = len(observed)
     common = TRACKING**2 * np.eye(frames) + REST**2
     noisy = _log_density(apart, (np.eye(frames) + common)[None])
-    rounded = _log_density(apart, rounding_covariance(simulated) + common) + math.log(ROUNDED_ODDS)
+    rounded = _log_density(apart, rounding_covariance(simulated) + common) + MODEL_ERRORS.step_log_odds
     return np.stack([noisy, bounded_log_density(apart)], axis=1), np.stack([noisy, rounded], axis=1)
 
 

@@ -10,8 +10,6 @@ with a uniform prior on the box of these: mean and covariance of φ are the esti
 Where the tissue's thickness is given a slab of finite elements takes the sheet's place (`estimators.direct.slab_fit`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
@@ -25,8 +23,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.direct.brightness_fit import fit_brightness
-from palpate.estimators.direct.contact_fit import fit_contact
-from palpate.estimators.direct.field_fit import fit_press
+from palpate.estimators.direct.contact_fit import fit_contact, fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
@@ -101,7 +98,7 @@ class DirectEstimator:
         """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
         return chosen.without_model()
 
-    def start(self, clip: ClipInfo) -> DirectSession:
+    def start(self, clip: ClipInfo) -> "DirectSession":
         """Open a session."""
         return DirectSession(self, clip)
 

@@ -22,6 +22,7 @@ from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.error_model import rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.likelihood import LeastSquares, Linearised
 from palpate.physics.mechanics import Mechanics
 
 OUTLIER = 4.0
@@ -61,7 +62,7 @@ class SequenceMotion(Protocol):
 M = TypeVar("M", bound=SequenceMotion)
 
 
-class SequenceProblem(Generic[M]):
+class SequenceProblem(LeastSquares, Generic[M]):
     """Weighted residuals of a sequence and their derivatives by all parameters of a press; V vertices, P pixels, N
     frames.
 
@@ -88,11 +89,9 @@ class SequenceProblem(Generic[M]):
             raise ValueError(
                 "the contact has no depth-change sequence; gather it with frames that have depth and labels."
             )
-        sequence = (
-            contact.sequence
-            if noise is None
-            else dataclasses.replace(contact.sequence, noise=SequenceNoise(noise, 0.0))
-        )
+        sequence = contact.sequence
+        if noise is not None:
+            sequence = dataclasses.replace(sequence, noise=SequenceNoise(noise, 0.0))
         self.contact, self.sequence = contact, sequence
         self.patches = Patches(contact.mesh, contact.vertex, sequence.size, parts=parts)
         self.motion = motion(self.patches.vertices, sequence.times)
@@ -161,7 +160,7 @@ class SequenceProblem(Generic[M]):
             weight = np.minimum(1.0, OUTLIER / np.maximum(apart, OUTLIER)) ** 2
         self.outliers = float(((weight < 1) & self.seen).sum() / max(self.seen.sum(), 1))
         """Share of what is observed that counts less."""
-        self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
+        self._known = None
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
     def model_errors(self, sunk: np.ndarray) -> np.ndarray:
@@ -203,12 +202,10 @@ class SequenceProblem(Generic[M]):
         found = np.concatenate([flat - smooth @ common, common])
         return found[:, 0] if values.ndim == 2 else found
 
-    def linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened simulated minus observed change, and its derivatives by all parameters; the last are remembered."""
-        if self._known is None or not np.array_equal(self._known[0], logs):
-            change, tangent = self.tangent(logs)
-            self._known = np.array(logs), (self.whitened(change - self.observed), self.whitened(tangent))
-        return self._known[1]
+    def _linearise(self, logs: np.ndarray) -> Linearised:
+        """Whitened simulated minus observed change, and its derivatives by all parameters."""
+        change, tangent = self.tangent(logs)
+        return Linearised(self.whitened(change - self.observed), self.whitened(tangent))
 
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Change of every pixel's depth [N, P], and its derivatives by all parameters [N, P, D] [scene units]."""
@@ -220,19 +217,6 @@ class SequenceProblem(Generic[M]):
     def left(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
         """Whitened simulated minus observed change; arguments as of `change`."""
         return self.whitened(self.change(moved, logs) - self.observed)
-
-    def residual(self, logs: np.ndarray) -> np.ndarray:
-        """The first of `linearise`."""
-        return self.linearise(logs)[0]
-
-    def jacobian(self, logs: np.ndarray) -> np.ndarray:
-        """The second of `linearise`."""
-        return self.linearise(logs)[1]
-
-    def information(self, logs: np.ndarray) -> np.ndarray:
-        """Fisher information of all parameters, shape [D, D]."""
-        jacobian = self.jacobian(logs)
-        return jacobian.T @ jacobian
 
     def change(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
         """Change of the depth of every pixel at displacements [N, V, 3] and their parameters [D], shape [N, P].

@@ -6,8 +6,6 @@ other. They count from the time stamps that say so, in units of `within`: from -
 where it was observed. Before the press begins the tissue is at rest.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Self

@@ -6,8 +6,6 @@ the rest it falls (no fall where no release was observed: then the first share i
 `PressShape` says what they mean.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One observed contact as a least-squares problem: its likelihood, where to start, what explains it best."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol

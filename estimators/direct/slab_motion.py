@@ -9,8 +9,6 @@ Linear elements that can be followed in a second move far too early. So what qua
 added (defect correction): these are linear in the load, and few modes tell them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -169,12 +167,17 @@ class SlabMotion(DelayedMotion):
 
     def _by(self, known: tuple[Modes, np.ndarray], logs: np.ndarray) -> np.ndarray:
         modes, shown = known
-        young, second, force = theta_of(logs[:3])
-        relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
-        damping = 0.0 if self.relaxing else second / DENSITY
+        young, force, damping, relaxation = self._constants(logs)
         course = force * held(self.loaded(logs) / self.step, self.longest)
         amplitudes = modes.follow(young, damping, course, self.step, relaxation)
         return np.einsum("vam,nm->nva", shown, between_steps(amplitudes, self.step, self.since(logs))[0], optimize=True)
+
+    def _constants(self, logs: np.ndarray) -> tuple[float, float, float, Relaxation | None]:
+        """E, F, Rayleigh's α and the standard linear solid, one of the latter two, of all parameters [D]."""
+        young, second, force = theta_of(logs[:3])
+        if self.relaxing:
+            return young, force, 0.0, Relaxation(second, math.exp(logs[3]))
+        return young, force, second / DENSITY, None
 
     @cached_property
     def _modes(self) -> tuple[Modes, np.ndarray]:
@@ -212,9 +215,7 @@ class SlabMotion(DelayedMotion):
         self, logs: np.ndarray, law: str, slopes: bool, region: FirmRegion | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Motion after every step [T, V, 3], and its derivatives by φ and the load's duration, if that is unknown."""
-        young, second, force = theta_of(logs[:3])
-        relaxation = Relaxation(second, math.exp(logs[3])) if self.relaxing else None
-        damping = 0.0 if self.relaxing else second / DENSITY
+        young, force, damping, relaxation = self._constants(logs)
         loaded = self.loaded(logs) / self.step
         factor = held(loaded, self.longest)
         direction = np.asarray(self.contact.direction, np.float64)
@@ -227,18 +228,11 @@ class SlabMotion(DelayedMotion):
         if self.within and self.contact.released:
             ending = (np.arange(self.longest) == math.floor(loaded)) / self.step
             along.append(Direction(pattern=pattern, course=ending))
-        found = simulate(
-            self.slab.solid,
-            Material(law, young * _stiffer(self.slab, region), POISSON),
-            self.slab.held,
-            Press(nodes, self._shares[nodes], direction, factor),
-            self.step,
-            inertia=Inertia(DENSITY, damping),
-            force=force,
-            relaxation=relaxation,
-            directions=along if slopes else (),
-            tolerance=TOLERANCE,
-        )
+        tissue = Material(law, young * _stiffer(self.slab, region), POISSON)
+        what = self.slab.solid, tissue, self.slab.held, Press(nodes, self._shares[nodes], direction, factor), self.step
+        inertia, ways = Inertia(DENSITY, damping), along if slopes else ()
+        how = {"relaxation": relaxation, "directions": ways, "tolerance": TOLERANCE}
+        found = simulate(*what, inertia=inertia, force=force, **how)
         return self._at_places(found.displacement[1:]), self._at_places(found.slopes[1:])
 
     def _at_places(self, values: np.ndarray) -> np.ndarray:

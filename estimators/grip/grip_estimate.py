@@ -1,7 +1,5 @@
 """What the motion around an instrument tells that holds tissue, and what of it is determined."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -9,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
 
 LEAST_LEAD = 0.1

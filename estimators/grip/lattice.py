@@ -6,12 +6,10 @@ A sheet is not tissue, and its error is hundreds of times that of following poin
 those that are fitted tell, which the other ones predict.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -111,7 +109,7 @@ class SheetFit:
     """Standard deviation by axis of predictions as a share of a point's motion, besides a part that grows with the
     grip's: the sheet is linear. Measured on frames that were not fitted."""
 
-    def at(self, log_anchor: float) -> SheetFit:
+    def at(self, log_anchor: float) -> Self:
         """The sheet on another foundation."""
         return dataclasses.replace(self, log_anchor=log_anchor)
 
@@ -161,7 +159,7 @@ class SheetFit:
         share = unseen @ force / (force @ force)
         return float(np.log(np.linalg.norm(force))), float(np.hypot(np.std(either), MODEL_ERRORS.hidden_force * share))
 
-    def _either(self) -> list[SheetFit]:
+    def _either(self) -> list[Self]:
         """Two whose log foundations have its standard deviation."""
         return [self.at(self.log_anchor + way * self.log_anchor_sd) for way in (1, -1)]
 

@@ -8,8 +8,6 @@ as these differ in time alone. Errors of points are Student's, and as many err t
 (`estimators.grip.sheet`).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from palpate.common.robust import affine_terms, error_scale, student_weights
 from palpate.estimators.direct.slab_motion import DENSITY, POISSON, SLAB_BOUNDS
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import PIECE, along_last
-from palpate.estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, PointGrid, SeenFrame
+from palpate.estimators.grip.sheet import LEAST_SCALE, LINK, THIRD, ForceFit, PointGrid, SeenFrame
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import Inertia, Material, simulate
 from palpate.physics.fem.slab import Slab
@@ -88,14 +86,8 @@ class PullMotion:
         young, damping = np.exp(logs)
         path = np.zeros((KNOTS * STEPS, len(self.gripped), 3))
         path[:, :, axis] = np.nan_to_num(_BUMP(np.arange(1, len(path) + 1) / STEPS))[:, None]
-        found = simulate(
-            self.slab.solid,
-            Material("linear", young, POISSON),
-            self.slab.held,
-            Grip(self.gripped, path),
-            self.step,
-            inertia=Inertia(DENSITY, damping / DENSITY),
-        )
+        what = self.slab.solid, Material("linear", young, POISSON), self.slab.held, Grip(self.gripped, path)
+        found = simulate(*what, self.step, inertia=Inertia(DENSITY, damping / DENSITY))
         held = found.reaction[:, self.gripped, :2].sum(axis=1) / young
         # Means over the steps to values between them.
         held = np.concatenate([held[:1] / 2, (held[:-1] + held[1:]) / 2, held[-1:]])
@@ -131,19 +123,11 @@ DIFFERENCE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class PullFit:
-    """What a slab tells of a pull; T frames."""
+class PullFit(ForceFit):
+    """What a slab tells of a pull; T frames. The force is over E [scene units²]."""
 
     logs: np.ndarray
     """log E and log d in units of the density, shape [2]."""
-    log_force: float
-    """Of what holds the tissue in the last frame over E [scene units²]."""
-    log_force_sd: float
-    """Its standard deviation."""
-    force: np.ndarray
-    """What holds the tissue along the last frame's direction over that of the last frame, shape [T]."""
-    force_sd: np.ndarray
-    """Its standard deviation, shape [T]; 0 in the last frame."""
     error: float
     """Standard deviation by axis of what the slab does not explain, over the points' motion, root mean square."""
 
@@ -214,12 +198,8 @@ class _Problem:
         off = design @ way - wanted
         squares = np.square(off).sum(axis=-1) / np.maximum(np.square(root), np.finfo(float).tiny)
         spread = cho_solve(factor, held.reshape(-1, len(way)).T).T.reshape(held.shape)
-        return _Solved(
-            np.concatenate([off.ravel(), bends @ way]),
-            np.where(self._seen, squares, 0.0),
-            held @ way,
-            (held * spread).sum(axis=(1, 2)) / 2,
-        )
+        residual, variance = np.concatenate([off.ravel(), bends @ way]), (held * spread).sum(axis=(1, 2)) / 2
+        return _Solved(residual, np.where(self._seen, squares, 0.0), held @ way, variance)
 
     def look(self, motion: PullMotion, logs: np.ndarray) -> None:
         """Weight the points anew by how far they lie from the slab, and find the size of their errors."""
@@ -245,7 +225,8 @@ def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, f
     """
     problem = _Problem(slab, cell, grid, frames)
     motions = [PullMotion(slab, cell, problem.places, radius, times) for radius in RADII]
-    middle = SLAB_BOUNDS.log_box[:, :2].mean(axis=0)
+    box = SLAB_BOUNDS.log_box[:, :2]
+    middle = box.mean(axis=0)
 
     def misfit(motion: PullMotion, logs: np.ndarray) -> float:
         return float(np.square(problem.solve(motion, logs).residual).sum())
@@ -255,15 +236,10 @@ def fit_pull(slab: Slab, cell: np.ndarray, grid: PointGrid, times: np.ndarray, f
     logs = min(map(np.array, itertools.product(YOUNG, DAMPING)), key=lambda item: misfit(motion, item))
     for _ in range(LOOKS):
         problem.look(motion, logs)
-        found = least_squares(
-            lambda tried: problem.solve(motion, tried).residual,
-            logs,
-            bounds=SLAB_BOUNDS.log_box[:, :2],
-            diff_step=DIFFERENCE / np.abs(logs),
-            max_nfev=EVALUATIONS,
-        )
+        how = {"bounds": box, "diff_step": DIFFERENCE / np.abs(logs), "max_nfev": EVALUATIONS}
+        found = least_squares(lambda tried: problem.solve(motion, tried).residual, logs, **how)
         logs = found.x
-    information = found.jac.T @ found.jac + box_information(SLAB_BOUNDS.log_box[:, :2])
+    information = found.jac.T @ found.jac + box_information(box)
     return _concluded(problem, motion, logs, np.linalg.inv(information))
 
 
@@ -278,11 +254,6 @@ def _concluded(problem: _Problem, motion: PullMotion, logs: np.ndarray, covarian
     relative = variance + along**2 * variance[-1] + spread[1:] + np.square(MODEL_ERRORS.pull_course * along)
     # The last frame's ratio is 1 by definition.
     relative[-1] = 0.0
-    return PullFit(
-        logs,
-        float(np.log(length)),
-        float(np.sqrt(variance[-1] + spread[0] + MODEL_ERRORS.pull_force**2)),
-        along,
-        np.sqrt(relative),
-        float(np.sqrt(problem.scale) / problem.size),
-    )
+    sd = float(np.sqrt(variance[-1] + spread[0] + MODEL_ERRORS.pull_force**2))
+    error = float(np.sqrt(problem.scale) / problem.size)
+    return PullFit(float(np.log(length)), sd, along, np.sqrt(relative), logs, error)

@@ -3,8 +3,6 @@
 Rest is the run's first frame: what the tissue was stretched by before is not known, and counts as none.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -23,8 +21,7 @@ from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
 from palpate.estimators.grip.pull_fit import CELLS, fit_pull
 from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
-from palpate.estimators.grip.stiffness_field import StiffnessField
-from palpate.estimators.grip.stiffness_fit import fit_stiffness
+from palpate.estimators.grip.stiffness_fit import StiffnessField, fit_stiffness
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody
 from palpate.physics.fem.slab import slab_beneath
@@ -45,6 +42,11 @@ class _Kept:
     """Of its points, shape [N] [px]."""
     shown: Shown
     """Its picture."""
+
+    @property
+    def seen(self) -> SeenFrame:
+        """Its points."""
+        return SeenFrame(self.frame.moved, self.noise)
 
 
 class GripRecorder:
@@ -106,15 +108,11 @@ class GripRecorder:
         ]
         judged = fit_sheet(points, spacing, against[:half])
         fit = self._determined(frames)
-        found = GripEstimate(
-            skill=_mean_skill(judged, against[half:]),
-            rival=_rival_skill(points, spacing, distance, against),
-            times=np.array([item.time_s for item in kept]),
-            force=fit.force,
-            force_sd=fit.force_sd,
-            **_interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd),
-            **_interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd),
-        )
+        known = _interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd)
+        known |= _interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd)
+        known |= {"times": np.array([item.time_s for item in kept]), "force": fit.force, "force_sd": fit.force_sd}
+        rival = _rival_skill(points, spacing, distance, against)
+        found = GripEstimate(skill=_mean_skill(judged, against[half:]), rival=rival, **known)
         if not found.explained:
             return found
         moved = np.stack([frame.moved for frame in frames])
@@ -134,13 +132,8 @@ class GripRecorder:
             raise NoEstimate(f"No slab fits under the tissue: {error}") from error
         height, width = self._picture.shape[:2]
         cell = np.array([width, height]) / contact.mesh.grid_shape[::-1]
-        fit = fit_pull(
-            slab,
-            cell,
-            self._grid,
-            np.array([item.time_s for item in self._kept]),
-            [SeenFrame(item.frame.moved, item.noise) for item in self._kept],
-        )
+        times = np.array([item.time_s for item in self._kept])
+        fit = fit_pull(slab, cell, self._grid, times, [item.seen for item in self._kept])
         known = _interval("reaction_over_young", fit.log_force, fit.log_force_sd)
         return {**known, "slab_error": fit.error, "force": fit.force, "force_sd": fit.force_sd}
 
@@ -160,20 +153,19 @@ class GripRecorder:
         motion is not taken from them; where it does not, unknown forces would explain too much, and it is.
         """
         follower = self._follower
-        seen = [SeenFrame(item.frame.moved, item.noise) for item in self._kept]
 
         def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
             return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32), which))
 
         again = Measuring(follower.everywhere, measure)
         try:
-            return fit_foundation(self._grid, seen, again)
+            return fit_foundation(self._grid, [item.seen for item in self._kept], again)
         except NoSheet:
             held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            return FoundationFit(held.log_anchor, float(sd), pull, float(pull_sd), *held.relative_force(frames))
+            return FoundationFit(pull, float(pull_sd), *held.relative_force(frames), held.log_anchor, float(sd))
 
 
 def _interval(name: str, log: float, sd: float) -> dict[str, Any]:

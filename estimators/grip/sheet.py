@@ -12,8 +12,6 @@ Followed points are filtered, which biases them where neighbours lie on one side
 are measured again where it says they are. Should more points err together than expected, they count for less.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import compress
@@ -71,12 +69,9 @@ LIMITS = -10.0, 1.0
 """Of log foundation: motion that dies away over 260 nodes, and within one."""
 STEP = 0.1
 """Of log foundation, for derivatives."""
-EXCESS = 0.03
-"""Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: at most 0.011 on 15
-drawn clips of one, 0.05 where a region is stiffer, 0.7 on a real clip. Forces that are free then explain too much."""
-MOST_TOGETHER = 2.0
-"""Where what is left of the motion goes together over so many times as many points as following errs together (1.0
-times on 18 drawn clips, 4 and more where motion dies away exponentially), tissue is no such sheet either."""
+EXCESS = MODEL_ERRORS.sheet_excess
+"""Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: free forces then
+explain too much. Nor is it one where what is left of the motion goes together over many points (`sheet_together`)."""
 
 
 class NoSheet(ValueError):
@@ -219,12 +214,9 @@ class SheetProblem:
         values, vectors = np.linalg.eigh(by_number.T @ by_number)
         loads = solve_triangular(triangle, vectors, check_finite=False)
         kept = values > NEGLIGIBLE
-        return Design(
-            np.hstack([rows[:, : self.loaded] @ loads[:, kept], rows[:, self.loaded :]]),
-            np.append(np.ones(int(kept.sum())), np.zeros(3)),
-            loads[:, kept],
-            float(np.square(loads[:, ~kept].sum(axis=0)).sum()),
-        )
+        rows = np.hstack([rows[:, : self.loaded] @ loads[:, kept], rows[:, self.loaded :]])
+        precision, undetermined = np.repeat([1.0, 0.0], [kept.sum(), 3]), np.square(loads[:, ~kept].sum(axis=0)).sum()
+        return Design(rows, precision, loads[:, kept], float(undetermined))
 
     def solve(self, design: Design, frame: SeenFrame, start: Solved | None = None) -> Solved:
         """The likeliest loads, background and size of errors, by weighting the points anew.
@@ -252,12 +244,8 @@ class SheetProblem:
         whole = np.zeros(len(self.counted))
         whole[seen] = weights
         loss = student_loss(squares, given + scale) / TOGETHER
-        return Solved(
-            loss + float(0.5 * design.precision @ np.square(found).sum(axis=1)),
-            np.vstack([design.loads @ found[:-3], found[-3:]]),
-            whole,
-            scale,
-        )
+        loss += float(0.5 * design.precision @ np.square(found).sum(axis=1))
+        return Solved(loss, np.vstack([design.loads @ found[:-3], found[-3:]]), whole, scale)
 
     def whitened(self, frame: SeenFrame, solved: Solved) -> Whitened:
         """What makes errors of a frame independent and of size 1."""
@@ -273,11 +261,8 @@ class SheetProblem:
         found = cho_solve(factor, rows.T @ seen.moved, check_finite=False)
         left = seen.moved - rows @ found
         total = np.append(design.loads.sum(axis=0), np.zeros(3))
-        return Profile(
-            0.5 * float((left * seen.moved).sum()),
-            total @ found,
-            float(total @ cho_solve(factor, total, check_finite=False)) + design.undetermined,
-        )
+        variance = float(total @ cho_solve(factor, total, check_finite=False)) + design.undetermined
+        return Profile(0.5 * float((left * seen.moved).sum()), total @ found, variance)
 
     def motion(self, log_anchor: float, solved: Solved, places: np.ndarray) -> np.ndarray:
         """Where a sheet says that places of the grid go, shape as of the places […, 2] [px]."""
@@ -314,21 +299,27 @@ class Measuring:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundationFit:
-    """What some frames of a grip tell; T frames."""
+class ForceFit:
+    """What holds gripped tissue in T frames."""
+
+    log_force: float
+    """Log of what holds it in the last frame over stiffness."""
+    log_force_sd: float
+    """Its standard deviation."""
+    force: np.ndarray
+    """What holds it along the last frame's direction over that of the last frame, shape [T]."""
+    force_sd: np.ndarray
+    """Its standard deviation, shape [T]; 0 in the last frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundationFit(ForceFit):
+    """What a sheet tells of a grip; the force is over spring stiffness [px]."""
 
     log_anchor: float
     """Log of foundation over spring stiffness."""
     log_anchor_sd: float
     """Its standard deviation."""
-    log_force: float
-    """Log of what holds the tissue in the last frame over stiffness [px]."""
-    log_force_sd: float
-    """Its standard deviation."""
-    force: np.ndarray
-    """What holds the tissue along the last frame's direction over that of the last frame, shape [T]."""
-    force_sd: np.ndarray
-    """Its standard deviation, shape [T]; 0 in the last frame."""
 
 
 def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
@@ -374,7 +365,7 @@ def _with_forces(
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     errors = MODEL_ERRORS
-    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > MOST_TOGETHER else (0.0, 0.0)
+    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > errors.sheet_together else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     less, here, more = (
@@ -392,14 +383,8 @@ def _with_forces(
     relative += np.square((ratios_more - ratios_less) / (2 * STEP) * sd)
     # The last frame's ratio is 1 by definition.
     relative[-1] = 0.0
-    return FoundationFit(
-        log_anchor,
-        float(sd),
-        float(np.log(length)),
-        float(np.hypot(np.hypot(bent * sd, median_sd(followed) * deviation), uneven[1])),
-        along,
-        np.sqrt(relative),
-    )
+    log_sd = float(np.hypot(np.hypot(bent * sd, median_sd(followed) * deviation), uneven[1]))
+    return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd))
 
 
 class _Found(NamedTuple):

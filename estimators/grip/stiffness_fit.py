@@ -1,4 +1,4 @@
-"""Fits where gripped tissue is stiffer, with the grip's motion unknown.
+"""Where gripped tissue is stiffer than its mean, with the grip's motion unknown, and how well that is known.
 
 K u = f, the sheet of `physics.sheet` with forces only at the instrument: where tissue that may be loaded went is
 unknown, and the sheet carries that to all other places. Every followed point is an observation with its given noise.
@@ -11,10 +11,10 @@ The numbers are found by least squares, with the loaded tissue's motion at its l
 `estimators.grip.sheet`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,21 +22,102 @@ from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky
 from scipy.optimize import least_squares
 
 from palpate.common.robust import affine_terms, error_scale, student_weights
+from palpate.estimators.grip import sheet
 from palpate.estimators.grip.lattice import SPREAD, TYPICAL_ANCHOR, bilinear, continued, lattice_springs, smoothness
-from palpate.estimators.grip.sheet import (
-    ENERGY,
-    EXCESS,
-    LEAST_SCALE,
-    LINK,
-    MOST_LOADED,
-    TINY,
-    NoSheet,
-    PointGrid,
-    SeenFrame,
-)
-from palpate.estimators.grip.stiffness_field import MOVES, StiffnessField
+from palpate.estimators.grip.sheet import NoSheet, PointGrid, SeenFrame
 from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.identifiability import LIMIT
 from palpate.physics.sheet import Equilibrium, equilibrium
+
+LEARNT = 0.7
+"""What is known must be surer than what was expected before anything was observed, by this factor."""
+MOST = 0.5
+"""Share of the tissue that moves which must be known for the field to count as determined."""
+MOVES = 5.0
+"""Ratios are to the mean of tissue that moves by more than this [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessField:
+    """Log stiffness of a sheet, bilinear between the K knots of a grid, beyond these as at their edge.
+
+    Known but for a factor: only ratios between places count. It is taken for granted that tissue is attached the same
+    everywhere, which a picture doesn't show.
+    """
+
+    shape: tuple[int, int]
+    """Columns and rows of knots."""
+    low: np.ndarray
+    """The first knot (column, row) [px of `picture`]."""
+    extent: np.ndarray
+    """From the first to the last [px]."""
+    log_stiffness: np.ndarray
+    """At the knots, columns outside, shape [K]."""
+    covariance: np.ndarray
+    """Theirs, shape [K, K]."""
+    expected: np.ndarray
+    """Their covariance before anything was observed, shape [K, K]."""
+    roughness: float
+    """Standard deviation of the difference between neighbouring knots that was expected."""
+    moving: np.ndarray
+    """Places of tissue that moves by more than MOVES, shape [M, 2] [px]."""
+    excess: float
+    """Standard deviation by axis of what the sheet leaves of the motion besides the given noise [px]."""
+    picture: np.ndarray
+    """The run's first one, in whose pixels all places are, uint8 [H, W, 3] RGB."""
+
+    @property
+    def knots(self) -> np.ndarray:
+        """Places of the knots, shape [K, 2] [px]."""
+        sides = [
+            np.linspace(start, start + far, count)
+            for start, far, count in zip(self.low, self.extent, self.shape, strict=True)
+        ]
+        return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Log stiffness over the mean of tissue that moves, and its standard deviation, shape [N] each.
+
+        Args:
+            places: shape [N, 2] [px].
+        """
+        row = self._relative(places)
+        # From one knot to the next it is a random walk with both ends known.
+        share = self._places(places) % 1
+        stray = self.roughness * np.sqrt((share * (1 - share)).sum(axis=1))
+        return row @ self.log_stiffness, np.hypot(_sd(row, self.covariance), stray)
+
+    def known(self, places: np.ndarray) -> np.ndarray:
+        """Where the logarithm is known to LIMIT, as the knots around it are, by what was observed, shape [N], bool.
+
+        Nothing is known beyond the knots, which span what moves.
+        """
+        row = self._relative(places)
+        sd = _sd(row, self.covariance)
+        spanned = np.all((places >= self.low) & (places <= self.low + self.extent), axis=1)
+        return spanned & (sd < LIMIT) & (sd <= LEARNT * _sd(row, self.expected))
+
+    @property
+    def tells(self) -> bool:
+        """Whether a sheet explains the motion to within its noise, and most tissue that moves is known."""
+        return self.excess <= sheet.EXCESS and bool(self.known(self.moving).mean() > MOST)
+
+    def _relative(self, places: np.ndarray) -> np.ndarray:
+        """How log stiffness over the mean of tissue that moves follows the knots, shape [N, K]."""
+        return self._weights(places) - self._weights(self.moving).mean(axis=0)
+
+    def _weights(self, places: np.ndarray) -> np.ndarray:
+        return bilinear(self._places(places), np.array(self.shape)).toarray()
+
+    def _places(self, places: np.ndarray) -> np.ndarray:
+        """Places [N, 2] in the distances of knots from the first one, within the grid."""
+        return np.clip((places - self.low) / self.extent, 0, 1) * (np.array(self.shape) - 1)
+
+
+def _sd(row: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Standard deviations of linear functions [N, K] of numbers with a covariance [K, K], shape [N]."""
+    return np.sqrt(np.maximum(((row @ covariance) * row).sum(axis=1), 0))
+
 
 LOADED = 24.0
 """Tissue that began nearer to the tool may be loaded by it [px]."""
@@ -50,12 +131,8 @@ STEPS_APART, MOST_NODES = (2, 3), 3000
 """Every second row and column of points are nodes, or, of more points or loaded places than are wanted, every third."""
 KNOT, MOST_KNOTS = 32.0, 160
 """Least distance between knots [px]; most knots."""
-ROUGHNESS = 0.55
-"""Standard deviation of the difference between neighbouring knots: intervals hold at a step by a factor 3, too."""
-TOGETHER = 24.0
-"""So many points err together: neighbours share what flow sees of them."""
-UNEXPLAINED = 2.0
-"""Where a sheet does not explain the motion to within its noise, so many times as many do."""
+ROUGHNESS, TOGETHER = MODEL_ERRORS.stiffness_roughness, MODEL_ERRORS.stiffness_together
+"""Standard deviation of the difference between neighbouring knots, and how many points err together."""
 STRAINED = MODEL_ERRORS.strained_motion
 """Following errs by this share of the motion besides the given noise: windows are strained with the tissue."""
 LOOKS, ROUNDS, EVALUATIONS, ENOUGH = 4, 8, 3, 1e-3
@@ -105,11 +182,11 @@ class _Problem:
             self.spacing, self.points, self.count = spacing * step, points[kept], int(kept.sum())
             nodes = continued(self.points, self.spacing, BEYOND)
             self._loaded = self._may_be_loaded(nodes, distance[kept], hidden, spacing)
-            if self.count <= MOST_NODES and self._loaded.sum() <= MOST_LOADED:
+            if self.count <= MOST_NODES and self._loaded.sum() <= sheet.MOST_LOADED:
                 break
-        if not 0 < self._loaded.sum() <= MOST_LOADED:
+        if not 0 < self._loaded.sum() <= sheet.MOST_LOADED:
             found = int(self._loaded.sum())
-            raise NoSheet(f"Forces may act on {found} places; from 1 to {MOST_LOADED} can be distinguished.")
+            raise NoSheet(f"Forces may act on {found} places; from 1 to {sheet.MOST_LOADED} can be distinguished.")
         self._springs = lattice_springs(nodes, self.spacing)
         apart, self.shape = KNOT, np.array([MOST_KNOTS + 1, 1])
         while self.shape.prod() > MOST_KNOTS:
@@ -127,7 +204,7 @@ class _Problem:
         self.seen = np.flatnonzero(seen)
         """Points that are visible, shape [n]."""
         self._moved = frame.moved[kept][seen]
-        given = np.square(np.maximum(frame.noise[kept][seen], LINK))
+        given = np.square(np.maximum(frame.noise[kept][seen], sheet.LINK))
         self._given = given + np.square(STRAINED * far[kept][seen])
         self._terms = affine_terms(self.points)
         self.together = max(TOGETHER / step**2, 1.0)
@@ -154,7 +231,7 @@ class _Problem:
         """Weight the points anew by how far they lie from the sheet, and find the size of their errors."""
         for _ in range(ROUNDS):
             squares = np.square(self._solved(numbers).left).sum(axis=1)
-            self.scale = error_scale(squares, self._given, self._weights, self.scale, LEAST_SCALE)
+            self.scale = error_scale(squares, self._given, self._weights, self.scale, sheet.LEAST_SCALE)
             self._weights = student_weights(squares, self._given + self.scale)
 
     def residual(self, numbers: np.ndarray) -> np.ndarray:
@@ -188,8 +265,8 @@ class _Problem:
             # Where the nodes go for a unit of motion of every loaded one.
             unit = equilibrium(self._springs, stiffness, everywhere, self._loaded, np.eye(held))
             prior = np.zeros((held + 3, held + 3))
-            prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * ENERGY)
-            prior += TINY * prior.max() * np.eye(held + 3)
+            prior[:held, :held] = (unit.reaction + unit.reaction.T) / (2 * sheet.ENERGY)
+            prior += sheet.TINY * prior.max() * np.eye(held + 3)
             self._latest = np.array(numbers), unit, cholesky(prior, check_finite=False)
         _, unit, loads = self._latest
         root = np.sqrt(self._weights / (self._given + self.scale) / self.together)[:, None]
@@ -200,17 +277,16 @@ class _Problem:
 
     def fit(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest numbers [P], from some on, and their covariance [P, P]."""
+
+        def beyond(of: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+            return lambda apart: of(self.mean + apart)
+
         jacobian = np.zeros((0, 0))
         for _ in range(LOOKS):
             self.look(numbers)
             # From the prior's mean, so that first steps are short.
-            end = least_squares(
-                lambda apart: self.residual(self.mean + apart),
-                numbers - self.mean,
-                lambda apart: self.jacobian(self.mean + apart),
-                ftol=ENOUGH,
-                max_nfev=EVALUATIONS,
-            )
+            what = beyond(self.residual), numbers - self.mean, beyond(self.jacobian)
+            end = least_squares(*what, ftol=ENOUGH, max_nfev=EVALUATIONS)
             numbers, jacobian = self.mean + end.x, end.jac
         return numbers, np.linalg.inv(jacobian.T @ jacobian)
 
@@ -230,19 +306,10 @@ def fit_stiffness(grid: PointGrid, frame: SeenFrame, picture: np.ndarray) -> Sti
     moving = grid.points[np.linalg.norm(frame.moved, axis=1) > MOVES]
     numbers, covariance = problem.fit(problem.mean)
     excess = math.sqrt(problem.scale)
-    if excess > EXCESS:
+    if excess > sheet.EXCESS:
         # What a sheet can't explain is the same over a larger piece of it.
-        problem.together *= UNEXPLAINED
+        problem.together *= MODEL_ERRORS.stiffness_unexplained
         numbers, covariance = problem.fit(numbers)
-    return StiffnessField(
-        (int(problem.shape[0]), int(problem.shape[1])),
-        problem.low,
-        problem.extent,
-        numbers[:-1],
-        covariance[:-1, :-1],
-        np.linalg.inv(problem.precision),
-        ROUGHNESS,
-        moving,
-        excess,
-        picture,
-    )
+    knots = (int(problem.shape[0]), int(problem.shape[1])), problem.low, problem.extent
+    known = numbers[:-1], covariance[:-1, :-1], np.linalg.inv(problem.precision), ROUGHNESS
+    return StiffnessField(*knots, *known, moving, excess, picture)

@@ -5,17 +5,15 @@ Estimation and model identification for continuous spatial processes): the inver
 sparse.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-REACH = 6.2
-"""Of the correlation between neighbours' errors, Matérn's of 3/2 [px]: 5.7 to 7.0 on 20 drawn clips, measured as
-benchmarks do."""
-MEASURED_REACH = 5.0
-"""The same of points measured in wide windows where a model tells their motion [px]."""
+from palpate.estimators.model_errors import MODEL_ERRORS
+
+REACH, MEASURED_REACH = MODEL_ERRORS.followed_reach, MODEL_ERRORS.measured_reach
+"""Of the correlation between neighbours' errors, Matérn's of 3/2, of points as they are followed, and of those measured
+in wide windows where a model tells their motion [px]."""
 NEAR, MOST = 42.0, 24
 """Neighbours are nearer [px]; the most of a point. With half as many smooth motion would tell a fifth too much."""
 

@@ -13,8 +13,6 @@ and, for a network with an input for how well the instants are known, once for u
 of validation clips is used for this and nothing else; no weight of the network changes.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
@@ -45,8 +43,7 @@ from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
 from palpate.models.checkpoint import load_posterior, posterior_features
-from palpate.models.onnx_calibration import calibrate
-from palpate.models.onnx_export import export
+from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import CONTACT, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 
@@ -122,24 +119,16 @@ def metadata(weights: Path, features: int) -> dict[str, object]:
         weights: file of the network's weights.
         features: length of the network's input vector.
     """
-    geometry = dataclasses.asdict(PREPARE.geometry)
-    depth = dataclasses.asdict(PREPARE.depth) | {"source": "auto"}
+    settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
+    made = {"motions": "simulated contacts (estimators.network.training)", "weights_sha256": file_sha256(weights)}
     return {
-        "input": {"window": 1, "height": geometry["height"], "width": geometry["width"]},
+        **{name: dataclasses.asdict(values) for name, values in settings.items()},
+        "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
         "contact": {"features": features, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
-        "observation": "trajectory",
-        "preprocessing_version": PREPROCESSING_VERSION,
-        "bounds": dataclasses.asdict(BOUNDS),
-        "mechanics": dataclasses.asdict(MECHANICS),
-        "geometry": geometry,
-        "depth": depth,
-        "masks": "auto",
-        "classes": dataclasses.asdict(MaskClasses()),
-        "training": {
-            "motions": "simulated contacts (estimators.network.training)",
-            "weights_sha256": file_sha256(weights),
-        },
+        **{"observation": "trajectory", "preprocessing_version": PREPROCESSING_VERSION, "masks": "auto"},
+        "depth": dataclasses.asdict(PREPARE.depth) | {"source": "auto"},
+        "training": made,
     }
 
 

@@ -1,11 +1,10 @@
 """Sessions of the contact posterior: θ, its uncertainty and a verdict for every frame, from the observation so far."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +70,7 @@ class NetworkEstimator(ModelEstimator):
         )
         """Shortest and longest press that the network was trained on [s]."""
 
-    def start(self, clip: ClipInfo) -> NetworkSession:
+    def start(self, clip: ClipInfo) -> "NetworkSession":
         """Open a session."""
         return NetworkSession(self, clip)
 
@@ -99,36 +98,22 @@ class NetworkEstimator(ModelEstimator):
         """The network's input for a contact whose instants are known to `within` [s], shape [features]."""
         return dent_features(contact, within) if self.sees_sequence else contact_features(contact)
 
-    def judged(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float,
-        mean: np.ndarray,
-        covariance: np.ndarray,
-        expected: np.ndarray,
-    ) -> Estimate:
+    def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> Estimate:
         """The estimate of a contact from the network's outputs, with how well it explains the motion.
 
         Args:
             contact: the observation.
             mechanics: the simulator.
-            mean, covariance, expected: the network's outputs, shapes [3], [3, 3] and [3, 3].
             within: the press began, and ended, at most so long before or after the time stamps [s].
+            outputs: the network's mean, covariance and expected bound, shapes [3], [3, 3] and [3, 3].
         """
-        box = self.bounds.log_box
+        box, (mean, covariance, expected) = self.bounds.log_box, outputs
         misfit, information = compared(contact, mechanics, mean, covariance, within)
-        return Estimate(
-            theta=theta_of(mean),
-            covariance=covariance,
-            information=information,
-            noise=network_noise(contact) if self.sees_sequence else contact.noise,
-            misfit=misfit,
-            largest_misfit=largest_misfit(len(contact.observation)),
-            at_bound=np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0]),
-            expected_information=np.linalg.inv(expected),
-            view_angle=view_angle(contact),
-        )
+        noise = network_noise(contact) if self.sees_sequence else contact.noise
+        at_bound = np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0])
+        known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
+        known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
+        return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
 
 class NetworkSession(RunSession):

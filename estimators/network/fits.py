@@ -1,22 +1,29 @@
 """Contact motions with the parameters that explain them: the data of the posterior's fine training stage.
 
 Every motion is explained once by least squares; around that fit its log likelihood is a known parabola, whatever noise,
-rounding or cut-off window is drawn in addition (`estimators.network.draws`).
+rounding or cut-off window is drawn in addition: errors, windows and missing depth changes cost no rollout.
 """
 
-from __future__ import annotations
-
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from operator import itemgetter
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from palpate.data.contact.features import FRAME_RATE, contact_surroundings, slot_times
+from palpate.data.contact.depth_sequence import smooth_errors
+from palpate.data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.sequence_features import dent_shapes, motion_in_sequence, shape_amounts
+from palpate.data.contact.sequence_features import (
+    ROUNDED,
+    SHAPES,
+    dent_shapes,
+    join_sequence_features,
+    motion_in_sequence,
+    shape_amounts,
+)
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import ContactProblem, find_optimum
@@ -54,6 +61,20 @@ class DepthSequences:
     """The contact's motion in its own pixel, as in `Fits.motion`, shape [N, SLOTS] [scene units]."""
 
 
+class Fitted(NamedTuple):
+    """What explains one contact; other arrays as of `Fits`, without N."""
+
+    logs: np.ndarray
+    slopes: np.ndarray
+    rms: float
+    """Root mean square residual [scene units]."""
+    change: np.ndarray
+    amounts: np.ndarray
+    amount_slopes: np.ndarray
+    factors: np.ndarray
+    middle: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True)
 class Fits(DepthSequences):
     """N contacts with the PARAMETERS D that explain their motions, as arrays."""
@@ -74,32 +95,15 @@ class Fits(DepthSequences):
     """Largest delay of the press's instants, shape [N] [s]; where it is 0 the delays are 0 and have no derivatives."""
 
     @classmethod
-    def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Fits:
+    def of(cls, contacts: Sequence[Interaction], fitted: Sequence[Fitted], within: Sequence[float]) -> Self:
         """Make the arrays from contacts without noise, the fit of each, and the largest delay of its instants [s]."""
         slots, surroundings = slot_times() + 1e-9, [contact_surroundings(contact) for contact in contacts]
-        names = [name for name in Fitted._fields if name != "rms"]
-        return cls(
-            motion=np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64),
-            loaded=np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0,
-            around=np.stack([item.vector for item in surroundings]),
-            spacing=np.array([item.spacing for item in surroundings]),
-            within=np.asarray(within, np.float64),
-            **{name: np.stack([getattr(fit, name) for fit in fitted]) for name in names},
-        )
-
-
-class Fitted(NamedTuple):
-    """What explains one contact; other arrays as of `Fits`, without N."""
-
-    logs: np.ndarray
-    slopes: np.ndarray
-    rms: float
-    """Root mean square residual [scene units]."""
-    change: np.ndarray
-    amounts: np.ndarray
-    amount_slopes: np.ndarray
-    factors: np.ndarray
-    middle: np.ndarray
+        found = {name: np.stack([getattr(fit, name) for fit in fitted]) for name in Fitted._fields if name != "rms"}
+        found["motion"] = np.stack([-(contact.moved @ contact.direction) for contact in contacts]).astype(np.float64)
+        found["loaded"] = np.stack([slots <= contact.load_seconds + 2e-9 for contact in contacts]) * 1.0
+        found["around"] = np.stack([item.vector for item in surroundings])
+        spacing = np.array([item.spacing for item in surroundings])
+        return cls(spacing=spacing, within=np.asarray(within, np.float64), **found)
 
 
 def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
@@ -148,3 +152,191 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
 def _padded(values: np.ndarray) -> np.ndarray:
     """Values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
     return np.concatenate([values, np.zeros((*values.shape[:-1], PARAMETERS - values.shape[-1]))], axis=-1)
+
+
+NOISE = (3e-4, 6e-3)
+"""σ is drawn log-uniformly from this range [scene units]."""
+ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
+"""Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
+ROUNDING_NOISE = LEVEL / math.sqrt(12)
+"""Standard deviation of the rounding error [scene units]."""
+REST_SHARE = 0.1
+"""Error of the rest position, in σ: the rest surface is an average of many depths (`estimators.direct.error_model`)."""
+CUT_SHARES = 0.5, 0.2
+"""Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
+SEQUENCE_SHARE = 0.85
+"""Share of samples whose features include the depth-change sequence."""
+DELAY_RANGE = 2.0
+"""Width of every delay's range, from -1 to 1, in units of `within`."""
+MAX_REST_SLOPE = 0.004
+"""Largest slope of the resting tissue whose depth is rounded [scene units a pixel]."""
+
+
+def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
+
+    A part of the samples is rounded like 8-bit depth, the others have Gaussian noise. The rest position has an error of
+    its own: it is no single rounded depth, but comes from a surface through many.
+    """
+    count = len(motion)
+    noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
+    rounded = generator.random(count) < ROUNDING_SHARE
+    noise[rounded] = ROUNDING_NOISE
+    error = noise[:, None] * generator.normal(size=motion.shape)
+    depth = motion + generator.uniform(0, LEVEL, (count, 1))
+    error[rounded] = (np.rint(depth / LEVEL) * LEVEL - depth)[rounded]
+    return error + noise[:, None] * REST_SHARE * generator.normal(size=(count, 1)), noise
+
+
+def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
+
+    Args:
+        loaded: whether a slot is under load, shape [B, SLOTS].
+    """
+    count = len(loaded)
+    under = generator.integers(2, np.maximum(loaded.sum(axis=1), 2).astype(int) + 1)
+    kind = np.searchsorted(np.cumsum(CUT_SHARES), generator.random(count), side="right")
+    last = np.choose(kind, [under, generator.integers(2, SLOTS + 1, count), np.full(count, SLOTS)])
+    return (np.arange(SLOTS) < last[:, None]).astype(np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Simulated observations of contacts, with the parabola of their log likelihood; B samples."""
+
+    features: np.ndarray
+    """Input of the network, shape [B, FEATURES + SEQUENCE_FEATURES], float32."""
+    logs: np.ndarray
+    """φ that explains each motion without its errors, shape [B, 3]."""
+    information: np.ndarray
+    """Fisher information of the observations, shape [B, 3, 3]."""
+    pull: np.ndarray
+    """Σ slopes·error/σ² of the observations, shape [B, 3]; by it the errors move the likelihood's optimum."""
+
+
+def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Drawn:
+    """Contacts of the fits with new errors.
+
+    Args:
+        fits: contacts with the parameters that explain them.
+        count: number of samples, B.
+        generator: draws contacts, errors and observed slots.
+    """
+    index = generator.integers(len(fits.logs), size=count)
+    motion, loaded, spacing = fits.motion[index], fits.loaded[index], fits.spacing[index]
+    error, noise = draw_errors(motion, generator)
+    known = draw_known(loaded, generator)
+    slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
+    information = np.einsum("btp,btq->bpq", slopes, slopes)
+    pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
+    with_sequence = generator.random(count) < SEQUENCE_SHARE
+    errors = draw_sequence_errors(fits, index, noise, generator)
+    # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
+    # neighbouring tissue as well.
+    error[with_sequence] = (fits.middle[index] - motion + errors.middle)[with_sequence]
+    noise = np.where(with_sequence & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
+    more, pulled = sequence_information(fits.amount_slopes[index], fits.factors[index], errors.amounts, noise, known)
+    information[with_sequence], pull[with_sequence] = more[with_sequence], pulled[with_sequence]
+    within = fits.within[index]
+    along = (motion + error) / spacing[:, None]
+    amounts = (fits.amounts[index] + errors.amounts) * known[..., None]
+    features = [
+        join_features(along, known, loaded * known, fits.around[index], spacing, noise),
+        join_sequence_features(amounts, spacing, noise, within, with_sequence),
+    ]
+    logs = fits.logs[index]
+    information, pull = without_delays(information, pull, logs[:, 3:])
+    return Drawn(np.concatenate(features, axis=1), logs[:, :3], information, pull)
+
+
+@dataclasses.dataclass(frozen=True)
+class SequenceErrors:
+    """Errors of B depth-change sequences."""
+
+    amounts: np.ndarray
+    """Errors of the shapes' amounts, shape [B, SLOTS, SHAPES] [scene units]."""
+    middle: np.ndarray
+    """Errors of the middle pixel, shape [B, SLOTS] [scene units]."""
+
+
+def draw_sequence_errors(
+    sequences: DepthSequences, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator
+) -> SequenceErrors:
+    """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
+
+    Args:
+        sequences: all depth-change sequences.
+        index: indices of the sequences to draw for, shape [B].
+        noise: standard deviation of every pixel, shape [B] [scene units].
+    """
+    shapes, factors = dent_shapes(), sequences.factors[index]
+    middle = shapes[len(shapes) // 2]
+    # The middle pixel's error is jointly normal with the amounts' errors: their share of it, and an independent rest.
+    normal = generator.standard_normal((len(index), SLOTS, SHAPES), dtype=np.float32)
+    amounts = (factors @ normal[..., None])[..., 0]
+    share = middle @ factors
+    rest = np.sqrt(np.maximum(1 - np.square(share).sum(axis=2), 0))
+    alone = amounts @ middle + rest * generator.standard_normal(rest.shape, dtype=np.float32)
+    amounts, alone = noise[:, None, None] * amounts, noise[:, None] * alone
+    rounded = np.flatnonzero(noise == ROUNDING_NOISE)
+    if len(rounded):
+        change = sequences.change[index[rounded]].astype(np.float32)
+        side = math.isqrt(change.shape[2])
+        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * MAX_REST_SLOPE
+        places = np.mgrid[:side, :side].reshape(2, 1, -1)
+        depth = (
+            change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]
+        )
+        error = np.nan_to_num(np.rint(depth / np.float32(LEVEL)) * np.float32(LEVEL) - depth)
+        part = factors[rounded]
+        mixed = (error @ shapes.astype(np.float32))[..., None]
+        amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]
+        alone[rounded] = error[:, :, side * side // 2]
+    still = noise[:, None] * (generator.standard_normal((len(index), SHAPES)) @ smooth_share().T)
+    return SequenceErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
+
+
+@functools.cache
+def smooth_share() -> np.ndarray:
+    """Factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES] [σ]."""
+    smooth = dent_shapes().T @ smooth_errors(1.0)
+    return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
+
+
+def sequence_information(
+    slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error only.
+
+    Args:
+        slopes, factors: those of `DepthSequences`, of B sequences.
+        errors: errors of the amounts, shape [B, SLOTS, SHAPES] [scene units].
+        noise: standard deviation of every pixel, shape [B] [scene units].
+        known: whether a slot is observed, shape [B, SLOTS].
+    """
+    whiten = np.linalg.inv(factors) * (known / noise[:, None])[..., None, None]
+    smooth = noise[:, None, None, None] * smooth_share()
+    parts = slopes, errors[..., None], np.broadcast_to(smooth, (*known.shape, SHAPES, SHAPES))
+    columns = (whiten @ np.concatenate(parts, axis=-1)).reshape(len(known), -1, slopes.shape[-1] + 1 + SHAPES)
+    products = columns.transpose(0, 2, 1) @ columns
+    count = slopes.shape[-1]
+    still = products[:, -SHAPES:, -SHAPES:] + np.eye(SHAPES)
+    common = np.linalg.solve(still, products[:, -SHAPES:, : count + 1])
+    left = products[:, :count, : count + 1] - products[:, :count, -SHAPES:] @ common
+    information, pull = left[..., :count], left[..., count]
+    return information, pull
+
+
+def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
+
+    Args:
+        information, pull: those of all parameters, shapes [B, D, D] and [B, D].
+        delays: the delays that explain the motions, shape [B, D - 3]; their prior is centred at 0.
+    """
+    count = delays.shape[1]
+    prior = 12 / DELAY_RANGE**2
+    cross = np.linalg.solve(information[:, 3:, 3:] + prior * np.eye(count), information[:, 3:, :3])
+    left = information[:, :3, :3] - np.einsum("bdp,bdq->bpq", information[:, 3:, :3], cross)
+    return left, pull[:, :3] - np.einsum("bdp,bd->bp", cross, pull[:, 3:] - prior * delays)

@@ -5,8 +5,6 @@ it doesn't show the full depth of a dent's bottom, which is no wider; there the 
 the mean of the tissue that it shows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

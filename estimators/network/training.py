@@ -15,8 +15,6 @@ costs more than the network:
  4. `bound`: a second network learns the size of the Cramér–Rao bound at those fits, by which verdicts are given.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -45,10 +43,19 @@ from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_f
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import REGIMES
-from palpate.estimators.network.draws import NOISE, Drawn, draw_observed
-from palpate.estimators.network.fits import BOUNDS, EXPLAINED, FRAME_S, MECHANICS, SCENES, Fits, fit_sequence
-from palpate.models.evidence import box_prior, covering, preconditioned
-from palpate.models.expected_bound import bound_loss
+from palpate.estimators.network.fits import (
+    BOUNDS,
+    EXPLAINED,
+    FRAME_S,
+    MECHANICS,
+    NOISE,
+    SCENES,
+    Drawn,
+    Fits,
+    draw_observed,
+    fit_sequence,
+)
+from palpate.models.evidence import bound_loss, box_prior, covering, preconditioned
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.likelihood import Likelihood, Linearised
 

@@ -1,13 +1,12 @@
 """The online estimator (Liang 2024): a simulated state is taken to what was observed, and its stiffness to fit.
 
-mapping    the residual deformation that takes a state to what was observed (a cloud, followed points), and its adjoint
-objective  gap, history and smoothness, with their slopes by the fields of stiffness, which have sigmoid bounds
-gauss_newton the optimiser besides Adam
-session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON
+objective  the residual deformation that takes a state to what was observed (a cloud, followed points); gap, history and
+           smoothness, with their slopes by the fields of stiffness, which have sigmoid bounds
+session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON; the optimisers
 given      a mask of what is pinned and the gripper's path, of a user
 surface    particles of the tissue in a frame, and which the camera sees; driven: these under an instrument
-determined what the instrument alone explains of the motion, and where that tells the stiffness
-fitting    time step, foundation and bending of one clip, by its first frames
+determined what the instrument alone explains of the motion, by one number each (time step, foundation and bending) and
+           place by place, and where that tells the stiffness
 particle_field what is said of the field in a frame and over a run
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

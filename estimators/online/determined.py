@@ -7,23 +7,103 @@ derivatives of what is observed, and these with a normal prior the posterior of 
 motion. Where a model is wrong it is wrong in the same way in neighbouring places and in one frame after the other: on
 the one real pull what is left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames
 together count as one, and in a frame points by as much as their means over the cells around the knots vary.
-"""
 
-from __future__ import annotations
+The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. One
+number each for how fast tissue follows, what holds it to its rest, and how it bends is fitted to the first frames, by
+simulation alone; stiffness place by place is left to the optimiser.
+"""
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from palpate.estimators.grip.lattice import length
-from palpate.estimators.grip.stiffness_fit import ROUGHNESS
-from palpate.estimators.online.fitting import LEAST
-from palpate.estimators.online.gauss_newton import knot_shares
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.session import knot_shares
 from palpate.physics.identifiability import LIMIT
+from palpate.physics.load import Grip
+from palpate.physics.pbd.body import Body
+from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
+
+TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
+"""A frame's time over √(m/k): from tissue that hangs back to tissue that is at rest in every frame."""
+FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
+"""Over the stiffness of distances."""
+BENDINGS = (0.02, 0.3, 1.0)
+"""Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
+tried."""
+LEAST = 0.2
+"""Frames whose points move less tell nothing [px]."""
+
+
+VOLUME = 1e10 * 0.0089**4
+"""Stiffness of volumes where edges are 1 long in the mean: the paper's 10¹⁰ at its size, 600 particles of a block with
+edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume's gradient goes with the second."""
+
+
+def uniform(body: Body, distance: float, shape: float) -> Stiffness:
+    """The same everywhere; of volumes as the paper's, in whatever unit."""
+    edge = float(body.layout.rest[body.kinds[0]].mean())
+    return Stiffness(np.full(body.count, distance), np.full(body.count, shape), VOLUME / edge**4)
+
+
+class Fit(NamedTuple):
+    """What explains some frames best."""
+
+    time_step: float
+    foundation: float
+    """Over the stiffness of distances."""
+    bending: float
+    """Stiffness of shapes, likewise."""
+    error: float
+    """Mean over frames of error over motion, root mean squares over points."""
+
+    def stepping(self, usual: Stepping, stiffness: float) -> Stepping:
+        """The usual one with this time step and foundation, for such a stiffness of distances."""
+        return dataclasses.replace(usual, time_step=self.time_step, foundation=self.foundation * stiffness)
+
+
+def fit_motion(
+    body: Body,
+    grip: Grip,
+    seen: np.ndarray,
+    shown: Callable[[np.ndarray], np.ndarray],
+    stepping: Stepping,
+    stiffness: float,
+    bendings: Sequence[float] = BENDINGS,
+) -> Fit | None:
+    """Try every combination on the frames so far, from rest on; None where nothing moves in any.
+
+    Args:
+        body: N particles.
+        grip: where the gripped ones are in T frames.
+        seen: displacement of Q points in them, shape [T, Q, 2] [px]; not observed = NaN.
+        shown: gives that of states [T, N, 3].
+        stepping: sweeps a step; its time step and foundation don't count.
+        stiffness: of distances, the same everywhere.
+        bendings: stiffness of shapes over that, to choose from.
+    """
+    used = np.isfinite(seen[..., 0] + seen[..., 1])
+    motion = np.array([length(frame[some]) if some.any() else 0 for frame, some in zip(seen, used, strict=True)])
+    telling = np.flatnonzero(motion > LEAST)
+    if len(telling) == 0:
+        return None
+    fits = []
+    for time_step, foundation, bending in product(TIME_STEPS, FOUNDATIONS, bendings):
+        fit = Fit(time_step, foundation, bending, np.nan)
+        fields = uniform(body, stiffness, bending * stiffness)
+        states = simulate(body, fields, grip, fit.stepping(stepping, stiffness)).positions[0, 1:]
+        off = shown(states) - seen
+        errors = [length(off[frame, used[frame]]) / motion[frame] for frame in telling]
+        fits.append(fit._replace(error=float(np.mean(errors))))
+    return min(fits, key=lambda fit: fit.error)
+
 
 LEARNT = 0.5
 """What is known must be surer than before anything was observed, by this factor: three quarters of what is said of it,
@@ -34,10 +114,6 @@ STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
-LARGEST_MISFIT = 1.5
-"""What the likeliest values leave of the motion over what the fields do, root mean squares. On drawn sheets of the
-estimator's own kind 0.7 to 1.2, and what is known is true; 2.0 on one that was drawn on another mesh and followed in a
-video, whose true field leaves more than others do, so that what would be known is wrong."""
 ROUNDS = 4
 """Of finding the likeliest values and, with them, the noise."""
 NOISE = 0.3
@@ -66,13 +142,9 @@ class Determined:
         rest = objective.body.rest
         (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
         total = self._shares.shape[2]
-        stepping = objective.stepping
-        self._others = [
-            dataclasses.replace(
-                objective, stepping=dataclasses.replace(stepping, **{name: getattr(stepping, name) * math.exp(CHANGE)})
-            )
-            for name in STEPPED
-        ]
+        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in STEPPED}
+        others = (dataclasses.replace(objective.stepping, **{name: value}) for name, value in own.items())
+        self._others = [dataclasses.replace(objective, stepping=stepping) for stepping in others]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell = cells(stretch).argmax(axis=1)
@@ -165,8 +237,8 @@ class Determined:
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        known &= self._left_by_likeliest <= LARGEST_MISFIT**2 * self._left
-        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        known &= self._left_by_likeliest <= MODEL_ERRORS.field_misfit**2 * self._left
+        stray = MODEL_ERRORS.stiffness_roughness * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:

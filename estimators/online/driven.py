@@ -1,19 +1,14 @@
 """Tissue that an instrument drives, stepped on by what is followed of it in every frame."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.estimators.estimate import LEAST_SKILL
-from palpate.estimators.online.determined import Determined
-from palpate.estimators.online.fitting import BENDINGS, Fit, fit_motion, uniform
-from palpate.estimators.online.mapping import Chamfer, Match, Tracks
-from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.determined import BENDINGS, Determined, Fit, fit_motion, uniform
+from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
@@ -25,15 +20,6 @@ NEIGHBOURS = 6
 """Followed points that tell how a gripped particle moves."""
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
-
-
-class _Given(NamedTuple):
-    """What a frame tells, as `DrivenTissue.step` takes it."""
-
-    moved: np.ndarray
-    cloud: np.ndarray | None
-    seen: np.ndarray | None
-    led: np.ndarray | None
 
 
 class DrivenTissue:
@@ -51,7 +37,8 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: list[_Given] = []
+        self._first: list[tuple[np.ndarray, *tuple[np.ndarray | None, ...]]] = []
+        """What the first frames tell, as `step` takes it."""
         self._awaited = settings.fitted
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
@@ -72,15 +59,8 @@ class DrivenTissue:
     def _begin(self) -> None:
         """At rest, by the settings as they are."""
         settings, body = self.settings, self.surface.body
-        objective = Objective(
-            body,
-            self.surface.gripped,
-            settings.stepping,
-            settings.mapping,
-            settings.elastic,
-            settings.weights,
-            settings.bounds,
-        )
+        how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
+        objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
@@ -158,8 +138,8 @@ class DrivenTissue:
             led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
                 where it doesn't tell.
         """
-        frame = _Given(moved, cloud, seen, led)
-        found = self._taken(frame)
+        frame = moved, cloud, seen, led
+        found = self._taken(*frame)
         if self._awaited > 0:
             self._awaited -= 1
             self._first.append(frame)
@@ -167,7 +147,7 @@ class DrivenTissue:
                 if self._fitted():
                     self._begin()
                     for frame in self._first:
-                        found = self._taken(frame)
+                        found = self._taken(*frame)
                 self._first = []
         return found
 
@@ -175,7 +155,7 @@ class DrivenTissue:
         """Choose time step, foundation and bending by the first frames; whether these tell anything."""
         settings = self.settings
         way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
-        seen = np.stack([frame.moved[self.around] for frame in self._first])
+        seen = np.stack([frame[0][self.around] for frame in self._first])
         grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
         bounds, stepping = settings.bounds, settings.stepping
         allowed = [bending for bending in BENDINGS if bending * stiffness < bounds.shape]
@@ -189,8 +169,9 @@ class DrivenTissue:
         self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
         return True
 
-    def _taken(self, given: _Given) -> Frame:
-        moved, cloud, seen, places = given
+    def _taken(
+        self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None, places: np.ndarray | None
+    ) -> Frame:
         if self.settings.path is None:
             places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud))
         matches: list[Match] = []

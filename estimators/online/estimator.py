@@ -6,8 +6,6 @@ shows, and its stiffness changed by one step. θ, a force and a unit are not det
 them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
@@ -73,7 +71,7 @@ class OnlineEstimator:
         """Smoothed tissue, and otherwise what the user chooses."""
         return chosen.without_model()
 
-    def start(self, clip: ClipInfo) -> OnlineSession:
+    def start(self, clip: ClipInfo) -> "OnlineSession":
         """Open a session.
 
         Raises:
@@ -82,59 +80,6 @@ class OnlineEstimator:
         if self.pins is not None:
             self.pins.require_size(clip.size)
         return OnlineSession(self, clip)
-
-
-class OnlineSession(RunSession):
-    """One clip: a field for every frame in contact, and a sentence for every run."""
-
-    def __init__(self, estimator: OnlineEstimator, clip: ClipInfo) -> None:
-        super().__init__(clip, Mechanics())
-        self._estimator = estimator
-        self._driven: _Followed | None = None
-        self._reason, self._begun = "", -1
-
-    def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame."""
-        yield from self._ended(self._runs.push(frame))
-        start = time.perf_counter()
-        field = self._field(frame)
-        self.seconds["online"] += time.perf_counter() - start
-        doubts = "" if field is not None or not frame.in_contact else self._reason
-        verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
-        found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
-        yield dataclasses.replace(found, field=field)
-
-    def _field(self, frame: PreparedFrame) -> ParticleField | None:
-        """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
-        run = self._runs.current
-        if run is None:
-            self._driven, self._begun = None, -1
-            return None
-        if run.index != self._begun:
-            self._begun, self._driven, self._reason = run.index, None, ""
-            try:
-                self._driven = _Followed(frame, self.clip, self._estimator)
-            except NoEstimate as reason:
-                self._reason = str(reason)
-        elif self._driven is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
-            if not frame.visible:
-                return None
-            self._driven.step(frame)
-        else:
-            return None
-        return None if self._driven is None else self._driven.frame_field()
-
-    def _pressed(self, run: Run) -> InteractionEstimate:
-        """What was observed of a run, and what its field comes to in a sentence."""
-        contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
-        if contact is not None and len(contact.observation) == 0:
-            contact = None
-        said, found = self._reason, None
-        if self._driven is not None:
-            found = self._driven.estimate()
-            said = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
-        detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
-        return run.estimate(interaction=contact, field=found, detail=detail)
 
 
 class _Followed:
@@ -211,18 +156,10 @@ class _Followed:
         """What the run tells by now."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
-        return FieldEstimate(
-            self.field(),
-            self._picture,
-            driven.surface.pixels,
-            self._follower.points[driven.around],
-            driven.alone.moved,
-            driven.alone.predicted,
-            times,
-            course,
-            {name: np.array(values) for name, values in self._numbers.items()},
-            bool(driven.stretched.any()),
-        )
+        numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
+        points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
+        where = self._picture, driven.surface.pixels, *points
+        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched))
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""
@@ -237,23 +174,10 @@ class _Followed:
         surface, session = self._driven.surface, self._driven.session
         (distance_sd, shape_sd), (known, shape_known) = self._driven.determined()
         size = surface.camera.height, surface.camera.width
-        pixels = surface.project(session.positions) + self._background
-        return ParticleField(
-            self._number,
-            surface.body.rest,
-            surface.faces,
-            surface.body.tetrahedra,
-            session.positions,
-            grid_to_picture(pixels, size, self._clip.size),
-            session.fields.distance,
-            session.fields.shape,
-            distance_sd,
-            shape_sd,
-            known,
-            shape_known,
-            self._driven.alone.skill,
-            self._gap,
-        )
+        pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
+        tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
+        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
+        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
 
     def _cloud(self, frame: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
@@ -270,6 +194,59 @@ class _Followed:
         shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
         shown &= facing(states, surface.body.rest, surface.faces)[upper] & uncovered(states, surface.body.faces)[upper]
         return cloud[some], upper[shown]
+
+
+class OnlineSession(RunSession):
+    """One clip: a field for every frame in contact, and a sentence for every run."""
+
+    def __init__(self, estimator: OnlineEstimator, clip: ClipInfo) -> None:
+        super().__init__(clip, Mechanics())
+        self._estimator = estimator
+        self._driven: _Followed | None = None
+        self._reason, self._begun = "", -1
+
+    def push(self, frame: PreparedFrame) -> Iterator[Output]:
+        """The next frame."""
+        yield from self._ended(self._runs.push(frame))
+        start = time.perf_counter()
+        field = self._field(frame)
+        self.seconds["online"] += time.perf_counter() - start
+        doubts = "" if field is not None or not frame.in_contact else self._reason
+        verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
+        found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
+        yield dataclasses.replace(found, field=field)
+
+    def _field(self, frame: PreparedFrame) -> ParticleField | None:
+        """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
+        run = self._runs.current
+        if run is None:
+            self._driven, self._begun = None, -1
+            return None
+        if run.index != self._begun:
+            self._begun, self._driven, self._reason = run.index, None, ""
+            try:
+                self._driven = _Followed(frame, self.clip, self._estimator)
+            except NoEstimate as reason:
+                self._reason = str(reason)
+        elif self._driven is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
+            if not frame.visible:
+                return None
+            self._driven.step(frame)
+        else:
+            return None
+        return None if self._driven is None else self._driven.frame_field()
+
+    def _pressed(self, run: Run) -> InteractionEstimate:
+        """What was observed of a run, and what its field comes to in a sentence."""
+        contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
+        if contact is not None and len(contact.observation) == 0:
+            contact = None
+        said, found = self._reason, None
+        if self._driven is not None:
+            found = self._driven.estimate()
+            said = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
+        detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
+        return run.estimate(interaction=contact, field=found, detail=detail)
 
 
 def _described(path: Path) -> dict[str, str]:

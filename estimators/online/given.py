@@ -1,7 +1,5 @@
 """What a user gives in place of what a clip shows: which tissue is pinned, and where the gripper goes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Stiffness particle by particle, in a frame and over a run of contact, and what of it is determined."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

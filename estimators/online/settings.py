@@ -1,7 +1,5 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,8 +7,7 @@ from typing import Literal, get_type_hints
 
 from palpate.common.settings import require_choices, require_numbers
 from palpate.data.source.layout import from_mapping, read_mapping
-from palpate.estimators.online.mapping import Mapping
-from palpate.estimators.online.objective import Bounds, Objective, Weights
+from palpate.estimators.online.objective import Bounds, Mapping, Objective, Weights
 from palpate.estimators.online.session import Method
 from palpate.physics.pbd.simulation import Stepping
 

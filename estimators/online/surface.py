@@ -1,7 +1,5 @@
 """Tissue in a frame as a sheet or a volume of particles: where they are, which an instrument moves, which stay."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property

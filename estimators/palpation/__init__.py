@@ -7,8 +7,7 @@ relaxation  how a force falls while the depth is held: standard linear solids
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP); several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
-linearised  points against simulated surfaces, linear in compliance, Poisson's ratio and poses
-material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
+material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
 descent     the same by a numeric gradient after the paper's, to compare with
 scene       the file that names a surface and what was pressed on it
 """

@@ -1,7 +1,5 @@
 """A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

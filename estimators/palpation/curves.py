@@ -1,7 +1,5 @@
 """Tables of measured forces: probes, and indentations that are held. Units are those of such tables, mm and N."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

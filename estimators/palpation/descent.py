@@ -3,16 +3,13 @@
 `docs/reports/palpation.md` lists what differs from the paper's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from palpate.estimators.palpation.bench import SHOWN, Bench, Palpation, beside_the_tool
-from palpate.estimators.palpation.linearised import POISSON
-from palpate.estimators.palpation.material_fit import FitSettings, MaterialFit, fit_material, require_along
+from palpate.estimators.palpation.material_fit import POISSON, FitSettings, MaterialFit, fit_material, require_along
 from palpate.estimators.palpation.registration import placed, register
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium

@@ -5,8 +5,6 @@ Elastic half-space, F = c·E/(1 - ν²)·(d - d₀)ⁿ: a sphere of radius R has
 1965, section 5). Depth counts from where the tissue is first touched, d₀, which is fitted along.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

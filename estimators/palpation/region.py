@@ -6,8 +6,6 @@ length and noise are those of greatest marginal likelihood (section 5.4.1). Inte
 probe in turn (section 5.4.2) says they must be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

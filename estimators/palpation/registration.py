@@ -10,8 +10,6 @@ in the zippering of Turk & Levoy 1994, whose seams are left open here: the meshe
 gaps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

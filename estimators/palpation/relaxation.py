@@ -6,8 +6,6 @@ Fₑ = (e^(b·d) - 1)/(e^(b·d_max) - 1) and G(t) = w₀ + Σ wⱼ e^(-t/τⱼ),
 decade, from a sample's spacing to three times what was observed; weights are the non-negative least squares'.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The file that `calibrate.py palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -22,7 +20,7 @@ from palpate.estimators.palpation.registration import View, join_views, placed
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
-from palpate.physics.fem.refinement import around
+from palpate.physics.fem.meshing import around
 
 MOST_BYTES = 2**26
 """Of a surface's file."""
@@ -84,45 +82,50 @@ class SceneFile:
             raise ValueError("palpations is empty; give one at least.")
 
 
-@dataclass(frozen=True)
-class ViewFile:
-    """Fields of a view."""
+@dataclass(frozen=True, kw_only=True)
+class SensorFile:
+    """What all that a sensor saw has.
 
-    surface: str
-    """What the sensor saw, an .obj file next to the scene, in the sensor's frame [m]."""
+    Raises:
+        ValueError: numbers that can't be.
+    """
+
     pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     """Of the sensor as it is believed; the first view's is kept."""
 
     def __post_init__(self) -> None:
-        _require_rigid(self.pose)
+        turn = np.array(self.pose)[:3, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
+            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
 
 
-@dataclass(frozen=True)
-class PalpationFile:
+@dataclass(frozen=True, kw_only=True)
+class ViewFile(SensorFile):
+    """Fields of a view."""
+
+    surface: str
+    """What the sensor saw, an .obj file next to the scene, in the sensor's frame [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PalpationFile(SensorFile):
     """Fields of a palpation; the rest is `Palpation`'s."""
 
     force: tuple[float, float, float]
     contact: tuple[float, float, float]
     points: str
     """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
-    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-    tool_radius: float = 0.015
-    hole: float = 0.02
-    pose_shift: float = 0.005
-    pose_turn: float = 0.03
+    tool_radius: float = Palpation.tool_radius
+    hole: float = Palpation.hole
+    pose_shift: float = Palpation.pose_shift
+    pose_turn: float = Palpation.pose_turn
 
     def __post_init__(self) -> None:
-        _require_rigid(self.pose)
+        super().__post_init__()
         if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
         if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
             raise ValueError(f"force is to be {FORCES[0]:g} to {FORCES[1]:g} N; give what the tool pressed with.")
-
-
-def _require_rigid(pose: tuple[Row, Row, Row, Row]) -> None:
-    turn = np.array(pose)[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
-        raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +149,12 @@ def read_scene(path: Path) -> Scene:
     """
     scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
     views = _views(scene, path)
-    extent = _Extent.of([placed(each.pose, each.vertices) for each in views])
+    extent = _Extent(np.concatenate([placed(each.pose, each.vertices) for each in views]))
     axis = "xyz".index(scene.held_axis)
-    inside = np.clip(np.zeros(3), extent.low, extent.high)
+    inside, along = np.clip(np.zeros(3), extent.low, extent.high), np.eye(3, dtype=bool)[axis]
+    said = f"{printable(path)}: held_below, {scene.held_below:g},"
     _require_metres(
-        f"{printable(path)}: held_below, {scene.held_below:g},",
-        lambda unit: extent.near(
-            np.where(np.arange(3) == axis, unit * scene.held_below, inside), 3 if unit == 1 else 0
-        ),
+        said, lambda unit: extent.near(np.where(along, unit * scene.held_below, inside), 3 if unit == 1 else 0)
     )
     if scene.thickness is not None:
         _require_size(f"{printable(path)}: thickness", scene.thickness, extent.size)
@@ -166,9 +167,8 @@ def read_scene(path: Path) -> Scene:
         floor = axis, scene.held_below
         radius = min(each.tool_radius for each in palpations)
         crowded = around(np.array([each.contact for each in palpations]), radius, PRESSED * radius)
-        meshed = mesh_surface(
-            vertices, triangles, cells=scene.cells, thickness=scene.thickness, floor=floor, longest=crowded
-        )
+        how = {"cells": scene.cells, "thickness": scene.thickness}
+        meshed = mesh_surface(vertices, triangles, **how, floor=floor, longest=crowded)
     except NoBody as error:
         raise InputError(f"{printable(path.parent / (scene.surface or path.name))}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
@@ -189,23 +189,12 @@ def read_scene(path: Path) -> Scene:
     return Scene(cover(body, vertices, triangles, below), held, palpations, settings, (*notes, *meshed.notes))
 
 
-@dataclass(frozen=True, eq=False)
 class _Extent:
-    """Of the surface at rest, along x, y and z, each of shape [3] [m]."""
+    """Of a surface at rest with vertices [V, 3], along x, y and z, each of shape [3], and its longest side [m]."""
 
-    low: np.ndarray
-    high: np.ndarray
-
-    @classmethod
-    def of(cls, surfaces: list[np.ndarray]) -> _Extent:
-        """Of surfaces' vertices, each [V, 3]."""
-        vertices = np.concatenate(surfaces)
-        return cls(vertices.min(axis=0), vertices.max(axis=0))
-
-    @property
-    def size(self) -> float:
-        """Longest side [m]."""
-        return float((self.high - self.low).max())
+    def __init__(self, vertices: np.ndarray) -> None:
+        self.low, self.high = vertices.min(axis=0), vertices.max(axis=0)
+        self.size = float((self.high - self.low).max())
 
     def near(self, place: np.ndarray, sizes: float) -> bool:
         """Whether a place [3] lies within so many of its sizes."""
@@ -234,15 +223,11 @@ def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent
 
 def _views(scene: SceneFile, path: Path) -> list[View]:
     """What shows the body at rest: one surface, or views."""
-    if scene.surface is not None:
-        given = [ViewFile(scene.surface)]
-    else:
-        wheres = [f"{printable(path)}, view {number}" for number in range(1, 1 + len(scene.views))]
-        given = [from_mapping(ViewFile, values, where) for values, where in zip(scene.views, wheres, strict=True)]
-        for each, where in zip(given, wheres, strict=True):
-            _require_pose(where, each.pose)
-    views = []
-    for each in given:
+    views, values = [], scene.views if scene.surface is None else ({"surface": scene.surface},)
+    for number, fields in enumerate(values, start=1):
+        where = f"{printable(path)}, view {number}"
+        each = from_mapping(ViewFile, fields, where)
+        _require_pose(where, each.pose)
         vertices, triangles = read_obj(path.parent / each.surface)
         _require_body(printable(path.parent / each.surface), vertices)
         views.append(View(vertices, triangles, np.array(each.pose, np.float64)))

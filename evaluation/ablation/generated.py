@@ -13,7 +13,7 @@ from palpate.data.windows import window_indices
 from palpate.evaluation.ablation.watched import WatchedClip
 from palpate.models.carried_depth import carried
 from palpate.models.checkpoint import load_generator
-from palpate.models.contact_head import ContactHead
+from palpate.models.generator import ContactHead
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.batch import MeshBatch, PressBatch
 

@@ -17,8 +17,7 @@ import pandas as pd
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
-from palpate.estimators.online.mapping import Chamfer, Match
-from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.objective import Chamfer, Match, Objective
 from palpate.estimators.online.session import Adam, Method, Session
 from palpate.evaluation.harness import Row
 from palpate.evaluation.online.sequences import Pull

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import csr_array, diags_array
 
-from palpate.estimators.online.mapping import Chamfer, Match, Tracks
+from palpate.estimators.online.objective import Chamfer, Match, Tracks
 from palpate.physics.fem.equilibrium import Energy, settle
-from palpate.physics.fem.lattice import box
 from palpate.physics.fem.laws import Material
+from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import make_solid, outer_faces
 from palpate.physics.pbd.body import Body, make_body
 

@@ -18,7 +18,7 @@ from palpate.estimators.palpation import FitSettings, Skin, fit_material
 from palpate.evaluation.harness import Measurements, Row
 from palpate.evaluation.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
 from palpate.physics.fem import Equilibrium
-from palpate.physics.fem.refinement import around
+from palpate.physics.fem.meshing import around
 
 YOUNG, POISSON = 1e4, 0.42
 """The truth [Pa]."""

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from palpate.estimators.palpation import Palpation, Skin, cover
 from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
-from palpate.physics.fem.refinement import Longest, around, refine
+from palpate.physics.fem.meshing import Longest, around, refine
 
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""

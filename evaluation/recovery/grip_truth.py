@@ -18,7 +18,7 @@ from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.grip_bound import grip_bound, measure_following

@@ -16,8 +16,6 @@ Not a medical device.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import path_option, real_number, say
+from palpate.common.command_line import described_parser, path_option, real_number, say
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
+from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
@@ -50,12 +49,8 @@ CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="palpate calibrate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 done; 1 something could not be; 2 wrong usage; 130 interrupted.",
-    )
+    statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
+    parser = described_parser("palpate calibrate", __doc__, statuses)
     doors = parser.add_subparsers(dest="what", required=True)
     palpation = doors.add_parser("palpation", help="surfaces under forces")
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
@@ -80,19 +75,18 @@ def main(arguments: list[str] | None = None) -> int:
     """Calibrate what the command line names; returns the exit status."""
     parser, console = build_parser(), Console(stderr=True)
     options: Any = parser.parse_args(arguments)
-    indenter = None
-    if options.what == "curves" and (options.indenter is None) != (options.size is None):
+    curves, indenter = options.what == "curves", None
+    if curves and (options.indenter is None) != (options.size is None):
         parser.error("--indenter and --size belong together; give both, or none where the indenter is not known.")
-    if options.what == "curves" and options.indenter is not None:
+    if curves and options.indenter is not None:
         try:
             indenter = Indenter(options.indenter, options.size, options.poisson)
         except ValueError as error:
             parser.error(str(error))
-    names = ("curves.csv",) if options.what == "curves" else PALPATION
     try:
         with writing(options.output):
-            require_own(*(options.output / name for name in names))
-        if options.what == "curves":
+            require_own(*(options.output / name for name in (("curves.csv",) if curves else PALPATION)))
+        if curves:
             return _curves(options.files, indenter, options.output, console)
         return _palpation(options.scene, options.optimizer, options.sheet_thickness, options.output, console)
     except (InputError, OutputError) as error:
@@ -110,24 +104,17 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         found = OPTIMIZERS[optimizer](*problem, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
-    known = optimizer == "gauss-newton"
-    nothing = known and found.verdict == NOTHING
-    verdict = found.verdict if known else None
-    record: dict[str, object] = {
-        "law": scene.settings.law,
-        "optimizer": optimizer,
-        "young_pa": None if nothing else found.young,
-        "poisson": None if nothing else found.poisson,
-        "surface_error_rms_m": found.noise,
-        "equilibria": found.solves,
-        "poses": found.poses,
-        "source": f"{len(scene.palpations)} palpations of {path.name}",
-    }
+    verdict = found.verdict if optimizer == "gauss-newton" else None
+    nothing = verdict == NOTHING
+    young, poisson = (None, None) if nothing else (found.young, found.poisson)
+    record: dict[str, object] = {"law": scene.settings.law, "optimizer": optimizer}
+    record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
+    record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
     if thickness is not None:
         record["thickness_m"] = thickness / 1000
     if verdict is not None:
         record["verdict"] = verdict
-    if known and not nothing:
+    if verdict is not None and not nothing:
         half = NINETY * found.young_sd
         record |= {
             "young_low_pa": found.young * np.exp(-half),
@@ -144,10 +131,9 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
         return 0
-    low, high = (record.get(f"young_{end}_pa") for end in ("low", "high"))
-    interval = "" if low is None else f" (90 %: {low:.4g} to {high:.4g})"
-    doubt = ""
+    interval = doubt = ""
     if verdict is not None:
+        interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
         doubt = f" ± {found.poisson_sd:.2g}" + ("" if verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
     return 0
@@ -164,35 +150,32 @@ def _picture(scene: Scene, found: MaterialFit) -> Figure:
 
 
 def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
-    rows = ["palpation,point,error_mm"]
+    rows = []
     for number, (rest, each, pose) in enumerate(zip(rests, scene.palpations, poses, strict=True), start=1):
         errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
-        rows += [f"{number},{i},{'' if np.isnan(error) else f'{error:.4f}'}" for i, error in enumerate(errors)]
-    return "\n".join(rows) + "\n"
+        rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
+    return to_csv(rows, form=".4f")
 
 
 def _curves(files: list[Path], indenter: Indenter | None, output: Path, console: Console) -> int:
-    text, status = io.StringIO(), 0
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(CURVES)
+    rows, status = [], 0
     for path in files:
         try:
             if kind_of(path) == HOLD:
                 fit = fit_relaxation(read_hold(path), branches=1)
                 if fit.solid is None:
                     raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
-                table.writerow([path.name, "hold", "relaxing share", f"{1 - fit.relaxed_share:.6g}", "", "", ""])
-                table.writerow([path.name, "hold", "relaxation time", f"{fit.solid.time:.6g}", "", "", "s"])
+                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None))
+                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s"))
                 continue
             for probe in read_probes(path):
                 found = fit_indentation(probe.depth, probe.force, indenter)
                 name = "stiffness, indenter unknown" if indenter is None else f"Young's modulus, {indenter.shape}"
-                numbers = [f"{value:.6g}" for value in (found.value, found.low, found.high)]
-                table.writerow([path.name, probe.name, name, *numbers, found.unit])
+                rows.append((path.name, probe.name, name, found.value, found.low, found.high, found.unit))
         except (InputError, ValueError) as error:
             say(console, str(error), "red")
             status = 1
-    _write(output, "curves.csv", text.getvalue())
+    _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status
 

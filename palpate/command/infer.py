@@ -6,8 +6,6 @@ Exit status: 0 all clips done, 1 some failed (named; the others are complete), 2
 clips stay, and the same command continues).
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

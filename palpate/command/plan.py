@@ -7,8 +7,6 @@ same tissue finds them there. Writes plan.json and plan.png: the way, what it co
 cost, the tissue pushed aside and the forces along both. Not a medical device.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time
@@ -18,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import path_option, progress_bars, real_number, say
+from palpate.common.command_line import described_parser, path_option, progress_bars, real_number, say
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
 from palpate.data.source.layout import InputError
@@ -34,13 +32,8 @@ NAMES = ("plan.json", "plan.png")
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="palpate plan",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="Exit status: 0 a way was found; 1 there is none, or something could not be; 2 wrong usage; "
-        "130 interrupted.",
-    )
+    statuses = "0 a way was found; 1 there is none, or something could not be; 2 wrong usage; 130 interrupted"
+    parser = described_parser("palpate plan", __doc__, statuses)
     parser.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="as configs/scenes/two_curtains.yaml")
     parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
     share = real_number("a number from 0 on", 0.0)
@@ -88,14 +81,9 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     direct = costs.plan(direct.places)
     ways = {"planned": (plan, _simulated(costs, plan)), "shortest": (direct, _simulated(costs, direct))}
     numbers = {name: _numbers(*way) for name, way in ways.items()}
-    record = {
-        "alpha": scene.alpha,
-        "plan": numbers["planned"],
-        "shortest": numbers["shortest"],
-        "query_s": round(seconds, 4),
-        "lines_through_tissue": costs.crossings,
-        "units": "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N",
-    }
+    record: dict[str, Any] = {"alpha": scene.alpha, "plan": numbers["planned"], "shortest": numbers["shortest"]}
+    record |= {"query_s": round(seconds, 4), "lines_through_tissue": costs.crossings}
+    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N"
     with writing(output):
         with replacing_own(output / NAMES[0]) as partial:
             partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")

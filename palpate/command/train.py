@@ -9,8 +9,6 @@
 pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib
@@ -20,7 +18,7 @@ import sys
 import warnings
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
 
@@ -78,6 +76,10 @@ FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError
 
 class UsageError(ValueError):
     """The command line or the configuration can't be followed, in one sentence."""
+
+
+WRONG_USE = (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException)
+"""Errors with exit status 2, likewise."""
 
 
 class SentenceParser(LightningArgumentParser):
@@ -156,11 +158,9 @@ class RunTrainer(Trainer):
         checkpoint = read_checkpoint(Path(ckpt_path))  # ty: ignore[invalid-argument-type]  the command line resolves it
         model.load_state_dict(checkpoint["state_dict"])
         datamodule.load_state_dict(checkpoint.get(ClipDataModule.__name__, {}))
-        metadata: dict[str, Any] = datamodule.metadata() | {
-            "bounds": model.hparams["bounds"],
-            "mechanics": model.hparams["mechanics"],
-            "config_sha256": hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest(),
-        }
+        metadata: dict[str, Any] = {name: model.hparams[name] for name in ("bounds", "mechanics")}
+        metadata |= datamodule.metadata()
+        metadata["config_sha256"] = hashlib.sha256(checkpoint.get("configuration", "").encode()).hexdigest()
         geometry, generator = metadata["geometry"], model.generator_ab
         size = {"window": generator.channels, "height": geometry["height"], "width": geometry["width"]}
         difference = export(generator, Path(output), metadata | {"input": size})
@@ -199,9 +199,9 @@ class TrainCLI(LightningCLI):
         """Resolve and check `--ckpt_path`; Lightning's own method lets the checkpoint override the command line."""
         config, command = self.config[self.config.subcommand], self.config.subcommand
         if config.ckpt_path in ("best", "last"):
-            folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+            folder = folder_of(config.trainer.default_root_dir, "checkpoints")
             path = folder / f"{config.ckpt_path}.ckpt"
-            if command == "fit" and not holds_training(folder):
+            if command == "fit" and not any(folder.glob("*.ckpt")):
                 print(f"There is no {path} yet; training starts from the beginning.")
                 config.ckpt_path = None
                 return
@@ -215,9 +215,9 @@ class TrainCLI(LightningCLI):
     def before_fit(self) -> None:
         """Refuse to replace the checkpoints of another training."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
-        folder = Path(checkpoint_folder(config.trainer.default_root_dir))
+        folder = folder_of(config.trainer.default_root_dir, "checkpoints")
         resumes = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
-        if holds_training(folder) and not resumes:
+        if any(folder.glob("*.ckpt")) and not resumes:
             raise UsageError(
                 f"{folder.parent} holds a training already; add --ckpt_path last to go on with it, or give another "
                 "--trainer.default_root_dir."
@@ -256,7 +256,7 @@ class TrainCLI(LightningCLI):
             kwargs["logger"] = run_loggers(folder, tracking=config.tracking and self.subcommand != "export")
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
         checkpoints = [
-            ModelCheckpoint(checkpoint_folder(folder), name, save_on_train_epoch_end=True, **always, **when)
+            ModelCheckpoint(folder_of(folder, "checkpoints"), name, save_on_train_epoch_end=True, **always, **when)
             for name, when in CHECKPOINTS.items()
         ]
         callbacks = config.trainer.callbacks or []
@@ -269,18 +269,26 @@ class TrainCLI(LightningCLI):
     def before_test(self) -> None:
         """Refuse before the test to replace a user's files by the evaluation's."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
-        require_own(*(evaluation_folder(config.trainer.default_root_dir) / name for name in FILES))
+        require_own(*(folder_of(config.trainer.default_root_dir, "evaluation") / name for name in FILES))
 
     def after_test(self) -> None:
         """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
         if not self.trainer.is_global_zero:
             return
-        folder = evaluation_folder(self.trainer.default_root_dir)
+        folder = folder_of(self.trainer.default_root_dir, "evaluation")
         contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, path, "evaluation")
             print(f"{name}: {path}")
+
+
+CHOSEN: dict[str, Any] = {
+    **{"trainer_class": RunTrainer, "parser_class": SentenceParser, "save_config_callback": RunRecord},
+    **{"trainer_defaults": {"default_root_dir": "runs/train"}, "parser_kwargs": {"description": __doc__}},
+    **{"seed_everything_default": 0, "auto_configure_optimizers": False},
+}
+"""What of Lightning's command line is not as usual."""
 
 
 def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
@@ -290,19 +298,9 @@ def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
     return FEATURES + SEQUENCE_FEATURES if sequence else FEATURES
 
 
-def checkpoint_folder(run_folder: str | os.PathLike[str] | None) -> str:
-    """Folder of a run's checkpoints."""
-    return str(Path(run_folder or ".") / "checkpoints")
-
-
-def evaluation_folder(run_folder: str | os.PathLike[str] | None) -> Path:
-    """Folder of the files that `test` writes."""
-    return Path(run_folder or ".") / "evaluation"
-
-
-def holds_training(checkpoints: Path) -> bool:
-    """Whether a folder holds checkpoints."""
-    return any(checkpoints.glob("*.ckpt"))
+def folder_of(run_folder: str | os.PathLike[str] | None, part: Literal["checkpoints", "evaluation"]) -> Path:
+    """Folder of a run's checkpoints, or of the files that `test` writes."""
+    return Path(run_folder or ".") / part
 
 
 def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
@@ -392,41 +390,25 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if command[:1] == ["fit"] and trains_contact(command[1:]):
             fit_contact(command[1:])
-            return 0
-        with interruptible():
-            TrainCLI(
-                PhysicsInformedGAN,
-                ClipDataModule,
-                save_config_callback=RunRecord,
-                trainer_class=RunTrainer,
-                trainer_defaults={"default_root_dir": "runs/train"},
-                parser_class=SentenceParser,
-                seed_everything_default=0,
-                parser_kwargs={"description": __doc__},
-                auto_configure_optimizers=False,
-                args=arguments,
-            )
-    except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
-        print(plain(f"train.py: {error}"), file=sys.stderr)
-        return 2
-    except FAILURES as error:
-        print(plain(f"train.py: {error}"), file=sys.stderr)
-        return 1
+        else:
+            with interruptible():
+                TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)
+    except (*WRONG_USE, *FAILURES) as error:
+        said = str(error)
+        status = 2 if isinstance(error, WRONG_USE) else 1
     except MlflowException as error:  # the database was locked or lost during the run
         reason = " ".join(str(error).split())[:200]
-        advice = "go on with --ckpt_path last --tracking false"
-        print(plain(f"train.py: tracking failed ({reason}); {advice}."), file=sys.stderr)
-        return 1
+        said, status = f"tracking failed ({reason}); go on with --ckpt_path last --tracking false.", 1
     except OSError as error:
         if error.strerror is None:  # the error is not from the file system
             raise
         where = error.filename or "The run folder"
-        print(plain(f"train.py: {where}: {error.strerror}; make room or choose another folder."), file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except SystemExit as error:  # Lightning turns Ctrl-C into exit status 1
+        said, status = f"{where}: {error.strerror}; make room or choose another folder.", 1
+    except (KeyboardInterrupt, SystemExit) as error:  # Lightning turns Ctrl-C into exit status 1
         if not by_interrupt(error):
             raise
         return INTERRUPTED
-    return 0
+    else:
+        return 0
+    print(plain(f"train.py: {said}"), file=sys.stderr)
+    return status

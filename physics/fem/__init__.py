@@ -2,8 +2,7 @@
 
 laws           energy, stress and tangent of the materials; polar: rotations of deformation gradients
 solid          nodes and elements, linear or quadratic, and the sums over them
-lattice        tetrahedra that fill the cells of a grid; meshing: of what an incomplete surface encloses
-refinement     elements divided where an instrument presses
+meshing        tetrahedra of a grid's cells, of what an incomplete surface encloses, divided where an instrument presses
 curved         quadratic elements whose outer faces follow a surface
 slab           beneath an open surface that one camera sees, elements crowding where an instrument presses
 surface        places on triangles that are closest to points
@@ -20,8 +19,7 @@ __getattr__ = exported(
     {
         "palpate.physics.fem.laws": ("LAWS", "Material"),
         "palpate.physics.fem.solid": ("Solid", "make_solid"),
-        "palpate.physics.fem.lattice": ("box",),
-        "palpate.physics.fem.meshing": ("Meshed", "NoBody", "mesh_surface"),
+        "palpate.physics.fem.meshing": ("Meshed", "NoBody", "box", "mesh_surface"),
         "palpate.physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
         "palpate.physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
     },

@@ -4,8 +4,6 @@ The nodes in the middle of the body's outer edges are drawn to the surface. What
 deformation F of its straight twin, by which gradients and volumes change: ∇N ↦ ∇N F⁻¹, V ↦ V det F.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -45,9 +43,5 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     else:
         step[:] = 0
     bent = solid.deformation(step)
-    return dataclasses.replace(
-        solid,
-        rest=solid.rest + step,
-        gradients=np.matmul(solid.gradients, np.linalg.inv(bent)),
-        weights=solid.weights * np.linalg.det(bent),
-    )
+    gradients, weights = np.matmul(solid.gradients, np.linalg.inv(bent)), solid.weights * np.linalg.det(bent)
+    return dataclasses.replace(solid, rest=solid.rest + step, gradients=gradients, weights=weights)

@@ -9,10 +9,9 @@ Derivatives along directions in the parameters are those of the discrete motion,
 equation, so one solve with its matrix at the solution carries them on (implicit function theorem).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -135,17 +134,18 @@ def simulate(
     nodes = len(solid.rest)
     now, velocity = np.zeros((nodes, 3)), np.zeros((nodes, 3))
     mass, damping = inertia.density * solid.mass, inertia.damping
+    body = _Body(solid, material, mass, damping, step)
     quadratic = ((4 / step**2 + 2 * damping / step) * mass).tocsr()
-    branch = None if relaxation is None else _Branch(solid, material, relaxation, step, now)
+    branch = None if relaxation is None else _Branch(body, relaxation, now)
     gripped = applied(load, nodes, 0)[0]
     free = ~(held | gripped)
-    tangent = _Tangent(solid, material, directions, free, mass, damping, step, relaxation) if directions else None
+    tangent = _Tangent(body, directions, free, relaxation) if directions else None
 
     def accelerating(acting: np.ndarray, at: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """Forces that accelerate every node, shape [N, 3]."""
-        stress = _response(solid, material, at).stress
+        stress = body.law(at).stress
         if branch is not None:
-            stress = stress + branch.added(at)
+            stress = stress + body.pushed(solid.deformation(at), branch.extra)
         return acting - solid.forces(stress) - damping * _times(mass, speed)
 
     system, near = None, None
@@ -176,14 +176,35 @@ def simulate(
     return Motion(np.stack(moved), np.stack(reactions), slopes)
 
 
+class _Body(NamedTuple):
+    """What moves; names as in `simulate`."""
+
+    solid: Solid
+    material: Material
+    mass: csr_array
+    damping: float
+    step: float
+
+    def law(self, displacement: np.ndarray, tangent: bool = False) -> Response:
+        """The law's own answer where the nodes are displaced [N, 3]."""
+        return Energy(self.solid, self.material, np.zeros_like(displacement)).response(displacement, tangent)
+
+    def pulled(self, gradient: np.ndarray, stress: np.ndarray) -> np.ndarray:
+        """Second Piola–Kirchhoff stress of a first one [E, Q, 3, 3]; of law `linear` that itself."""
+        return stress if self.material.law == "linear" else np.linalg.solve(gradient, stress)
+
+    def pushed(self, gradient: np.ndarray, stress: np.ndarray) -> np.ndarray:
+        """The other way round, of stresses [E, Q, 3, 3] or [E, Q, 3, 3, D]."""
+        if self.material.law == "linear":
+            return stress
+        return np.matmul(gradient, stress.reshape(*stress.shape[:3], -1)).reshape(stress.shape)
+
+
 class _Branch:
     """The relaxing branch of a standard linear solid; E elements, Q quadrature points."""
 
-    def __init__(
-        self, solid: Solid, material: Material, relaxation: Relaxation, step: float, displacement: np.ndarray
-    ) -> None:
-        share = step / relaxation.time
-        self.solid, self.material = solid, material
+    def __init__(self, body: _Body, relaxation: Relaxation, displacement: np.ndarray) -> None:
+        share, self.body = body.step / relaxation.time, body
         self.left = np.exp(-share)
         """Of the branch's stress after a time step."""
         self.gain = -relaxation.ratio * np.expm1(-share) / share
@@ -213,36 +234,17 @@ class _Branch:
         self.extra = self.left * self.extra + self.gain * (stress - self.stress)
         self.stress = stress
 
-    def added(self, displacement: np.ndarray) -> np.ndarray:
-        """First Piola–Kirchhoff stress of the branch, shape [E, Q, 3, 3] [Pa]."""
-        if self.material.law == "linear":
-            return self.extra
-        return np.matmul(self.solid.deformation(displacement), self.extra)
-
     def _law_stress(self, displacement: np.ndarray) -> np.ndarray:
-        stress = _response(self.solid, self.material, displacement).stress
-        if self.material.law == "linear":
-            return stress
-        return np.linalg.solve(self.solid.deformation(displacement), stress)
+        return self.body.pulled(self.body.solid.deformation(displacement), self.body.law(displacement).stress)
 
 
 class _Tangent:
     """Derivatives of a motion along D directions, carried on step by step; names as in `simulate`."""
 
     def __init__(
-        self,
-        solid: Solid,
-        material: Material,
-        directions: Sequence[Direction],
-        free: np.ndarray,
-        mass: csr_array,
-        damping: float,
-        step: float,
-        relaxation: Relaxation | None,
+        self, body: _Body, directions: Sequence[Direction], free: np.ndarray, relaxation: Relaxation | None
     ) -> None:
-        nodes = len(solid.rest)
-        self.solid, self.material, self.directions, self.free = solid, material, directions, free
-        self.mass, self.damping, self.step = mass, damping, step
+        nodes, self.body, self.directions, self.free = len(body.solid.rest), body, directions, free
         parts = [(item.young, item.damping, item.ratio, item.time) for item in directions]
         self.young, self.by_damping, self.ratio, self.time = np.array(parts).T
         if relaxation is None and (self.ratio.any() or self.time.any()):
@@ -251,7 +253,7 @@ class _Tangent:
         self.moved = [none]
         """Of the displacement, one [N, 3, D] a step so far."""
         self.velocity, self.balance = none, none
-        shape = (*solid.weights.shape, 3, 3, len(directions))
+        shape = (*body.solid.weights.shape, 3, 3, len(directions))
         self.stress, self.extra = np.zeros(shape), np.zeros(shape)
         """Of the branch's `stress` and `extra`, shape [E, Q, 3, 3, D]."""
 
@@ -266,23 +268,23 @@ class _Tangent:
         near: LinearSystem | None,
     ) -> None:
         """Over a time step that ends at the displacement `after` [N, 3]; the branch is still at its beginning."""
-        solid, step, mass = self.solid, self.step, self.mass
+        body, (solid, _, mass, damping, step) = self.body, self.body
         acting = np.stack([item.forces(index, len(now)) for item in self.directions], axis=-1)
         past = 4 / step**2 * (self.moved[-1] + step * self.velocity)
-        past = past + self.damping * (2 / step * self.moved[-1] + self.velocity)
+        past = past + damping * (2 / step * self.moved[-1] + self.velocity)
         past = past + self.by_damping * (2 / step * (now - after) + velocity)[..., None]
         outer = acting + self.balance + _times(mass, past)
         gradient = solid.deformation(after)
         response = law = energy.response(after, tangent=True)
         if branch is not None:
-            law = Energy(solid, self.material, np.zeros_like(now)).response(after, tangent=True)
+            law = body.law(after, tangent=True)
         explicit = energy.scale * self.young * law.stress[..., None]
         if branch is not None:
             left, gain = branch.by_time[0] * self.time, branch.by_time[1] * self.time + branch.by_ratio * self.ratio
             change = gain * law.stress[..., None]
             history = left * branch.extra[..., None] + branch.left * self.extra
             history = history - gain * branch.stress[..., None] - branch.gain * self.stress
-            explicit = explicit + change + self._pulled(gradient, history)
+            explicit = explicit + change + body.pushed(gradient, history)
         right = (outer - self._forces(explicit)).reshape(-1, len(self.directions))
         inside = self.free.ravel()
         system = LinearSystem(energy.matrix(response)[inside][:, inside].tocsr(), near)
@@ -295,41 +297,30 @@ class _Tangent:
         slope = slope + self.young * law.stress[..., None]
         total = slope
         if branch is not None:
-            stress, by_law = law.stress, slope
-            if self.material.law != "linear":
-                stress = np.linalg.solve(gradient, law.stress)
-                by_law = self._pulled(np.linalg.inv(gradient), slope - np.einsum("eqijd,eqjk->eqikd", strained, stress))
+            stress, by_law = body.pulled(gradient, law.stress), slope
+            if body.material.law != "linear":
+                by_law = body.pushed(np.linalg.inv(gradient), slope - np.einsum("eqijd,eqjk->eqikd", strained, stress))
             extra = branch.left * branch.extra + branch.gain * (stress - branch.stress)
             slopes = left * branch.extra[..., None] + branch.left * self.extra
             slopes = slopes + gain * (stress - branch.stress)[..., None] + branch.gain * (by_law - self.stress)
             self.stress, self.extra = by_law, slopes
-            total = slope + self._pulled(gradient, slopes)
-            if self.material.law != "linear":
+            total = slope + body.pushed(gradient, slopes)
+            if body.material.law != "linear":
                 total = total + np.einsum("eqijd,eqjk->eqikd", strained, extra)
         speed = 2 / step * (after - now) - velocity
         self.velocity = 2 / step * (moved - self.moved[-1]) - self.velocity
-        drag = self.damping * self.velocity + self.by_damping * speed[..., None]
+        drag = damping * self.velocity + self.by_damping * speed[..., None]
         self.balance = acting - self._forces(total) - _times(mass, drag)
         self.moved.append(moved)
 
-    def _pulled(self, gradient: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """F times second Piola–Kirchhoff stresses [E, Q, 3, 3, D]; of law `linear` these themselves."""
-        if self.material.law == "linear":
-            return values
-        return np.matmul(gradient, values.reshape(*values.shape[:3], -1)).reshape(values.shape)
-
     def _forces(self, stress: np.ndarray) -> np.ndarray:
         """Nodal forces of stresses [E, Q, 3, 3, D], shape [N, 3, D]."""
-        return np.stack([self.solid.forces(part) for part in np.moveaxis(stress, -1, 0)], axis=-1)
+        return np.stack([self.body.solid.forces(part) for part in np.moveaxis(stress, -1, 0)], axis=-1)
 
     def _deformation(self, moved: np.ndarray) -> np.ndarray:
         """Of displacements [N, 3, D], shape [E, Q, 3, 3, D]."""
-        parts = [self.solid.deformation(part) - np.eye(3) for part in np.moveaxis(moved, -1, 0)]
+        parts = [self.body.solid.deformation(part) - np.eye(3) for part in np.moveaxis(moved, -1, 0)]
         return np.stack(parts, axis=-1)
-
-
-def _response(solid: Solid, material: Material, displacement: np.ndarray) -> Response:
-    return Energy(solid, material, np.zeros_like(displacement)).response(displacement)
 
 
 def _times(mass: csr_array, values: np.ndarray) -> np.ndarray:

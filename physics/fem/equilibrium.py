@@ -5,8 +5,6 @@ load steps that are halved where it fails. Derivatives come from the tangent at 
 theorem), by (E, ν) and by forces.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -13,8 +13,6 @@ stable_neo_hookean  Smith, de Goes & Kim 2018, equation 14, reparametrised as th
 F is of shape [..., 3, 3], F_ij = ∂x_i/∂X_j; nine-vectors are row by row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

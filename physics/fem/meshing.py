@@ -4,9 +4,11 @@ Cells of a grid whose centre lies inside are filled with five tetrahedra each, a
 to the triangles as far as no element becomes bad. Inside is what most of six rays along the axes say, by how often they
 cross the surface: no orientation is needed, and a hole or an inner wall misleads only the rays through it. An open
 sheet, as one camera sees it, is given a thickness, half of it on either side.
-"""
 
-from __future__ import annotations
+Where an instrument presses, tetrahedra are divided by bisection of longest edges (Rivara 1984; in space Rivara & Levin
+1992). One is halved through the middle of its longest edge, and so are all others around that edge. Those of which it
+is not the longest edge are halved first through their own, so that the mesh stays one without hanging nodes.
+"""
 
 import functools
 from collections.abc import Callable
@@ -14,11 +16,112 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label
+from scipy.spatial import KDTree
 
-from palpate.physics.fem.lattice import fill_cells
-from palpate.physics.fem.refinement import Longest, refine
-from palpate.physics.fem.solid import FACES, outer_faces, qualities
+from palpate.physics.fem.solid import EDGES, FACES, outer_faces, qualities
 from palpate.physics.fem.surface import areas, nearest, rows_needed
+
+Longest = Callable[[np.ndarray], np.ndarray]
+"""How long edges may be at most around places [P, 3], shape [P], positive [m]."""
+GROWTH = 0.5
+"""Of edges' length by the distance from what they crowd around."""
+
+
+def around(places: np.ndarray, radius: float, edge: float) -> Longest:
+    """Edges that crowd where an instrument presses.
+
+    Args:
+        places: where, shape [K, 3] [m].
+        radius: within which edges are at most
+        edge: so long, and farther off by GROWTH longer [m].
+    """
+
+    def longest(there: np.ndarray) -> np.ndarray:
+        return edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
+
+    return longest
+
+
+def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple[np.ndarray, np.ndarray]:
+    """Divide tetrahedra until their edges are short enough.
+
+    Args:
+        nodes: shape [N, 3] [m].
+        tetrahedra: corners, shape [E, 4], of positive volume.
+        longest: how long edges may be, given at the elements' middle.
+
+    Returns:
+        nodes, those given first; corners of the tetrahedra, of positive volume.
+    """
+    while True:
+        sides = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+        found, which = np.unique(sides, axis=0, return_inverse=True)
+        pairs = np.asarray(found, np.int64)
+        which = which.reshape(-1, len(EDGES))
+        length = np.linalg.norm(np.diff(nodes[pairs], axis=1)[:, 0], axis=1)
+        # Among edges as long as each other up to rounding, all tetrahedra are to choose the same.
+        rank = np.empty(len(pairs), np.int64)
+        rank[np.lexsort([np.arange(len(pairs)), np.round(length / length.max(), 9)])] = np.arange(len(pairs))
+        own = which[np.arange(len(which)), rank[which].argmax(axis=1)]
+        wanted = length[own] > longest(nodes[tetrahedra].mean(axis=1))
+        if not wanted.any():
+            return nodes, tetrahedra
+        while True:  # whoever stands around an edge to be halved is halved before, if not by it
+            halved = np.zeros(len(pairs), bool)
+            halved[own[wanted]] = True
+            around = halved[which].any(axis=1)
+            if (around == wanted).all():
+                break
+            wanted = around
+        blocked = np.zeros(len(pairs), bool)
+        blocked[which[which != own[:, None]]] = True
+        halved &= ~blocked
+        middle = len(nodes) + np.cumsum(halved) - 1
+        some = halved[own]
+        ends, old = pairs[own[some]], tetrahedra[some]
+        parts = [np.where(old == end[:, None], middle[own[some]][:, None], old) for end in ends.T]
+        nodes = np.concatenate([nodes, nodes[pairs[halved]].mean(axis=1)])
+        tetrahedra = np.concatenate([tetrahedra[~some], *parts])
+
+
+_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+_EVEN = np.array([[0, 4, 2, 1], [6, 2, 4, 7], [5, 1, 7, 4], [3, 1, 2, 7], [1, 4, 2, 7]])
+"""Corners of the five tetrahedra of a cell, as rows of `_CORNERS`."""
+_ODD = (_EVEN ^ 4)[:, [0, 2, 1, 3]]
+"""Of its neighbours: mirrored, so that the diagonals of shared faces agree."""
+
+
+def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and tetrahedra of some cells of a grid.
+
+    Args:
+        inside: which cells, shape [I, J, K], bool.
+
+    Returns:
+        the nodes' grid coordinates, shape [N, 3], int64; corners of the tetrahedra, shape [5·cells, 4].
+    """
+    cells = np.argwhere(inside)
+    shape = np.array(inside.shape) + 1
+    at = np.ravel_multi_index(tuple((cells[:, None] + _CORNERS).transpose(2, 0, 1)), tuple(shape))
+    even = cells.sum(axis=1) % 2 == 0
+    tetrahedra = np.where(even[:, None, None], at[:, _EVEN], at[:, _ODD]).reshape(-1, 4)
+    used, corners = np.unique(tetrahedra, return_inverse=True)
+    return np.stack(np.unravel_index(used, tuple(shape)), axis=1), corners.reshape(-1, 4)
+
+
+def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """A block from the origin on.
+
+    Args:
+        lengths: of its sides [m].
+        cells: along them.
+
+    Returns:
+        nodes, shape [N, 3] [m]; corners of the tetrahedra, shape [E, 4].
+    """
+    places, corners = fill_cells(np.ones(cells, bool))
+    return places * (np.asarray(lengths) / np.asarray(cells)), corners
+
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""

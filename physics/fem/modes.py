@@ -5,8 +5,6 @@ dependent Ritz vectors: Wilson, Yuan & Dickens 1982, whose shift s is 0). With a
 body's eigenmodes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.fem.dynamics import Relaxation

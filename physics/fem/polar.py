@@ -1,7 +1,5 @@
 """Polar decomposition F = R S of deformation gradients, and how the rotation changes with F."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.jit import kernel

@@ -5,8 +5,6 @@ the contact's normal; it is held at the bottom, at its sides, and, where that is
 Tissue that an instrument hides goes on beneath it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -14,8 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from palpate.physics.fem.lattice import box
-from palpate.physics.fem.meshing import NoBody
+from palpate.physics.fem.meshing import NoBody, box
 from palpate.physics.fem.solid import EDGES, Solid, make_solid
 from palpate.physics.mesh import Mesh
 
@@ -111,7 +108,7 @@ def _quadratic(odd: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np
 
     Args:
         odd: cells whose diagonal goes from the first corner to the last; that of the others goes between the other two,
-            as `physics.fem.lattice.box` has it, shape [V], bool.
+            as `physics.fem.meshing.box` has it, shape [V], bool.
         right: where in the cell along columns, 0 to 1, shape [V].
         down: along rows.
 
@@ -140,7 +137,7 @@ def layered(
     place: tuple[float, float],
     order: int,
 ) -> Slab:
-    """A slab of layers, its corners as those of `physics.fem.lattice.box`.
+    """A slab of layers, its corners as those of `physics.fem.meshing.box`.
 
     Args:
         corners: where they are at rest, shape [K, 3].

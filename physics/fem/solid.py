@@ -4,8 +4,6 @@ N nodes, E elements of n nodes (4 linear, 10 quadratic) with Q quadrature points
 what nearly incompressible material and bending need: linear ones lock.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
@@ -78,11 +76,8 @@ class Solid:
         Args:
             tangent: ∂stress/∂F at every quadrature point, shape [E, Q, 9, 9] [Pa].
         """
-        return self._assembled(
-            np.matmul(
-                self._strains.transpose(0, 1, 3, 2), np.matmul(self.weights[..., None, None] * tangent, self._strains)
-            ).sum(axis=1)
-        )
+        stressed = np.matmul(self.weights[..., None, None] * tangent, self._strains)
+        return self._assembled(np.matmul(self._strains.transpose(0, 1, 3, 2), stressed).sum(axis=1))
 
     @cached_property
     def mass(self) -> csr_array:
@@ -168,16 +163,10 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
     points = np.full((4, 4), inner) + (1 - 4 * inner) * np.eye(4)
     by_corner = (4 * points - 1)[None, :, :, None] * barycentric[:, None]
     one, two = EDGES.T
-    by_edge = 4 * (
-        points[:, one][None, :, :, None] * barycentric[:, None, two]
-        + points[:, two][None, :, :, None] * barycentric[:, None, one]
-    )
-    return Solid(
-        np.concatenate([nodes, nodes[pairs].mean(axis=1)]),
-        elements,
-        np.concatenate([by_corner, by_edge], axis=2),
-        np.repeat(volumes[:, None] / 4, 4, axis=1),
-    )
+    ends = ((one, two), (two, one))
+    by_edge = 4 * sum(points[:, a][None, :, :, None] * barycentric[:, None, b] for a, b in ends)
+    nodes, gradients = np.concatenate([nodes, nodes[pairs].mean(axis=1)]), np.concatenate([by_corner, by_edge], axis=2)
+    return Solid(nodes, elements, gradients, np.repeat(volumes[:, None] / 4, 4, axis=1))
 
 
 def qualities(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

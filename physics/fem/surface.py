@@ -1,7 +1,5 @@
 """Places on a surface of triangles that are closest to points."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import KDTree
 

@@ -4,7 +4,7 @@ reference     the equations in plain numpy: read this one
 simulation    the numpy door: simulate, simulate_sensitivities; one sample through the kernels
 rollouts      the torch door: rollout, rollout_sensitivities; batch: what it takes
 likelihoods   the paper's squared error of a batch, and its likelihood
-grid_kernel   the compiled loops, on grid_layout; cone: which part of the mesh matters
+grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
 autograd      torch's view of the compiled rollout; torch_backend: every derivative, any device
 """
 

@@ -4,8 +4,6 @@ The derivatives by θ are carried along with the motion (forward mode), so backw
 Jacobian, 7 kB a sample.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import warnings

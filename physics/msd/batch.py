@@ -1,10 +1,8 @@
 """Meshes, loads and observations of a batch, joined into tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import torch
@@ -50,7 +48,7 @@ class MeshBatch:
     """Height and width of the grid [px]."""
 
     @classmethod
-    def from_meshes(cls, meshes: list[Mesh]) -> MeshBatch:
+    def from_meshes(cls, meshes: list[Mesh]) -> Self:
         """Join meshes of one grid shape.
 
         Raises:
@@ -64,15 +62,11 @@ class MeshBatch:
             raise ValueError(f"meshes of grids {sorted({tuple(m.grid_shape) for m in meshes})} don't form one batch.")
         vertex_offsets = _offsets(mesh.vertices for mesh in meshes)
         starts = vertex_offsets.tolist()[:-1]
-        return cls(
-            vertices=_joined((mesh.vertices for mesh in meshes), np.float32),
-            springs=_joined((mesh.springs + start for mesh, start in zip(meshes, starts, strict=True)), np.int64),
-            rim=_joined((mesh.rim for mesh in meshes), np.bool_),
-            pixels=_joined((mesh.pixels for mesh in meshes), np.int64),
-            vertex_offsets=vertex_offsets,
-            spring_offsets=_offsets(mesh.springs for mesh in meshes),
-            grid_shape=tuple(meshes[0].grid_shape),
-        )
+        springs = (mesh.springs + start for mesh, start in zip(meshes, starts, strict=True))
+        kinds = {"vertices": np.float32, "rim": np.bool_, "pixels": np.int64}
+        parts = {name: _joined((getattr(mesh, name) for mesh in meshes), kind) for name, kind in kinds.items()}
+        offsets = {"vertex_offsets": vertex_offsets, "spring_offsets": _offsets(mesh.springs for mesh in meshes)}
+        return cls(springs=_joined(springs, np.int64), grid_shape=tuple(meshes[0].grid_shape), **parts, **offsets)
 
     def sample_of_vertex(self) -> Tensor:
         """Which mesh a joined vertex belongs to, shape [ΣN], int64."""
@@ -83,15 +77,9 @@ class MeshBatch:
         """The meshes, on the CPU and without their triangles, which only their making needed."""
         of_vertices = (pieces(values, self.vertex_offsets) for values in (self.vertices, self.rim, self.pixels))
         parts = zip(*of_vertices, pieces(self.springs, self.spring_offsets), self.vertex_offsets.tolist(), strict=False)
+        none, shape = np.empty((0, 3), np.int32), tuple(self.grid_shape)
         return [
-            Mesh(
-                vertices=vertices,
-                triangles=np.empty((0, 3), np.int32),
-                springs=(springs - start).astype(np.int32),
-                rim=rim,
-                pixels=pixels.astype(np.int32),
-                grid_shape=tuple(self.grid_shape),
-            )
+            Mesh(vertices, none, (springs - start).astype(np.int32), rim, pixels.astype(np.int32), shape)
             for vertices, rim, pixels, springs, start in parts
         ]
 
@@ -112,15 +100,12 @@ class PressBatch:
     """Share of F in each step, shape [B, T], float32."""
 
     @classmethod
-    def of(cls, loads: Sequence[Press]) -> PressBatch:
+    def of(cls, loads: Sequence[Press]) -> Self:
         """Join presses of one number of steps."""
-        return cls(
-            vertices=_joined((load.vertices for load in loads), np.int64),
-            weights=_joined((load.weights for load in loads), np.float32),
-            offsets=_offsets(load.vertices for load in loads),
-            direction=_joined((load.direction[None] for load in loads), np.float32),
-            factor=_joined((load.factor[None] for load in loads), np.float32),
-        )
+        vertices, weights = (load.vertices for load in loads), (load.weights for load in loads)
+        patches = _joined(vertices, np.int64), _joined(weights, np.float32), _offsets(load.vertices for load in loads)
+        courses = ([load.direction for load in loads], [load.factor for load in loads])
+        return cls(*patches, *(torch.from_numpy(np.stack(values).astype(np.float32)) for values in courses))
 
     @property
     def steps(self) -> int:
@@ -146,7 +131,7 @@ class ObservationBatch:
     """Weight of each observation, 0 for padding, shape [B, M], float32."""
 
     @classmethod
-    def of(cls, observations: Sequence[Observation], time_step: float) -> ObservationBatch:
+    def of(cls, observations: Sequence[Observation], time_step: float) -> Self:
         """Join observations of one point each, for trajectories with this time step [s]; what was not observed weighs
         0."""
         steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]

@@ -3,8 +3,6 @@
 Distances are counted in springs from the centre of the load.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's difference), extended to several time stamps.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

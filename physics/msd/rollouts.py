@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.3 (equation 9, table 1); Φ_MSD of the physics loss (equation 14).
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import torch

@@ -3,8 +3,6 @@
 Source: Bini 2026, section 3.4.4 (forward simulation with the estimated parameters) and equation 9.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +15,14 @@ from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd import reference
 from palpate.physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, window_radii
-from palpate.physics.msd.grid_kernel import FORWARD_PLANES, SENSITIVITY_PLANES, specialised
-from palpate.physics.msd.grid_layout import GridLayout, grid_layout, places
+from palpate.physics.msd.grid_kernel import (
+    FORWARD_PLANES,
+    SENSITIVITY_PLANES,
+    GridLayout,
+    grid_layout,
+    places,
+    specialised,
+)
 
 SENSITIVITY_LIMIT = {np.dtype(np.float32): 100.0, np.dtype(np.float64): 1e8}
 """Relative change of the trajectory for a relative change of θ from which on rounding spoils the derivatives.
@@ -129,10 +133,8 @@ def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
         found = _on_grid(case, case.load, sensitive)
         if found is not None:
             return found
-    found = [
-        (displacement[case.watch], np.moveaxis(moved[:, case.watch], 0, -1))
-        for displacement, moved in reference.steps(*case[:4], sensitive=sensitive)
-    ]
+    steps = reference.steps(*case[:4], sensitive=sensitive)
+    found = [(moved[case.watch], np.moveaxis(slopes[:, case.watch], 0, -1)) for moved, slopes in steps]
     path, slopes = (np.stack(values) for values in zip(*found, strict=True))
     return path, slopes if sensitive else slopes[:0]
 

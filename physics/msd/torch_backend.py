@@ -4,8 +4,6 @@ Source: Bini 2026, equation 9 and table 1; the same equations as `physics.msd.re
 loop over steps never waits for the device.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -6,7 +6,7 @@ stiffness          fields over particles, and what they make of every constraint
 simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction
 constraint_kernel  compiled values, gradients and second derivatives of one constraint
-sweep_kernel       compiled time steps; adjoint_kernel: back through them; potential_kernel: the energy
+sweep_kernel       compiled time steps, and back through them
 """
 
 from palpate.common.lazy import exported

@@ -1,7 +1,5 @@
 """Particles and the constraints that join them, in one list that every solver walks along; volumes under sheets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -139,13 +137,10 @@ def _layout(rest: np.ndarray, edges: np.ndarray, tetrahedra: np.ndarray, lengths
             offsets.append(offset)
     sizes = [2] * len(edges) + [4] * len(tetrahedra) + [len(shape) for shape in shapes]
     plain = 2 * len(edges) + 4 * len(tetrahedra)
-    return Layout(
-        starts=np.cumsum([0, *sizes]),
-        members=np.concatenate([edges.ravel(), tetrahedra.ravel(), *shapes]).astype(np.int64),
-        rest=np.concatenate([lengths, volumes, np.zeros(len(shapes))]),
-        offsets=np.concatenate([np.zeros((plain, 3)), *offsets]),
-        firsts=np.array([len(edges), len(edges) + len(tetrahedra)]),
-    )
+    members = np.concatenate([edges.ravel(), tetrahedra.ravel(), *shapes]).astype(np.int64)
+    rest_values = np.concatenate([lengths, volumes, np.zeros(len(shapes))])
+    offsets, firsts = np.concatenate([np.zeros((plain, 3)), *offsets]), np.cumsum([len(edges), len(tetrahedra)])
+    return Layout(np.cumsum([0, *sizes]), members, rest_values, offsets, firsts)
 
 
 def layered(upper: np.ndarray, faces: np.ndarray, below: np.ndarray, layers: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,8 +12,6 @@ The rotation of a shape is carried along as a quaternion: Newton's method from t
 two or three steps, so that it depends on where it began no more than a singular value decomposition would.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.physics.jit import inlined
@@ -29,6 +27,12 @@ _SETTLED = 1e-19
 def row(values, index):
     """A row of values [N, 3]."""
     return values[index, 0], values[index, 1], values[index, 2]
+
+
+@inlined
+def put(out, index, vector):
+    """Make a vector a row of `out` [N, 3]."""
+    out[index, 0], out[index, 1], out[index, 2] = vector
 
 
 @inlined
@@ -70,7 +74,7 @@ def dot(a, b):
 
 
 @inlined
-def rotation_of(q):
+def _rotation_of(q):
     """Rows of the matrix of a unit quaternion."""
     w, x, y, z = q
     return (
@@ -86,7 +90,7 @@ def _column(matrix, index):
 
 
 @inlined
-def turned_back(rotation, matrix):
+def _turned_back(rotation, matrix):
     """Rᵀ A by columns: what is left of A besides its rotation."""
     a, b, c = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
@@ -123,7 +127,7 @@ def _settled(matrix, turn, index):
     """Rotation R that makes tr(Rᵀ A) largest, from `turn[index]` on, which becomes its quaternion."""
     w, x, y, z = turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3]
     for _ in range(_TURNS):
-        left = turned_back(rotation_of((w, x, y, z)), matrix)
+        left = _turned_back(_rotation_of((w, x, y, z)), matrix)
         skew = _axial(left)
         spin, sound = _solved(left, skew)
         if not sound:  # far from the best: uphill, as far as Müller 2016 goes
@@ -141,7 +145,7 @@ def _settled(matrix, turn, index):
         if a * a + b * b + c * c < _SETTLED:
             break
     turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3] = w, x, y, z
-    return rotation_of((w, x, y, z))
+    return _rotation_of((w, x, y, z))
 
 
 @inlined
@@ -195,88 +199,111 @@ def stretched_bent(normal, length, apart):
 
 
 @inlined
-def sides(points, members, first):
-    """From the first particle of a tetrahedron to the others."""
+def _swelled(points, members, first, rest, slope):
+    """C of a volume, and the way from its first particle to the others; its gradient is written to `slope` [M, 3]."""
     one = members[first]
-    return (
-        less(points, members[first + 1], one),
-        less(points, members[first + 2], one),
-        less(points, members[first + 3], one),
-    )
-
-
-@inlined
-def swelled(b, c, d, rest):
-    """C of a volume by its sides, and its gradient by the particles at their ends; that by the first is the rest."""
+    b, c = less(points, members[first + 1], one), less(points, members[first + 2], one)
+    d = less(points, members[first + 3], one)
     by_b, by_c, by_d = _sixth(_cross(c, d)), _sixth(_cross(d, b)), _sixth(_cross(b, c))
-    return dot(by_d, d) - rest, by_b, by_c, by_d
+    _put_corners(slope, first, by_b, by_c, by_d)
+    return dot(by_d, d) - rest, (b, c, d)
 
 
 @inlined
-def swelled_bent(b, c, d, db, dc, dd):
-    """Change of a volume's gradient by the ends of its sides, where these change by `db`, `dc` and `dd`."""
-    return (
-        _sixth(_sum(_cross(dc, d), _cross(c, dd))),
-        _sixth(_sum(_cross(dd, b), _cross(d, db))),
-        _sixth(_sum(_cross(db, c), _cross(b, dc))),
-    )
+def _put_corners(out, first, by_b, by_c, by_d):
+    """Rows of a volume, whose sum is none, by the last three."""
+    put(out, first + 1, by_b)
+    put(out, first + 2, by_c)
+    put(out, first + 3, by_d)
+    both = _sum(by_b, _sum(by_c, by_d))
+    put(out, first, (-both[0], -both[1], -both[2]))
 
 
 @inlined
-def warped(starts, members, offsets, points, turn, shape, index, slope):
-    """C of a shape, and the moments A of its points.
+def _swelled_bent(first, sides, along, out):
+    """As `bent` of a volume, by its sides."""
+    b, c, d = sides
+    db, dc, dd = less(along, first + 1, first), less(along, first + 2, first), less(along, first + 3, first)
+    bent_b = _sixth(_sum(_cross(dc, d), _cross(c, dd)))
+    bent_c = _sixth(_sum(_cross(dd, b), _cross(d, db)))
+    _put_corners(out, first, bent_b, bent_c, _sixth(_sum(_cross(db, c), _cross(b, dc))))
 
-    Its gradient by each member is written to `slope` [M, 3], its rotation, searched from `turn[shape]` on, to that.
+
+@inlined
+def _warped(starts, members, offsets, points, turn, shape, index, slope):
+    """C of a shape, and Rᵀ A of its points, R searched from `turn[shape]` on, which becomes its quaternion.
+
+    Its gradient by each member is written to `slope` [M, 3].
     """
     mean, matrix = _moments(starts, members, offsets, points, index)
-    r0, r1, r2 = _settled(matrix, turn, shape)
+    rotation = _settled(matrix, turn, shape)
     total = NORM_GUARD
     for m in range(starts[index], starts[index + 1]):
         particle = members[m]
         q = row(offsets, m)
-        x = points[particle, 0] - mean[0] - dot(r0, q)
-        y = points[particle, 1] - mean[1] - dot(r1, q)
-        z = points[particle, 2] - mean[2] - dot(r2, q)
+        x = points[particle, 0] - mean[0] - dot(rotation[0], q)
+        y = points[particle, 1] - mean[1] - dot(rotation[1], q)
+        z = points[particle, 2] - mean[2] - dot(rotation[2], q)
         total += x * x + y * y + z * z
-        slope[m, 0], slope[m, 1], slope[m, 2] = x, y, z
+        put(slope, m, (x, y, z))
     value = np.sqrt(total)
     share = 1.0 / value
     for m in range(starts[index], starts[index + 1]):
         slope[m, 0] *= share
         slope[m, 1] *= share
         slope[m, 2] *= share
-    return value, matrix
+    return value, _turned_back(rotation, matrix)
 
 
 @inlined
-def warped_bent(starts, offsets, rotation, left, index, slope, value, along, out):
-    """Change of a shape's gradient by each member, [M, 3], where members move by `along` [M, 3].
+def met(layout, points, turn, index, slope):
+    """C of a volume or a shape, and what `bent` needs of it besides its gradient [3, 3].
 
     Args:
-        starts, offsets: of the `Layout`.
-        rotation: R of the shape.
-        left: Rᵀ A.
+        layout: a `Layout`.
+        points: [N, 3].
+        turn: quaternions of the shapes to begin at, [P, 4]; out: those found.
         index: of the constraint.
+        slope: out, its gradient by each member, [M, 3].
+    """
+    starts, members, rest, offsets, firsts = layout
+    if index < firsts[1]:
+        return _swelled(points, members, starts[index], rest[index], slope)
+    return _warped(starts, members, offsets, points, turn, index - firsts[1], index, slope)
+
+
+@inlined
+def bent(layout, index, quaternion, left, slope, value, along, out):
+    """Change of the gradient of a volume or a shape by each member, [M, 3], where members move by `along` [M, 3].
+
+    Args:
+        layout, index: as of `met`.
+        quaternion: of the shape's rotation R.
+        left: what `met` gave: sides of a volume, Rᵀ A of a shape.
         slope: its gradient by each member, [M, 3].
         value: its C.
         along: direction of each member, [M, 3].
         out: change of the gradient by each member, [M, 3].
     """
-    first, last = starts[index], starts[index + 1]
+    first, last = layout.starts[index], layout.starts[index + 1]
+    if index < layout.firsts[1]:
+        _swelled_bent(first, left, along, out)
+        return
+    rotation = _rotation_of(quaternion)
     x, y, z, ahead = 0.0, 0.0, 0.0, 0.0
     matrix = _NOTHING
     for m in range(first, last):
         way = row(along, m)
         x, y, z = x + way[0], y + way[1], z + way[2]
         ahead += dot(row(slope, m), way)
-        matrix = _grown(matrix, way, row(offsets, m))
+        matrix = _grown(matrix, way, row(layout.offsets, m))
     share = 1.0 / (last - first)
     x, y, z = x * share, y * share, z * share
-    moved = turned_back(rotation, matrix)
+    moved = _turned_back(rotation, matrix)
     spin, _ = _solved(left, _axial(moved))  # none where the rotation isn't determined
     over = 1.0 / value
     for m in range(first, last):
-        swept = _cross(spin, row(offsets, m))
+        swept = _cross(spin, row(layout.offsets, m))
         out[m, 0] = (along[m, 0] - x - dot(rotation[0], swept) - slope[m, 0] * ahead) * over
         out[m, 1] = (along[m, 1] - y - dot(rotation[1], swept) - slope[m, 1] * ahead) * over
         out[m, 2] = (along[m, 2] - z - dot(rotation[2], swept) - slope[m, 2] * ahead) * over

@@ -1,13 +1,12 @@
 """Elastic energy that a body's constraints hold, U = ½ Cᵀ diag(k) C (Liang 2024, equation 2), and its derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from palpate.physics.jit import kernel
 from palpate.physics.pbd.body import Body
-from palpate.physics.pbd.potential_kernel import energy_bend, energy_slope
+from palpate.physics.pbd.constraint_kernel import add, bent, dot, less, met, put, row, stretched, stretched_bent
 
 
 @dataclass
@@ -29,12 +28,12 @@ class Potential:
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray]:
         """U [J], and its gradient by the particles' positions [N, 3], shape [N, 3] [N]."""
         out = np.zeros_like(points)
-        return energy_slope(self.body.layout, self.stiffness, points, self._turn, out), out
+        return _energy_slope(self.body.layout, self.stiffness, points, self._turn, out), out
 
     def bend(self, points: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Change of the gradient at positions [N, 3] along a direction [N, 3], shape [N, 3] [N]."""
         out = np.zeros_like(points)
-        energy_bend(self.body.layout, self.stiffness, points, self._turn, direction, out)
+        _energy_bend(self.body.layout, self.stiffness, points, self._turn, direction, out)
         return out
 
 
@@ -43,3 +42,67 @@ def unturned(body: Body, batch: int) -> np.ndarray:
     turn = np.zeros((batch, len(body.layout.rest) - int(body.layout.firsts[1]), 4))
     turn[..., 0] = 1.0
     return turn
+
+
+@kernel
+def _energy_slope(layout, stiffness, points, turn, out):
+    """U = ½ Σ k C², and its gradient.
+
+    Args:
+        layout: a `Layout`.
+        stiffness: k of every constraint, [K].
+        points: [N, 3].
+        turn: quaternions of the shapes to begin at, [P, 4]; out: those found.
+        out: gradient, added to, [N, 3].
+
+    Returns:
+        U.
+    """
+    starts, members, rest, offsets, firsts = layout
+    slope = np.empty_like(offsets)
+    total = 0.0
+    for index in range(firsts[0]):
+        one, other = members[2 * index], members[2 * index + 1]
+        value, normal = stretched(points, one, other, rest[index])
+        force = stiffness[index] * value
+        total += 0.5 * force * value
+        add(out, one, force, normal)
+        add(out, other, -force, normal)
+    for index in range(firsts[0], rest.shape[0]):
+        if stiffness[index] == 0.0:
+            continue
+        value, _ = met(layout, points, turn, index, slope)
+        force = stiffness[index] * value
+        total += 0.5 * force * value
+        for m in range(starts[index], starts[index + 1]):
+            add(out, members[m], force, row(slope, m))
+    return total
+
+
+@kernel
+def _energy_bend(layout, stiffness, points, turn, direction, out):
+    """Second derivatives of U times a direction [N, 3], added to `out` [N, 3]; others as in `_energy_slope`."""
+    starts, members, rest, offsets, firsts = layout
+    slope, along, change = np.empty_like(offsets), np.empty_like(offsets), np.empty_like(offsets)
+    for index in range(firsts[0]):
+        one, other = members[2 * index], members[2 * index + 1]
+        value, normal = stretched(points, one, other, rest[index])
+        apart = less(direction, one, other)
+        bend = stretched_bent(normal, value + rest[index], apart)
+        ahead = stiffness[index] * dot(normal, apart)
+        for particle, sign in ((one, 1.0), (other, -1.0)):
+            add(out, particle, sign * ahead, normal)
+            add(out, particle, sign * stiffness[index] * value, bend)
+    for index in range(firsts[0], rest.shape[0]):
+        if stiffness[index] == 0.0:
+            continue
+        value, left = met(layout, points, turn, index, slope)
+        ahead, shape = 0.0, max(index - firsts[1], 0)
+        for m in range(starts[index], starts[index + 1]):
+            put(along, m, row(direction, members[m]))
+            ahead += dot(row(slope, m), row(along, m))
+        own = turn[shape]
+        bent(layout, index, (own[0], own[1], own[2], own[3]), left, slope, value, along, change)
+        for m in range(starts[index], starts[index + 1]):
+            add(out, members[m], stiffness[index] * ahead, row(slope, m))
+            add(out, members[m], stiffness[index] * value, row(change, m))

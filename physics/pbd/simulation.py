@@ -1,7 +1,5 @@
 """Time steps of position-based dynamics under a grip, with their exact derivatives by the fields of stiffness."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +9,10 @@ import numpy as np
 from palpate.common.settings import require_numbers
 from palpate.physics.jit import COMPILED, say_slow
 from palpate.physics.load import Grip
-from palpate.physics.pbd.adjoint_kernel import sweep_adjoint
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import unturned
 from palpate.physics.pbd.stiffness import Stiffness, gather, spread
-from palpate.physics.pbd.sweep_kernel import sweep_forward
+from palpate.physics.pbd.sweep_kernel import sweep_adjoint, sweep_forward
 
 
 @dataclass(frozen=True)
@@ -125,7 +122,9 @@ def _paths(grips: Grip | Sequence[Grip] | int, body: Body) -> tuple[np.ndarray, 
     rows = [grips] if isinstance(grips, Grip) else list(grips)
     gripped = rows[0].vertices.astype(np.int64)
     if any(not np.array_equal(row.vertices, gripped) or row.steps != rows[0].steps for row in rows):
-        raise ValueError("the grips hold other particles or last for other steps; give grips alike but for their path.")
+        raise ValueError(
+            "the grips hold other particles or last for other steps; give grips that differ in their path only."
+        )
     if gripped.min(initial=0) < 0 or gripped.max(initial=-1) >= body.count:
         raise ValueError(f"the grip holds a particle that doesn't exist; there are {body.count}.")
     return gripped, body.rest[gripped] + np.stack([row.displacement.astype(np.float64) for row in rows])

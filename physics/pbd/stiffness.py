@@ -1,7 +1,5 @@
 """Stiffness that differs from particle to particle, and what it makes of every constraint."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -51,8 +49,5 @@ def spread(body: Body, fields: Stiffness) -> np.ndarray:
 def gather(body: Body, slopes: np.ndarray) -> Stiffness:
     """Derivatives by the fields [B, N] from those by every constraint's k [B, K]: the transpose of `spread`."""
     distances, volumes, shapes = body.kinds
-    return Stiffness(
-        (body.averages[distances].T @ slopes[:, distances].T).T,
-        (body.averages[shapes].T @ slopes[:, shapes].T).T,
-        slopes[:, volumes].sum(axis=1),
-    )
+    distance, shape = ((body.averages[kind].T @ slopes[:, kind].T).T for kind in (distances, shapes))
+    return Stiffness(distance, shape, slopes[:, volumes].sum(axis=1))

@@ -1,30 +1,22 @@
-"""Compiled time steps of position-based dynamics.
+"""Compiled time steps of position-based dynamics, and their adjoint: no linear system, nothing left out.
 
 Source: Liang 2024, equation 3 (Macklin 2016): Δx = M⁻¹ ∇Cᵀ Δλ, Δλ = -(∇C M⁻¹ ∇Cᵀ + α)⁻¹ (C + α λ), α = 1/(k Δt²); with
-w = k Δt² in place of 1/α a stiffness of 0 is a number like others. A loop for each kind of constraint, so that what is
-known of it (how many particles, which of them) needn't be asked: several times as fast as one for all.
-"""
+w = k Δt² in place of 1/α a stiffness of 0 is a number like others. Distances have a loop of their own, where it needn't
+be asked how many particles they join: several times as fast as one for all.
 
-from __future__ import annotations
+The way back is the chain rule, one constraint at a time. With Δλ = -(w C + λ)/g, g = w m + 1, m = ∇C M⁻¹ ∇Cᵀ and
+x⁺ = x + M⁻¹ ∇Cᵀ Δλ, the derivative p by x⁺ and q by λ⁺ give s = q + p·M⁻¹ ∇C by Δλ, -s (C + m Δλ)/g by w, q - s/g by λ,
+and by x: p - (w s/g) ∇C + ∇²C M⁻¹ (Δλ p - 2 (w s/g) Δλ ∇C).
+"""
 
 import numpy as np
 
 from palpate.physics.jit import inlined, kernel
-from palpate.physics.pbd.constraint_kernel import (
-    add,
-    dot,
-    rotation_of,
-    row,
-    sides,
-    stretched,
-    swelled,
-    turned_back,
-    warped,
-)
+from palpate.physics.pbd.constraint_kernel import add, bent, dot, met, put, row, stretched, stretched_bent
 
 
 @inlined
-def begun(before, inverse_mass, rest, foundation, gripped, places, points):
+def _begun(before, inverse_mass, rest, foundation, gripped, places, points):
     """Where a step's sweeps begin: free particles where they were, gripped ones placed; written to `points` [N, 3].
 
     The foundation is part of the inertia: both are squares of one particle's way, whose sum is one such square.
@@ -39,13 +31,13 @@ def begun(before, inverse_mass, rest, foundation, gripped, places, points):
 
 
 @inlined
-def stepped(weight, value, multiplier, mobility):
+def _stepped(weight, value, multiplier, mobility):
     """Δλ = -(w C + λ)/(w ∇C M⁻¹ ∇Cᵀ + 1)."""
     return -(weight * value + multiplier) / (weight * mobility + 1)
 
 
 @inlined
-def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, every):
+def _sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, every):
     """Go over all constraints once.
 
     Args:
@@ -55,12 +47,12 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
         points: [N, 3], changed.
         multipliers: [K], changed.
         turn: quaternions of the shapes, [P, 4], changed.
-        slope: out, gradients of the shapes by their members, [M, 3].
-        kept: out, what the way back needs of distances [·, 5], volumes [·, 11] and shapes [P, 15].
+        slope: out, gradients of volumes and shapes by their members, [M, 3].
+        kept: out, what the way back needs of distances [·, 5], and of volumes and shapes [·, 15].
         every: whether to keep that, and to go over constraints without a weight, too: they have a slope.
     """
-    starts, members, rest, offsets, firsts = layout
-    distances, volumes, shapes = kept
+    starts, members, rest, _, firsts = layout
+    distances, several = kept
     for index in range(firsts[0]):
         if weight[index] == 0.0 and not every:
             continue
@@ -70,50 +62,26 @@ def sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept, 
         if every:
             distances[index, 0], distances[index, 1] = value, multipliers[index]
             distances[index, 2], distances[index, 3], distances[index, 4] = normal
-        step = stepped(weight[index], value, multipliers[index], mobility)
+        step = _stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
         add(points, one, inverse_mass[one] * step, normal)
         add(points, other, -inverse_mass[other] * step, normal)
-    for index in range(firsts[0], firsts[1]):
+    for index in range(firsts[0], rest.shape[0]):
         if weight[index] == 0.0 and not every:
             continue
-        first = starts[index]
-        w, x, y, z = members[first], members[first + 1], members[first + 2], members[first + 3]
-        b, c, d = sides(points, members, first)
-        value, by_b, by_c, by_d = swelled(b, c, d, rest[index])
-        by_a = -(by_b[0] + by_c[0] + by_d[0]), -(by_b[1] + by_c[1] + by_d[1]), -(by_b[2] + by_c[2] + by_d[2])
-        mobility = inverse_mass[w] * dot(by_a, by_a) + inverse_mass[x] * dot(by_b, by_b)
-        mobility += inverse_mass[y] * dot(by_c, by_c) + inverse_mass[z] * dot(by_d, by_d)
-        if every:
-            volume = index - firsts[0]
-            volumes[volume, 0], volumes[volume, 1] = value, multipliers[index]
-            volumes[volume, 2], volumes[volume, 3], volumes[volume, 4] = b
-            volumes[volume, 5], volumes[volume, 6], volumes[volume, 7] = c
-            volumes[volume, 8], volumes[volume, 9], volumes[volume, 10] = d
-        step = stepped(weight[index], value, multipliers[index], mobility)
-        multipliers[index] += step
-        add(points, w, inverse_mass[w] * step, by_a)
-        add(points, x, inverse_mass[x] * step, by_b)
-        add(points, y, inverse_mass[y] * step, by_c)
-        add(points, z, inverse_mass[z] * step, by_d)
-    for index in range(firsts[1], rest.shape[0]):
-        if weight[index] == 0.0 and not every:
-            continue
-        shape = index - firsts[1]
-        value, matrix = warped(starts, members, offsets, points, turn, shape, index, slope)
+        value, left = met(layout, points, turn, index, slope)
         mobility = 0.0
         for m in range(starts[index], starts[index + 1]):
             normal = row(slope, m)
             mobility += inverse_mass[members[m]] * dot(normal, normal)
         if every:
-            w, x, y, z = turn[shape, 0], turn[shape, 1], turn[shape, 2], turn[shape, 3]
-            left = turned_back(rotation_of((w, x, y, z)), matrix)
-            shapes[shape, 0], shapes[shape, 1] = value, multipliers[index]
-            shapes[shape, 2], shapes[shape, 3], shapes[shape, 4], shapes[shape, 5] = w, x, y, z
+            place, shape = index - firsts[0], index - firsts[1]
+            several[place, 0], several[place, 1] = value, multipliers[index]
+            for axis in range(4 if shape >= 0 else 0):
+                several[place, 2 + axis] = turn[shape, axis]
             for axis in range(3):
-                for other in range(3):
-                    shapes[shape, 6 + 3 * axis + other] = left[axis][other]
-        step = stepped(weight[index], value, multipliers[index], mobility)
+                several[place, 6 + 3 * axis], several[place, 7 + 3 * axis], several[place, 8 + 3 * axis] = left[axis]
+        step = _stepped(weight[index], value, multipliers[index], mobility)
         multipliers[index] += step
         for m in range(starts[index], starts[index + 1]):
             add(points, members[m], inverse_mass[members[m]] * step, row(slope, m))
@@ -138,11 +106,127 @@ def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation,
     batch, steps = motion.shape[0], motion.shape[1] - 1
     slope = np.empty_like(layout.offsets)
     multipliers = np.zeros(layout.rest.shape[0])
-    kept = np.empty((0, 5)), np.empty((0, 11)), np.empty((0, 15))
+    kept = np.empty((0, 5)), np.empty((0, 15))
     for b in range(batch):
         for t in range(steps):
             points = motion[b, t + 1]
-            begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
+            _begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
             multipliers[:] = 0
             for _ in range(iterations):
-                sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
+                _sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
+
+
+@inlined
+def _directed(pull, particle, inverse_mass, step, twice, normal):
+    """M⁻¹ (Δλ p - 2 (w s/g) Δλ ∇C) of one particle."""
+    share = inverse_mass[particle]
+    return (
+        share * (step * pull[particle, 0] + twice * normal[0]),
+        share * (step * pull[particle, 1] + twice * normal[1]),
+        share * (step * pull[particle, 2] + twice * normal[2]),
+    )
+
+
+@inlined
+def _less(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes):
+    """From s: Δλ and -w s/g; the derivatives by λ and w are written."""
+    step = _stepped(weight[index], value, multiplier, mobility)
+    share = by_step / (weight[index] * mobility + 1)
+    slopes[index] -= share * (value + mobility * step)
+    pulled[index] -= share
+    return step, -weight[index] * share
+
+
+@inlined
+def _distances_back(layout, weight, inverse_mass, kept, pull, pulled, slopes):
+    members, rest = layout.members, layout.rest
+    for index in range(layout.firsts[0] - 1, -1, -1):
+        one, other = members[2 * index], members[2 * index + 1]
+        value, multiplier = kept[index, 0], kept[index, 1]
+        normal = kept[index, 2], kept[index, 3], kept[index, 4]
+        back = -normal[0], -normal[1], -normal[2]
+        mobility = (inverse_mass[one] + inverse_mass[other]) * dot(normal, normal)
+        by_step = pulled[index] + inverse_mass[one] * dot(normal, row(pull, one))
+        by_step += inverse_mass[other] * dot(back, row(pull, other))
+        step, by_value = _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes)
+        twice = 2 * by_value * step
+        apart = _less(
+            _directed(pull, one, inverse_mass, step, twice, normal),
+            _directed(pull, other, inverse_mass, step, twice, back),
+        )
+        bent = stretched_bent(normal, value + rest[index], apart)
+        for particle, sign in ((one, 1.0), (other, -1.0)):
+            add(pull, particle, sign * by_value, normal)
+            add(pull, particle, sign, bent)
+
+
+@inlined
+def _several_back(layout, weight, inverse_mass, kept, slope, along, change, pull, pulled, slopes):
+    """Back through volumes and shapes."""
+    members, starts, first = layout.members, layout.starts, layout.firsts[0]
+    for index in range(layout.rest.shape[0] - 1, first - 1, -1):
+        own = kept[index - first]
+        by_step, mobility = pulled[index], 0.0
+        for m in range(starts[index], starts[index + 1]):
+            normal = row(slope, m)
+            mobility += inverse_mass[members[m]] * dot(normal, normal)
+            by_step += inverse_mass[members[m]] * dot(normal, row(pull, members[m]))
+        step, by_value = _by_step(index, by_step, weight, own[0], own[1], mobility, pulled, slopes)
+        twice = 2 * by_value * step
+        for m in range(starts[index], starts[index + 1]):
+            put(along, m, _directed(pull, members[m], inverse_mass, step, twice, row(slope, m)))
+        left = (own[6], own[7], own[8]), (own[9], own[10], own[11]), (own[12], own[13], own[14])
+        bent(layout, index, (own[2], own[3], own[4], own[5]), left, slope, own[0], along, change)
+        for m in range(starts[index], starts[index + 1]):
+            add(pull, members[m], by_value, row(slope, m))
+            add(pull, members[m], 1.0, row(change, m))
+
+
+@kernel
+def sweep_adjoint(
+    layout, weight, inverse_mass, rest, gripped, path, foundation, iterations, turn, motion, pulls, slopes
+):
+    """Go back through `sweep_forward` and gather the derivatives of Σ pulls·motion.
+
+    Every step is repeated from the positions before it, with what its sweeps met kept; then they are gone back through.
+
+    Args:
+        layout … iterations: as given to `sweep_forward`.
+        turn: quaternions to begin at, [B, P, 4]; used up.
+        motion: what it wrote.
+        pulls: derivatives by it, [B, T + 1, N, 3]; used up.
+        slopes: out, derivatives by the weights [B, K].
+    """
+    batch, steps, count = motion.shape[0], motion.shape[1] - 1, motion.shape[2]
+    constraints, members = layout.rest.shape[0], layout.members.shape[0]
+    distances = np.empty((iterations, layout.firsts[0], 5))
+    several = np.empty((iterations, constraints - layout.firsts[0], 15))
+    slope = np.empty((iterations, members, 3))
+    along, change = np.empty((members, 3)), np.empty((members, 3))
+    points = np.zeros((count, 3))
+    multipliers, pulled = np.zeros(constraints), np.zeros(constraints)
+    for b in range(batch):
+        for t in range(steps - 1, -1, -1):
+            _begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
+            multipliers[:] = 0
+            for index in range(iterations):
+                kept = distances[index], several[index]
+                _sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope[index], kept, True)
+            pull = pulls[b, t + 1]
+            pulled[:] = 0
+            for index in range(iterations - 1, -1, -1):
+                back = pull, pulled, slopes[b]
+                _several_back(layout, weight[b], inverse_mass, several[index], slope[index], along, change, *back)
+                _distances_back(layout, weight[b], inverse_mass, distances[index], *back)
+            for index in range(gripped.shape[0]):  # where they are doesn't depend on anything
+                for axis in range(3):
+                    pull[gripped[index], axis] = 0.0
+            for particle in range(count):
+                left = 1.0 - foundation * inverse_mass[particle]  # the rest of its way is the foundation's
+                for axis in range(3):
+                    pulls[b, t, particle, axis] += left * pull[particle, axis]

@@ -53,7 +53,7 @@ def test_uncertainty_is_the_log_normal_distributions() -> None:
 
 def test_numbers_are_those_of_drawn_parameters() -> None:
     """Values, standard deviations and intervals of parameters and ratios, against 400,000 draws of θ."""
-    numbers = Estimate(THETA, CORRELATED, np.linalg.inv(CORRELATED)).numbers()
+    numbers = Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED)).numbers()
     logs = np.random.default_rng(0).multivariate_normal(np.log(np.abs(THETA)), CORRELATED, 400_000)
     stiffness, damping, force = np.exp(logs).T
     drawn = {
@@ -164,13 +164,13 @@ def test_widening_adds_covariances() -> None:
 
 @pytest.fixture
 def by_depth() -> Estimate:
-    return Estimate(THETA, CORRELATED, np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
+    return Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
 
 
 def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -> None:
     """Of normal distributions, as a least-squares fit of both gives it."""
     covariance, logs = np.diag([0.2, 0.1, 0.3]), np.log(np.abs(THETA)) + np.array([0.1, -0.2, 0.15])
-    by_light = Estimate(-np.exp(logs), covariance, np.linalg.inv(covariance), by_light=True)
+    by_light = Estimate(-np.exp(logs), covariance, information=np.linalg.inv(covariance), by_light=True)
     found = combined(by_depth, by_light)
     design = np.vstack([np.linalg.cholesky(np.linalg.inv(part)).T for part in (CORRELATED, covariance)])
     observed = design @ np.zeros(3)
@@ -184,7 +184,7 @@ def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -
 
 
 def test_depth_and_light_that_contradict_each_other_determine_nothing(by_depth) -> None:
-    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), 100 * np.eye(3))
+    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3))
     found = combined(by_depth, by_light)
     assert found.refuted == "The tissue's depth and its brightness contradict each other."
     assert found.verdict == "undetermined"

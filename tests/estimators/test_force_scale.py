@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.force_scale import (
+from palpate.estimators.calibration_file import (
     MASS,
     SHEET_FACTOR,
     STIFFNESS,
@@ -18,6 +17,7 @@ from palpate.estimators.force_scale import (
     scale_by_force,
     scale_by_stiffness,
 )
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
 from tests.estimators.estimates import GOOD, NONE
 

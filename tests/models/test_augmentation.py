@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from palpate.models.augmentation import AugmentationSettings, WindowAugmentation
+from palpate.models.module import AugmentationSettings, WindowAugmentation
 
 
 def test_off_by_default():

@@ -5,8 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.models.contact_head import ContactHead
-from palpate.models.generator import Generator
+from palpate.models.generator import ContactHead, Generator
 from palpate.physics.mechanics import Bounds
 
 BOUNDS = Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1))

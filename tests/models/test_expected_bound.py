@@ -6,7 +6,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from palpate.models.expected_bound import MAX_LOG_DISTANCE, bound_loss
+from palpate.models.evidence import MAX_LOG_DISTANCE, bound_loss
 from palpate.models.posterior import ExpectedBound
 from palpate.physics.identifiability import LIMIT, bounds, covariance, ratio_bounds
 

@@ -8,11 +8,10 @@ import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
-from palpate.models.augmentation import AugmentationSettings
 from palpate.models.carried_depth import carried
-from palpate.models.expected_bound import bound_loss
+from palpate.models.evidence import bound_loss
 from palpate.models.losses import LossWeights, posterior_physics_loss
-from palpate.models.module import PhysicsInformedGAN, TrainingDiverged, with_current
+from palpate.models.module import AugmentationSettings, PhysicsInformedGAN, TrainingDiverged, with_current
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
 from palpate.physics.msd.batch import DepthBatch, ObservationBatch

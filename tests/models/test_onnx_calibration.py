@@ -11,8 +11,7 @@ import torch
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.checkpoint import CheckpointError, load_posterior
 from palpate.models.generator import Generator
-from palpate.models.onnx_calibration import calibrate
-from palpate.models.onnx_export import ParityError, export
+from palpate.models.onnx_export import ParityError, calibrate, export
 from palpate.models.onnx_session import ModelFileError, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds

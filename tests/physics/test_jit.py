@@ -15,7 +15,7 @@ import pytest
 from palpate.physics import jit
 from palpate.physics.jit import Kernel, say_slow
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd.grid_layout import MOBILE
+from palpate.physics.msd.grid_kernel import MOBILE
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import gripped, pressed, sheet, whole_field
 
@@ -118,7 +118,7 @@ def test_without_any_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
 
 SMALL = """
     from palpate.physics.jit import kernel
-    from palpate.physics.msd.grid_layout import MOBILE
+    from palpate.physics.msd.grid_kernel import MOBILE
 
 
     @kernel

@@ -46,7 +46,7 @@ def test_dear_tissue_is_passed_in_the_gap_and_cheap_tissue_pushed_through() -> N
 def test_a_blocked_goal_is_said() -> None:
     with pytest.raises(Blocked, match=r"the goal .* is blocked"):
         find_plan(costs(1.0, goal=np.array([0.03, 0.0])))
-    walls = [Placed((0.0, 0.02), 0.0, (0.06, 0.001))]
+    walls = [Placed((0.0, 0.02), (0.12, 0.002))]
     with pytest.raises(Blocked, match="can't be reached"):
         find_plan(costs(1.0, obstacles=walls))
 
@@ -63,7 +63,7 @@ def test_ways_that_touch_nothing_are_compared_by_their_length() -> None:
 
 def test_equally_deep_presses_are_compared_by_their_length_too() -> None:
     """With the gap closed every way presses once and costs the same, so that at α = 1 the straight one is left."""
-    closed = [Placed((0.0, 0.0), 0.0, (0.008, 0.0025))]
+    closed = [Placed((0.0, 0.0), (0.016, 0.005))]
     found = find_plan(costs(0.1, alpha=1.0, obstacles=closed))
     assert found.deformation == pytest.approx(100)
     assert found.way == pytest.approx(80)

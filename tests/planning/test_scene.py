@@ -12,7 +12,7 @@ from palpate.planning.scene import Placed
 from tests.test_architecture import ROOT
 
 SHIPPED = ROOT / "configs" / "scenes" / "two_curtains.yaml"
-PIECE = Placed((1.0, 2.0), 90.0, (0.5, 0.1))
+PIECE = Placed((1.0, 2.0), (1.0, 0.2), 90.0)
 
 
 def test_clearance_of_a_turned_block() -> None:

@@ -11,8 +11,7 @@ import yaml
 
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
-from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.force_scale import ClipLength
+from palpate.estimators.calibration_file import ClipLength, read_calibration
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.results.calibrated import (
     NEWTONS,

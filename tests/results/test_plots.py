@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.columns import UNITS

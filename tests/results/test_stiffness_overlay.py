@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.results.field_overlay import OPACITY, colors
 from palpate.results.stiffness_overlay import DARKENED, KNOWN, LOOSE, UNKNOWN, stiffness_map
 

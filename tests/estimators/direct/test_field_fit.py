@@ -7,8 +7,17 @@ import pytest
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import (
+    ENOUGH,
+    FITS,
+    NARROW,
+    ROUND,
+    field_starts,
+    first_draws,
+    fit_field,
+    raced,
+)
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.field_fit import ENOUGH, FITS, NARROW, ROUND, field_starts, first_draws, fit_field, raced
 from palpate.estimators.direct.problem import APART, Optimum
 from palpate.estimators.direct.sampling import sample_posterior
 from palpate.estimators.estimate import Estimate

@@ -8,8 +8,8 @@ import pytest
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
+from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.field_fit import fit_press
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.physics.load import Press, PressShape

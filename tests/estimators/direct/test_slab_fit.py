@@ -9,13 +9,12 @@ import pytest
 
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct import estimator, slab_fit, slab_motion, slab_rivals
+from palpate.estimators.direct import estimator, slab_fit, slab_motion
 from palpate.estimators.direct.contact_fit import LARGEST_MISFIT
 from palpate.estimators.direct.estimator import DirectEstimator
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, fit_slab, settled
+from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, Valley, descend, fit_slab, settled
 from palpate.estimators.direct.slab_motion import SlabMotion
-from palpate.estimators.direct.slab_posterior import Valley, descend
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.onset import BETWEEN
@@ -69,7 +68,7 @@ def test_a_fit_recovers_what_made_the_sequence(recovered: tuple[Interaction, Est
 
 @pytest.mark.slow
 def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slab_rivals, "REFUTED", 1.0)  # its misfit is large as well
+    monkeypatch.setattr(slab_fit, "REFUTED", 1.0)  # its misfit is large as well
     found = coarsely(monkeypatch, seen(RELAXING, 2, COARSE, relaxing=True), COARSE)
     assert found.misfit > LARGEST_MISFIT
     assert found.refuted.startswith("The motion relaxes: a standard linear solid")

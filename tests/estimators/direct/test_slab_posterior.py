@@ -8,8 +8,8 @@ import pytest
 
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.slab_fit import descend, find_tip, follow_valley, moved_by_mesh, slab_start
 from palpate.estimators.direct.slab_motion import SlabMotion
-from palpate.estimators.direct.slab_posterior import descend, find_tip, follow_valley, moved_by_mesh, slab_start
 from tests.estimators.direct.slabs import (
     COARSE,
     FINE,

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
-from palpate.estimators.direct.slab_posterior import descend
-from palpate.estimators.direct.slab_rivals import (
+from palpate.estimators.direct.slab_fit import (
     WAYS,
     Firm,
     averaged,
+    descend,
     fall,
     firm_regions,
     relaxation,
     with_firm_regions,
 )
+from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.physics.fem import NoEquilibrium
 from tests.estimators.direct.slabs import FINE, LOGS, THICKNESS, TIMES, empty_problem, shows
 from tests.estimators.direct.test_field import MESH

@@ -159,7 +159,7 @@ def test_a_slab_of_told_thickness_tells_force_over_young(monkeypatch: pytest.Mon
 
     def fits(*given: Any) -> PullFit:
         told["given"] = given
-        return PullFit(np.zeros(2), math.log(2e-3), 0.2, given[3] / given[3][-1], 0 * given[3], 0.03)
+        return PullFit(math.log(2e-3), 0.2, given[3] / given[3][-1], 0 * given[3], np.zeros(2), 0.03)
 
     monkeypatch.setattr(module, "fit_pull", fits)
     found = run(12, 1.5, thickness=0.05).estimate()

@@ -9,8 +9,7 @@ import pytest
 from palpate.data.synthetic.grip import lattice_matrix
 from palpate.estimators.grip import stiffness_fit
 from palpate.estimators.grip.sheet import NoSheet, PointGrid, SeenFrame
-from palpate.estimators.grip.stiffness_field import StiffnessField
-from palpate.estimators.grip.stiffness_fit import _Problem, fit_stiffness
+from palpate.estimators.grip.stiffness_fit import StiffnessField, _Problem, fit_stiffness
 from palpate.physics.sheet import equilibrium
 
 SPACING, NOISE, FACTOR, ANCHOR = 8, 0.1, 3.0, 0.1

@@ -9,16 +9,21 @@ from palpate.data.contact.sequence_features import SHAPES, dent_shapes, motion_i
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.network.draws import (
+from palpate.estimators.network.fits import (
     DELAY_RANGE,
+    FRAME_S,
     LEVEL,
+    MECHANICS,
+    NOMINAL_NOISE,
+    PARAMETERS,
     ROUNDING_NOISE,
+    DepthSequences,
     draw_sequence_errors,
+    fit_sequence,
     sequence_information,
     smooth_share,
     without_delays,
 )
-from palpate.estimators.network.fits import FRAME_S, MECHANICS, NOMINAL_NOISE, PARAMETERS, DepthSequences, fit_sequence
 
 PIXELS = (2 * REACH + 1) ** 2
 

@@ -19,18 +19,24 @@ from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import regime_of
-from palpate.estimators.network import draws
+from palpate.estimators.network import fits as drawing
 from palpate.estimators.network import training as contact_training
-from palpate.estimators.network.draws import (
+from palpate.estimators.network.fits import (
+    BOUNDS,
     CUT_SHARES,
+    FRAME_S,
     LEVEL,
+    MECHANICS,
     NOISE,
+    PARAMETERS,
     REST_SHARE,
+    SCENES,
+    Fits,
     draw_errors,
     draw_known,
     draw_observed,
+    fit_sequence,
 )
-from palpate.estimators.network.fits import BOUNDS, FRAME_S, MECHANICS, PARAMETERS, SCENES, Fits, fit_sequence
 from palpate.estimators.network.training import (
     PREPARED,
     WEIGHTS,
@@ -134,7 +140,7 @@ def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> N
     posterior = new_posterior()
     generator = np.random.default_rng(1)
     with monkeypatch.context() as patch:
-        patch.setattr(draws, "draw_known", lambda loaded, _: np.ones_like(loaded))
+        patch.setattr(drawing, "draw_known", lambda loaded, _: np.ones_like(loaded))
         held_out = draw_observed(fits, 400, np.random.default_rng(5))
 
     def error() -> float:

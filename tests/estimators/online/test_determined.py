@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import spearmanr
 
 from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.determined import uniform
 from palpate.estimators.online.driven import DrivenTissue
-from palpate.estimators.online.fitting import uniform
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import Start
 from palpate.estimators.online.surface import Surface, make_surface

@@ -14,7 +14,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.online import fitting
+from palpate.estimators.online import determined
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.given import GripperPath
 from palpate.estimators.online.objective import PAPER, Bounds
@@ -299,8 +299,8 @@ def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.M
         parts = state[body.tetrahedra]
         return float(np.linalg.det(parts[:, 1:] - parts[:, :1]).sum() / 6)
 
-    for stiffness in (fitting.VOLUME, 0.0):
-        monkeypatch.setattr(fitting, "VOLUME", stiffness)
+    for stiffness in (determined.VOLUME, 0.0):
+        monkeypatch.setattr(determined, "VOLUME", stiffness)
         tissue = driven(volume, path="path.csv", method=Method("PBD"))
         for share in np.linspace(0.1, 1, 10):
             places = tissue.led_places(np.zeros((len(volume.gripped), 2)), 0.05 * share)

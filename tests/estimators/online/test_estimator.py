@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 from palpate.command import infer
 from palpate.data.masks.class_table import CLASSES
 from palpate.estimators.online import driven
-from palpate.estimators.online.mapping import Chamfer
+from palpate.estimators.online.objective import Chamfer
 from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
 from tests.tables import read_rows
 

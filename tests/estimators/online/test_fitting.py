@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.estimators.online.fitting import FOUNDATIONS, Fit, fit_motion, uniform
+from palpate.estimators.online.determined import FOUNDATIONS, Fit, fit_motion, uniform
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness

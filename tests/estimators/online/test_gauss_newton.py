@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from palpate.estimators.online import gauss_newton
-from palpate.estimators.online.gauss_newton import CHANGE, DRAWN, KNOTS, GaussNewton, bumps, roughness
-from palpate.estimators.online.mapping import Tracks
-from palpate.estimators.online.objective import Objective, Weights
-from palpate.estimators.online.session import Method, Session
+from palpate.estimators.online import session
+from palpate.estimators.online.objective import Objective, Tracks, Weights
+from palpate.estimators.online.session import CHANGE, DRAWN, KNOTS, GaussNewton, Method, Session, bumps, roughness
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_objective import BODIES
@@ -77,7 +75,7 @@ def test_one_step_goes_to_the_minimum_of_gap_and_prior(monkeypatch: pytest.Monke
     """The gradient of the majorised objective there is 0, for a small residual that needs no limit of the step."""
     body = BODIES["sheet"]
     objective, places = pulled(body, 4)
-    monkeypatch.setattr(gauss_newton, "LONGEST", 100.0)
+    monkeypatch.setattr(session, "LONGEST", 100.0)
     newton = GaussNewton(objective, fields_of(body, 1.0))
     for place in places:
         newton.carry(place)
@@ -129,5 +127,5 @@ def test_weights_count_the_gap_and_the_smoothness():
     usual, heavy = (GaussNewton(Objective(body, np.array([3]), weights=w), fields_of(body, 1.0)) for w in (
         Weights(), Weights(smoothness=2.0)
     ))  # fmt: skip
-    anchor = gauss_newton.ANCHOR * np.eye(len(usual._prior))
+    anchor = session.ANCHOR * np.eye(len(usual._prior))
     np.testing.assert_allclose(heavy._prior - anchor, 2 * (usual._prior - anchor), atol=1e-15)

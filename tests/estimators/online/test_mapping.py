@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array, eye_array
 
-from palpate.estimators.online.mapping import Chamfer, Mapping, Tracks, map_residual
+from palpate.estimators.online.objective import Chamfer, Mapping, Tracks, map_residual
 from palpate.physics.pbd.potential import Potential
 from tests.physics.pbd.particles import block, sheet
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from palpate.estimators.online.mapping import Chamfer, Tracks
-from palpate.estimators.online.objective import PAPER, Bounds, Objective, Weights
+from palpate.estimators.online.objective import PAPER, Bounds, Chamfer, Objective, Tracks, Weights
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from palpate.estimators.online.mapping import Tracks
-from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.objective import Objective, Tracks
 from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Adam, Method, Session
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate

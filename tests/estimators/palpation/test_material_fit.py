@@ -7,8 +7,7 @@ import pytest
 
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from palpate.estimators.palpation.bench import Bench
-from palpate.estimators.palpation.linearised import states_of
-from palpate.estimators.palpation.material_fit import NOTHING, require_along
+from palpate.estimators.palpation.material_fit import NOTHING, require_along, states_of
 from palpate.estimators.palpation.registration import MOST_ALIGNED, placed, thinned
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import eye_array
 
-from palpate.estimators.online.mapping import Chamfer, Tracks
-from palpate.estimators.online.objective import Objective
+from palpate.estimators.online.objective import Chamfer, Objective, Tracks
 from palpate.estimators.online.session import Method, Session
 from palpate.evaluation.harness import Row
 from palpate.evaluation.online.compare import BATCH, HORIZON, STARTS, fit_batch, run_case, summary

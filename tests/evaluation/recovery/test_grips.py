@@ -11,7 +11,7 @@ from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.render import rest_view
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.surface import deformed_view
-from palpate.estimators.grip.stiffness_field import StiffnessField
+from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial

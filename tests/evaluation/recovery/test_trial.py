@@ -242,7 +242,7 @@ def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslan
 ):
     theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
     said: dict[str, Any] = {"noise": 0.001, "misfit": misfit, "largest_misfit": 1.5, "at_bound": at_bound}
-    estimate = Estimate(theta, np.eye(3), np.eye(3), **said, view_angle=angle)
+    estimate = Estimate(theta, np.eye(3), information=np.eye(3), **said, view_angle=angle)
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["warned"], row["verdict"]) == ("ok", warned, "undetermined")
     assert (row["noise"], row["misfit"]) == (0.001, misfit)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpate.physics.fem.lattice import box
+from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import Solid, make_solid
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
-from palpate.physics.fem.lattice import box
 from palpate.physics.fem.laws import LAWS, Material, respond
+from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import Solid, make_solid
 from palpate.physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.fem import box
-from palpate.physics.fem.meshing import WORST, Meshed, NoBody, mesh_surface
-from palpate.physics.fem.refinement import around
+from palpate.physics.fem.meshing import WORST, Meshed, NoBody, around, mesh_surface
 from palpate.physics.fem.solid import make_solid, qualities
 
 

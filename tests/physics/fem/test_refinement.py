@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.fem import Material, box, find_equilibrium, make_solid
-from palpate.physics.fem.meshing import WORST
-from palpate.physics.fem.refinement import GROWTH, around, refine
+from palpate.physics.fem.meshing import GROWTH, WORST, around, refine
 from palpate.physics.fem.solid import EDGES, qualities
 
 PLACE = np.array([[0.5, 0.5, 1.0]])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from palpate.physics.fem.lattice import box, fill_cells
 from palpate.physics.fem.laws import LAWS, respond
+from palpate.physics.fem.meshing import box, fill_cells
 from palpate.physics.fem.solid import make_solid, qualities
 from tests.physics.fem.bodies import block, rotation
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.mesh import Mesh, grid_mesh
-from palpate.physics.msd.grid_layout import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
+from palpate.physics.msd.grid_kernel import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
 from tests.physics.sheets import hand_mesh, sheet
 
 FLOAT = np.dtype(np.float64)

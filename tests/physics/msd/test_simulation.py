@@ -16,7 +16,7 @@ from palpate.physics import jit
 from palpate.physics.load import Grip, Load, Press, held, ramped
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from palpate.physics.msd import grid_layout, reference
+from palpate.physics.msd import grid_kernel, reference
 from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
 from tests.physics.sheets import (
     energy,
@@ -456,7 +456,7 @@ def test_every_row_length_gives_the_same(monkeypatch):
     mesh = sheet(30, 60)
     arguments = ((0.7, 0.05, -0.1), mesh, pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())
     short = simulate_sensitivities(*arguments)
-    monkeypatch.setattr(grid_layout, "PITCHES", (144,))
+    monkeypatch.setattr(grid_kernel, "PITCHES", (144,))
     for seen, expected in zip(simulate_sensitivities(*arguments), short, strict=True):
         np.testing.assert_array_equal(seen, expected)
 

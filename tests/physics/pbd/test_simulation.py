@@ -170,7 +170,7 @@ def test_a_stiffer_sheet_follows_its_grip_further():
     ({"start": np.zeros((3, 3))}, "start has shape"),
     ({"start": np.full((20, 3), np.inf)}, "start holds a number that is not finite"),
     ({"grips": Grip(np.array([99]), np.zeros((2, 1, 3)))}, "a particle that doesn't exist"),
-    ({"grips": [Grip(np.array([1]), np.zeros((2, 1, 3))), Grip(np.array([2]), np.zeros((2, 1, 3)))]}, "grips alike"),
+    ({"grips": [Grip(np.array([1]), np.zeros((2, 1, 3))), Grip(np.array([2]), np.zeros((2, 1, 3)))]}, "path only"),
     ({"start": np.zeros((3, 20, 3)), "grips": [Grip(np.array([1]), np.zeros((2, 1, 3)))] * 2}, "as many of each"),
 ])  # fmt: skip
 def test_bad_input_is_said(changed, sentence):

@@ -13,16 +13,20 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # One native thread for each of the test processes and what they start: where processes have together more threads
     # than the machine has cores, OpenMP's wait for each other in loops, and torch takes up to a hundred times as long.
     os.environ.update(dict.fromkeys(LIMITS, "1"))
-gc.disable()
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 
-def pytest_collection_finish() -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
     """Leave the million objects of what tests import out of collections, each of which takes a third of a second."""
-    gc.collect()
-    gc.freeze()
-    gc.enable()
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")

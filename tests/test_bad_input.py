@@ -134,7 +134,7 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips, model, capsys):
         assert len(named) == 1
         assert named[0].endswith(".")
         assert len(named[0]) < 2 * len(str(path)) + 300
-    assert len(failures) == len(UNUSABLE)
+    assert len(failures) == said.out.count(" failed") == len(UNUSABLE)
     assert is_plain(said.err + said.out)
     assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
@@ -418,9 +418,8 @@ def test_wrong_usage_is_one_sentence_with_the_file(options, make, clips, model, 
 
 @pytest.mark.parametrize("threads", ["100000", "-1", "1e5", "9" * 5000])
 def test_threads_that_no_machine_has_are_wrong_usage(clips, model, capsys, threads):
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^2$"):
         call(clips, f"--threads={threads}")
-    assert ended.value.code == 2
     assert "error: argument --threads: " in capsys.readouterr().err
 
 
@@ -470,9 +469,8 @@ def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
 
 
 def test_empty_input_is_not_the_working_folder(model, capsys):
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^2$"):
         infer.main(["", "--output", str(model.parent / "out"), "--model", str(model)])
-    assert ended.value.code == 2
     assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
 
 

@@ -107,11 +107,9 @@ def test_finished_clips_are_not_computed_again(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
     assert "up to date" in capsys.readouterr().err
-    # Without the overlay nothing is missing either; other settings and --overwrite ask for new results.
+    # Without the overlay nothing is missing either.
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
-    assert call(inputs, tmp_path, "--depth", "photometric", "--overwrite", clips="clips/folder") == 0
-    assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns != before
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -132,7 +130,8 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     assert "--overwrite replaces them" in said.err
     assert contents(tmp_path / "folder") == before
     assert len(rows(tmp_path / "drawn")) == 8
-    assert call(inputs, tmp_path, "--depth", "photometric", "--no-overlay", "--overwrite", clips="clips/folder") == 0
+    options = ("--depth", "photometric", "--no-overlay", "--threads", "1", "--overwrite")
+    assert call(inputs, tmp_path, *options, clips="clips/folder") == 0
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
     assert after["run.json"] != before["run.json"]
@@ -164,9 +163,8 @@ def test_a_record_of_odd_types_gets_no_unexpected_error(inputs, tmp_path, capsys
 @pytest.mark.parametrize("option", ["--output", "--layout", "--camera", "--model"])
 def test_an_empty_path_is_refused(inputs, tmp_path, monkeypatch, capsys, option):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^2$"):
         call(inputs, tmp_path / "out", option, "", clips="clips/folder")
-    assert ended.value.code == 2
     assert f"argument {option}: is empty; name a file or folder" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -196,11 +194,6 @@ def test_changed_frames_are_seen_wherever_the_output_is(inputs, tmp_path, capsys
     assert "up to date" in capsys.readouterr().err
     (table,) = (tmp_path / output).glob("clip*/parameters.csv")
     assert len(rows(table.parent)) == len(list((tmp_path / "clip").glob("*_endo.png")))
-
-
-def test_no_overlay_leaves_the_video_out(inputs, tmp_path):
-    assert call(inputs, tmp_path, "--no-overlay", "--threads", "1", clips="clips/folder") == 0
-    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == [*FILES[:2], *FILES[3:]]
 
 
 def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
@@ -244,16 +237,6 @@ def test_interruption_keeps_finished_clips_and_continues(within, inputs, tmp_pat
     assert (tmp_path / "drawn" / "run.json").stat().st_mtime_ns == before
 
 
-def test_one_failing_clip_does_not_stop_the_others(inputs, tmp_path, capsys):
-    shutil.copytree(inputs / "clips", tmp_path / "clips")
-    (tmp_path / "clips" / "broken.mp4").write_bytes(b"no video")
-    assert call(tmp_path, tmp_path / "out", "--model", str(inputs / "parameters.onnx")) == 1
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["drawn", "folder"]
-    said = capsys.readouterr()
-    assert "broken.mp4" in said.err
-    assert "failed" in said.out
-
-
 def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, monkeypatch, capsys):
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
@@ -291,9 +274,8 @@ def test_an_onset_is_refused_by_networks_that_know_none(inputs, tmp_path, capsys
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
 def test_help_and_version(option, capsys):
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^0$"):
         infer.main([option])
-    assert ended.value.code == 0
     assert capsys.readouterr().out
 
 
@@ -548,21 +530,18 @@ def test_wrong_usage(tmp_path, capsys):
         assert said in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
     for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--thickness", "0"]):
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit, match=r"^2$"):
             direct(tmp_path, tmp_path / "out", *options)
-        assert ended.value.code == 2
         assert f"'{options[1]}' is not a" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^2$"):
         infer.main([])
-    assert ended.value.code == 2
 
 
 @pytest.mark.parametrize("noise", ["0", "1e-300", "1e-12", "2.9e-5", "-0.001", "nan", "inf"])
 def test_a_noise_below_the_simulators_own_error_is_wrong_usage(noise, tmp_path, capsys):
     """Smaller ones ended in numpy's complaint about infinite numbers, or in certainty of 1e-7."""
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit, match=r"^2$"):
         direct(tmp_path, tmp_path / "out", f"--noise={noise}")
-    assert ended.value.code == 2
     said = flat(capsys.readouterr().err)
     assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in said
     assert "Traceback" not in said

@@ -18,7 +18,7 @@ from palpate.estimators.records import InteractionEstimate
 MEMORY = Path("/proc/self/statm")
 PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))
 GRIP = SceneSettings(width=214, height=120, action="grip", frames=20)
-LARGEST = 5.0
+LARGEST = 2.5
 """Growth that the allocator's own unevenness may explain [MB]; 3 MB a contact were once lost."""
 
 
@@ -63,9 +63,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not MEMORY.exists(), reason="
 @pytest.mark.parametrize(
     ("options", "contacts"),
     [
-        (EstimatorOptions("network"), 40),
-        (EstimatorOptions("network", Path("models/weights/gan.onnx")), 40),
-        (EstimatorOptions("direct", onset="stamp"), 8),
+        (EstimatorOptions("network"), 21),
+        (EstimatorOptions("network", Path("models/weights/gan.onnx")), 21),
+        (EstimatorOptions("direct", onset="stamp"), 5),
     ],
     ids=["network", "gan.onnx", "direct"],
 )
@@ -78,8 +78,8 @@ def test_memory_is_flat_over_many_contacts(options: EstimatorOptions, contacts: 
 
 def test_memory_is_flat_over_many_grips() -> None:
     """Which are told as they end, since frames are missing between them."""
-    told, grown = growth(EstimatorOptions("direct"), dataclasses.replace(GRIP, frames=30), 12, apart=50)
-    assert told >= 11
+    told, grown = growth(EstimatorOptions("direct"), dataclasses.replace(GRIP, frames=30), 7, apart=50)
+    assert told >= 6
     assert grown < LARGEST
 
 
@@ -87,5 +87,5 @@ def test_memory_of_the_online_estimator_is_flat_over_many_frames(tmp_path: Path)
     """Whose session lasts as long as the clip; of few particles, since time grows with them and not what is kept."""
     small = {"particles": 60, "mapping": {"steps": 3}, "stepping": {"iterations": 4}}
     (tmp_path / "online.yaml").write_text(yaml.safe_dump(small))
-    _, grown = growth(EstimatorOptions("online", settings=tmp_path / "online.yaml"), GRIP, 12)
+    _, grown = growth(EstimatorOptions("online", settings=tmp_path / "online.yaml"), GRIP, 7)
     assert grown < LARGEST

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.interaction import Interaction
+from palpate.estimators import oblique
 from palpate.estimators.estimate import Estimate
-from palpate.estimators.oblique import (
-    HIDDEN_ERROR,
-    LARGEST_ANGLE,
-    effective_misfit,
-    is_oblique,
-    remark,
-    view_angle,
-    widened,
-)
 from palpate.physics.load import Press
 from palpate.physics.observation import Observation
 from tests.physics.sheets import sheet
@@ -52,21 +44,21 @@ def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, si
         Observation.of_point(12, np.array([0.04]), np.zeros((1, 3)), 0.001),
         0.005,
     )
-    assert view_angle(contact) == pytest.approx(angle, abs=1e-9)
+    assert oblique.view_angle(contact) == pytest.approx(angle, abs=1e-9)
 
 
 def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
-    for facing in (ESTIMATE, seen_at(0.2), seen_at(LARGEST_ANGLE)):
-        assert not is_oblique(facing)
-        assert effective_misfit(facing) == 1.0
-        assert remark(facing) == ""
+    for facing in (ESTIMATE, seen_at(0.2), seen_at(oblique.LARGEST_ANGLE)):
+        assert not oblique.is_oblique(facing)
+        assert oblique.effective_misfit(facing) == 1.0
+        assert oblique.remark(facing) == ""
     aslant = seen_at(12.4)
-    assert is_oblique(aslant)
-    assert effective_misfit(aslant) == pytest.approx(HIDDEN_ERROR / 0.001) == pytest.approx(15)
+    assert oblique.is_oblique(aslant)
+    assert oblique.effective_misfit(aslant) == pytest.approx(oblique.HIDDEN_ERROR / 0.001) == pytest.approx(15)
     # A misfit that was measured to be larger stays; so does one in units of a larger noise.
-    assert effective_misfit(dataclasses.replace(aslant, misfit=17.0)) == 17.0
-    assert effective_misfit(dataclasses.replace(aslant, noise=0.03)) == 1.0
-    assert remark(aslant) == (
+    assert oblique.effective_misfit(dataclasses.replace(aslant, misfit=17.0)) == 17.0
+    assert oblique.effective_misfit(dataclasses.replace(aslant, noise=0.03)) == 1.0
+    assert oblique.remark(aslant) == (
         "The tissue is pressed at 12° to the line of sight, so its dent may hide its own bottom; intervals are widened."
     )
 
@@ -74,15 +66,17 @@ def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
 def test_widening_adds_the_covariance_of_the_larger_noise_within_the_box() -> None:
     # I = 100: a noise ten times as large leaves 1, the box 12/w². Both covariance and verdict get 1/(1 + 12/w²) more.
     added = 1 / (1 + 12 / (BOX[1] - BOX[0]) ** 2)
-    found = widened(ESTIMATE, 10.0, BOX)
+    found = oblique.widened(ESTIMATE, 10.0, BOX)
     np.testing.assert_allclose(found.covariance, np.diag(0.01 + added))
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), np.diag(0.01 + added))
     assert (ESTIMATE.verdict, found.verdict) == ("determined", "undetermined")
     unsure = dataclasses.replace(ESTIMATE, expected_information=4 * np.eye(3))
-    np.testing.assert_allclose(np.linalg.inv(widened(unsure, 10.0, BOX).expected_information), np.diag(0.25 + added))
+    np.testing.assert_allclose(
+        np.linalg.inv(oblique.widened(unsure, 10.0, BOX).expected_information), np.diag(0.25 + added)
+    )
     # However large the misfit, never wider than the prior besides; and where nothing was known, still finite.
     prior = np.diag((BOX[1] - BOX[0]) ** 2 / 12)
-    np.testing.assert_allclose(widened(ESTIMATE, 1e9, BOX).covariance, ESTIMATE.covariance + prior)
+    np.testing.assert_allclose(oblique.widened(ESTIMATE, 1e9, BOX).covariance, ESTIMATE.covariance + prior)
     blind = dataclasses.replace(ESTIMATE, expected_information=np.zeros((3, 3)))
-    assert np.isfinite(widened(blind, 10.0, BOX).expected_information).all()
-    assert widened(blind, 10.0, BOX).verdict == "undetermined"
+    assert np.isfinite(oblique.widened(blind, 10.0, BOX).expected_information).all()
+    assert oblique.widened(blind, 10.0, BOX).verdict == "undetermined"

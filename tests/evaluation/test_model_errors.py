@@ -7,18 +7,9 @@ import numpy as np
 import pytest
 
 from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
+from palpate.evaluation import model_errors
 from palpate.evaluation import model_errors as module
 from palpate.evaluation.harness import Row
-from palpate.evaluation.model_errors import (
-    ENOUGH,
-    grip_errors,
-    main,
-    model_sd,
-    pull_errors,
-    updated,
-    video_errors,
-    write_entries,
-)
 from palpate.evaluation.recovery.trial import Trial
 
 VALUES = vars(MODEL_ERRORS)
@@ -26,15 +17,17 @@ VALUES = vars(MODEL_ERRORS)
 
 def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
     entries = read_entries()
-    write_entries(tmp_path / "same.yaml", entries)
+    model_errors.write_entries(tmp_path / "same.yaml", entries)
     assert (tmp_path / "same.yaml").read_text(encoding="utf-8") == FILE.read_text(encoding="utf-8")
     for name, entry in entries.items():
         assert VALUES[name] == entry["value"]
         assert entry["source"]
         if entry["measured"] is not None:
-            assert entry["measured"]["sd"] == model_sd(entry["measured"]["off"], entry["measured"]["stated"])
+            assert entry["measured"]["sd"] == model_errors.model_sd(
+                entry["measured"]["off"], entry["measured"]["stated"]
+            )
             assert entry["measured"]["command"].startswith("python -m evaluation.model_errors --part ")
-            assert entry["value"] == entry["measured"]["sd"] or entry["measured"]["clips"] < ENOUGH
+            assert entry["value"] == entry["measured"]["sd"] or entry["measured"]["clips"] < model_errors.ENOUGH
 
 
 def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
@@ -53,15 +46,17 @@ def drawn(index: int, model: float, counted: float, told: float = 0.004) -> Row:
 @pytest.mark.parametrize(("kind", "model"), [("measured", 0.01), ("uneven", 0.3), ("as_seen", 0.8)])
 def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     rows = [drawn(index, model, VALUES[f"foundation_{kind}"]) for index in range(400)]
-    entries = updated(read_entries(), grip_errors(rows, VALUES), "a command", "today")
+    entries = model_errors.updated(read_entries(), model_errors.grip_errors(rows, VALUES), "a command", "today")
     found = entries[f"foundation_{kind}"]
     assert found["value"] == found["measured"]["sd"] == pytest.approx(model, rel=0.1)
     assert found["measured"]["stated"] == pytest.approx(0.004, rel=0.1)
     assert found["source"] == "measured"
     # Few clips are noted, and change nothing.
-    few = updated(read_entries(), grip_errors(rows[: ENOUGH - 1], VALUES), "a command", "today")[f"foundation_{kind}"]
+    few = model_errors.updated(
+        read_entries(), model_errors.grip_errors(rows[: model_errors.ENOUGH - 1], VALUES), "a command", "today"
+    )[f"foundation_{kind}"]
     assert few["value"] == VALUES[f"foundation_{kind}"]
-    assert few["measured"]["clips"] == ENOUGH - 1
+    assert few["measured"]["clips"] == model_errors.ENOUGH - 1
 
 
 def test_videos_tell_ratios_and_scale_whatever_a_fit_makes_of_each_clip() -> None:
@@ -75,7 +70,7 @@ def test_videos_tell_ratios_and_scale_whatever_a_fit_makes_of_each_clip() -> Non
             row |= {f"{name}_error": factor * generator.normal(0, math.hypot(0.25, 0.1))}
             row |= {f"{name}_model_sd": counted, f"{name}_sd": math.hypot(counted, factor * 0.1)}
         rows.append(row)
-    entries = updated(read_entries(), video_errors(rows, VALUES), "a command", "today")
+    entries = model_errors.updated(read_entries(), model_errors.video_errors(rows, VALUES), "a command", "today")
     for kind in quantities.values():
         assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
         assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
@@ -86,7 +81,7 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
     course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])
     reaction = np.array([1.3 * 4.0 / 200.0, math.hypot(0.05, VALUES["pull_force"])])
     row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
-    found = pull_errors([row], VALUES)
+    found = model_errors.pull_errors([row], VALUES)
     assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
     assert found["pull_course"] == [pytest.approx((0.1 / 1.1, VALUES["pull_course"] ** 2 * (1 / 1.21 - 1)), abs=0.003)]
 
@@ -98,9 +93,9 @@ def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(module, "run_trial", evaluated)
     output = tmp_path / "errors.yaml"
-    assert main(["--part", "grip", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
+    assert model_errors.main(["--part", "grip", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
     measured = read_entries(output)["foundation_measured"]["measured"]
     assert measured["clips"] == 3
     assert measured["command"] == "python -m evaluation.model_errors --part grip --clips 3 --seed 5"
     monkeypatch.setattr(module, "run_trial", lambda _: [])
-    assert main(["--part", "grip", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1
+    assert model_errors.main(["--part", "grip", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1

@@ -5,18 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palpate.models.losses import (
-    LossTerms,
-    LossWeights,
-    cycle_loss,
-    discriminator_loss,
-    generator_adversarial_loss,
-    identity_loss,
-    masked_l1,
-    null_parameters,
-    physics_loss,
-    regularisation_loss,
-)
+from palpate.models import losses
 from palpate.physics.mechanics import Bounds, Mechanics
 from palpate.physics.msd import rollout
 
@@ -28,31 +17,31 @@ def picture(*values: float) -> torch.Tensor:
 
 
 def test_adversarial_terms():
-    assert generator_adversarial_loss(torch.tensor([1.0, 0.5, -1.0])).item() == pytest.approx((0 + 0.25 + 4) / 3)
-    value = discriminator_loss(torch.tensor([1.0, 0.0]), torch.tensor([0.5, -0.5, 0.0, 1.0]))
+    assert losses.generator_adversarial_loss(torch.tensor([1.0, 0.5, -1.0])).item() == pytest.approx((0 + 0.25 + 4) / 3)
+    value = losses.discriminator_loss(torch.tensor([1.0, 0.0]), torch.tensor([0.5, -0.5, 0.0, 1.0]))
     assert value.item() == pytest.approx((0 + 1) / 2 + (0.25 + 0.25 + 0 + 1) / 4)
 
 
 def test_masked_l1_leaves_out_pixels_without_a_measurement():
-    assert masked_l1(picture(0.5, 0.9, 0.1), picture(0.25, 0.0, 0.2)).item() == pytest.approx((0.25 + 0.1) / 2)
-    assert masked_l1(picture(0.5, 0.9), picture(0.0, 0.0)).item() == 0
+    assert losses.masked_l1(picture(0.5, 0.9, 0.1), picture(0.25, 0.0, 0.2)).item() == pytest.approx((0.25 + 0.1) / 2)
+    assert losses.masked_l1(picture(0.5, 0.9), picture(0.0, 0.0)).item() == 0
 
 
 def test_masked_l1_has_no_gradient_at_invalid_pixels():
     prediction = picture(0.5, 0.9).requires_grad_()
-    masked_l1(prediction, picture(0.25, 0.0)).backward()
+    losses.masked_l1(prediction, picture(0.25, 0.0)).backward()
     assert prediction.grad.flatten().tolist() == [1.0, 0.0]
 
 
 def test_cycle_is_half_of_both_directions():
-    value = cycle_loss(picture(0.5, 0.5), picture(0.4, 0.6), picture(0.3), picture(0.7))
+    value = losses.cycle_loss(picture(0.5, 0.5), picture(0.4, 0.6), picture(0.3), picture(0.7))
     assert value.item() == pytest.approx(0.5 * (0.1 + 0.4))
 
 
 def test_identity_and_its_null_parameters():
-    assert identity_loss(picture(0.5, 0.2), picture(0.4, 0.4)).item() == pytest.approx(0.15)
+    assert losses.identity_loss(picture(0.5, 0.2), picture(0.4, 0.4)).item() == pytest.approx(0.15)
     theta = torch.tensor([[0.4, 0.2, -3.0]], requires_grad=True)
-    null = null_parameters(theta)
+    null = losses.null_parameters(theta)
     assert null.tolist() == [[pytest.approx(0.4), pytest.approx(0.2), 0.0]]
     assert not null.requires_grad
 
@@ -62,14 +51,14 @@ def test_physics_is_the_squared_distance_at_the_observed_step(make_batch):
     theta = torch.tensor([[0.5, 0.05, -0.02], [0.3, 0.1, -0.05]])
     trajectory = rollout(theta, batch["mesh_a"], batch["load_a"], MECHANICS)
     expected = sum(float(((trajectory[i, 7] - torch.tensor([0, 0, 0.02])) ** 2).sum()) for i in range(2)) / 2
-    value = physics_loss(theta, batch["mesh_a"], batch["load_a"], batch["observation_a"], MECHANICS)
+    value = losses.physics_loss(theta, batch["mesh_a"], batch["load_a"], batch["observation_a"], MECHANICS)
     assert value.item() == pytest.approx(expected, rel=1e-5)
     assert expected > 0
 
 
 def test_regularisation_is_a_squared_hinge():
     theta = torch.tensor([[1.5, -0.2, -12.0], [0.5, 0.5, 1.0]])
-    assert regularisation_loss(theta, Bounds()).item() == pytest.approx(((0.25 + 0.04 + 4) + 1) / 2)
+    assert losses.regularisation_loss(theta, Bounds()).item() == pytest.approx(((0.25 + 0.04 + 4) + 1) / 2)
 
 
 @given(place=st.lists(st.floats(0, 1, width=32), min_size=3, max_size=3))
@@ -77,18 +66,20 @@ def test_regularisation_is_exactly_zero_inside_the_box(place: list[float]):
     bounds = Bounds(stiffness=(0.05, 0.9), damping=(0.0, 0.3), force=(-0.3, 0.0), initial=(0.5, 0.1, -0.1))
     lower, upper = torch.tensor(bounds.lower), torch.tensor(bounds.upper)
     theta = torch.clamp(lower + (upper - lower) * torch.tensor(place), lower, upper)[None]
-    assert regularisation_loss(theta, bounds).item() == 0
+    assert losses.regularisation_loss(theta, bounds).item() == 0
 
 
 def test_total_uses_the_paper_s_weights():
     one = torch.tensor(1.0)
-    assert LossTerms(one, one, one, one, one).total(LossWeights()).item() == pytest.approx(1 + 10 + 1 + 2 + 0.1)
-    terms = LossTerms(*torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5]))
-    assert terms.total(LossWeights()).item() == pytest.approx(0.1 + 2 + 0.3 + 0.8 + 0.05)
+    assert losses.LossTerms(one, one, one, one, one).total(losses.LossWeights()).item() == pytest.approx(
+        1 + 10 + 1 + 2 + 0.1
+    )
+    terms = losses.LossTerms(*torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5]))
+    assert terms.total(losses.LossWeights()).item() == pytest.approx(0.1 + 2 + 0.3 + 0.8 + 0.05)
 
 
 def test_impossible_weights_are_refused():
     with pytest.raises(ValueError, match=r"weights\.physics is -1"):
-        LossWeights(physics=-1)
+        losses.LossWeights(physics=-1)
     with pytest.raises(ValueError, match="weights are all 0"):
-        LossWeights(gan=0, cycle=0, identity=0, physics=0, regularisation=0)
+        losses.LossWeights(gan=0, cycle=0, identity=0, physics=0, regularisation=0)

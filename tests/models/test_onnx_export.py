@@ -12,16 +12,8 @@ import torch
 
 from palpate.common.output import ForeignFile
 from palpate.data.depth.photometric import build_photometric
+from palpate.models import onnx_export
 from palpate.models.generator import Generator
-from palpate.models.onnx_export import (
-    PARITY_TOLERANCE,
-    ParityError,
-    _Posterior,
-    export,
-    parity,
-    require_own_model,
-    write,
-)
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
@@ -36,7 +28,7 @@ def exported(tmp_path_factory) -> tuple[Generator, Path, float]:
     generator = Generator(3, width=8, residual_blocks=1, bounds=Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05)))
     path = tmp_path_factory.mktemp("export") / "größe.onnx"
     document = {"input": METADATA["input"] | {"window": 3}, "config_sha256": "abc", "preprocessing_version": 1}
-    return generator, path, export(generator, path, document)
+    return generator, path, onnx_export.export(generator, path, document)
 
 
 @pytest.mark.parametrize("batch", [1, 2, 7])
@@ -85,8 +77,8 @@ print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
 
 
 def test_a_file_that_differs_from_torch_is_never_left(exported, tmp_path):
-    with pytest.raises(ParityError, match=r"differs from torch by 0\.01"):
-        write(onnx.load(exported[1]), METADATA, tmp_path / "parameters.onnx", lambda path: 0.01)
+    with pytest.raises(onnx_export.ParityError, match=r"differs from torch by 0\.01"):
+        onnx_export.write(onnx.load(exported[1]), METADATA, tmp_path / "parameters.onnx", lambda path: 0.01)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -96,13 +88,13 @@ def test_another_file_is_never_replaced(tmp_path, content):
     path = tmp_path / "out.onnx"
     path.write_bytes(content)
     with pytest.raises(ForeignFile, match=r"out\.onnx is not as this program wrote it; move it away"):
-        require_own_model(path)
+        onnx_export.require_own_model(path)
     assert path.read_bytes() == content
 
 
 def test_an_exported_file_may_be_replaced(exported, tmp_path):
-    require_own_model(exported[1])
-    require_own_model(tmp_path / "none.onnx")
+    onnx_export.require_own_model(exported[1])
+    onnx_export.require_own_model(tmp_path / "none.onnx")
 
 
 def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(exported):
@@ -118,7 +110,7 @@ def posterior() -> ContactPosterior:
 
 
 def test_without_calibration_the_covariance_is_the_networks_own(posterior: ContactPosterior, tmp_path) -> None:
-    export(posterior, tmp_path / "contact.onnx", METADATA)
+    onnx_export.export(posterior, tmp_path / "contact.onnx", METADATA)
     model = PosteriorModel(tmp_path / "contact.onnx")
     assert not model.calibrated
     mean, covariance, expected_bound = model(np.ones((2, 10), np.float32))
@@ -139,7 +131,7 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
     generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10)
     generator.head.posterior.picture.weight.data.normal_()
     document = {"input": {"window": 2, "height": 24, "width": 32}}
-    assert export(generator, tmp_path / "both.onnx", document) < 1e-5
+    assert onnx_export.export(generator, tmp_path / "both.onnx", document) < 1e-5
     model = PosteriorModel(tmp_path / "both.onnx")
     assert model.takes_depth
     random = np.random.default_rng(0)
@@ -156,7 +148,10 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
 def test_a_generator_without_a_picture_takes_none(tmp_path) -> None:
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
     generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10, picture=False)
-    assert export(generator, tmp_path / "blind.onnx", {"input": {"window": 2, "height": 24, "width": 32}}) < 1e-5
+    assert (
+        onnx_export.export(generator, tmp_path / "blind.onnx", {"input": {"window": 2, "height": 24, "width": 32}})
+        < 1e-5
+    )
     model = PosteriorModel(tmp_path / "blind.onnx")
     assert (model.takes_depth, model.inputs) == (False, {"contact": (10,)})
     contact = np.random.default_rng(0).normal(size=(3, 10)).astype(np.float32)
@@ -169,7 +164,7 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     """Variances of 7 can't agree to 1e-5 in float32; a difference of as many parts of 1 can."""
     with torch.no_grad():
         posterior.expected_bound.layers[-1].bias[:] = torch.tensor([1.0, 1.0, 1.0, 30.0, 30.0, 30.0])
-    exported = export(posterior, tmp_path / "large.onnx", METADATA)
+    exported = onnx_export.export(posterior, tmp_path / "large.onnx", METADATA)
     model = PosteriorModel(tmp_path / "large.onnx")
     contact = np.ones((1, 10), np.float32)
     assert model(contact)[2].max() > 1000
@@ -178,4 +173,4 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     monkeypatch.setattr(
         PosteriorModel, "run", lambda *given: [*plain(*given)[:2], plain(*given)[2] * 1.001]
     )  # a thousandth off
-    assert parity(_Posterior(posterior), model, (1, 24, 40)) > PARITY_TOLERANCE
+    assert onnx_export.parity(onnx_export._Posterior(posterior), model, (1, 24, 40)) > onnx_export.PARITY_TOLERANCE

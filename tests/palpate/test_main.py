@@ -26,9 +26,8 @@ def test_every_command_is_a_program(name: str) -> None:
 
 def test_a_command_gets_the_arguments_behind_its_name(capsys, monkeypatch) -> None:
     monkeypatch.setattr(sys, "argv", ["palpate"])
-    with pytest.raises(SystemExit) as end:
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["infer", "--version"])
-    assert end.value.code == 0
     assert capsys.readouterr().out.startswith("palpate ")
     with pytest.raises(SystemExit):
         main(["plan", "--help"])

@@ -7,19 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from palpate.data.contact.depth_sequence import (
-    FAR,
-    MIN_FAR,
-    REACH,
-    REST_KEPT,
-    REST_LENGTH,
-    REST_SHARE,
-    DepthSequence,
-    SequenceNoise,
-    SequenceRecorder,
-    smooth_errors,
-    window_around,
-)
+from palpate.data.contact import depth_sequence
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import Camera, back_project
 from palpate.physics.mesh import Mesh, grid_mesh
@@ -27,7 +15,7 @@ from palpate.physics.mesh import Mesh, grid_mesh
 WIDTH, HEIGHT = 120, 96
 CENTRE = np.array([45, 57])
 """Row and column of the contact."""
-SIDE = 2 * REACH + 1
+SIDE = 2 * depth_sequence.REACH + 1
 CAMERA = Camera.from_field_of_view(60, WIDTH, HEIGHT)
 SIGMA = 1e-3
 STEP = 1 / 255
@@ -45,11 +33,11 @@ MESH = mesh_of()
 VERTEX = int(np.flatnonzero((MESH.pixels == CENTRE).all(axis=1))[0])
 
 
-def recorder(sigma: float = SIGMA) -> SequenceRecorder:
-    return SequenceRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
+def recorder(sigma: float = SIGMA) -> depth_sequence.SequenceRecorder:
+    return depth_sequence.SequenceRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
 
 
-def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> SequenceNoise:
+def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> depth_sequence.SequenceNoise:
     """As measured in frames of errors [N, H, W] about tissue at rest."""
     made = recorder(sigma)
     for errors in frames:
@@ -70,30 +58,30 @@ def blurred(noise: np.ndarray, blur: float) -> np.ndarray:
 def dent() -> np.ndarray:
     """A dent around the contact that ends before the tissue that is far, shape [H, W]."""
     apart = np.hypot(ROWS - CENTRE[0], COLUMNS - CENTRE[1])
-    return 0.03 * np.exp(-0.5 * (apart / 4) ** 2) * (apart < FAR)
+    return 0.03 * np.exp(-0.5 * (apart / 4) ** 2) * (apart < depth_sequence.FAR)
 
 
 def test_the_change_of_a_still_camera_is_the_dent_itself() -> None:
     change = recorder().frame(REST + dent(), TISSUE_ALL)
     assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
-    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=2e-7)
-    assert change[REACH, REACH] == pytest.approx(0.03, abs=2e-7)
+    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=2e-7)
+    assert change[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03, abs=2e-7)
 
 
 @pytest.mark.parametrize("motion", [(0.02, 0, 0), (0, 0.01, -0.004), (-0.013, -0.006, 0.009)], ids=str)
 def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, float, float]) -> None:
     """Relative to the distance, as a camera or a depth network changes them."""
     scale, down, across = motion
-    moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / FAR
+    moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / depth_sequence.FAR
     change = recorder().frame(REST * (1 + moved) + dent(), TISSUE_ALL)
-    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=3e-7)
+    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=3e-7)
 
 
 def test_some_far_tissue_may_move_otherwise() -> None:
     depth = REST * 1.01 + dent()
     depth[:10, :40] += 0.05
     change = recorder().frame(depth, TISSUE_ALL)
-    np.testing.assert_allclose(change, dent()[window_around(CENTRE)], atol=3e-7)
+    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=3e-7)
 
 
 def test_what_is_hidden_is_not_a_number() -> None:
@@ -102,11 +90,11 @@ def test_what_is_hidden_is_not_a_number() -> None:
     labels[row, column : column + 40] = TOOL
     depth[row - 3, column - 2] = 0
     hidden = np.zeros((SIDE, SIDE), bool)
-    hidden[REACH, REACH:] = True
-    hidden[REACH - 3, REACH - 2] = True
+    hidden[depth_sequence.REACH, depth_sequence.REACH :] = True
+    hidden[depth_sequence.REACH - 3, depth_sequence.REACH - 2] = True
     change = recorder().frame(depth, labels)
     np.testing.assert_array_equal(np.isnan(change), hidden)
-    np.testing.assert_allclose(change[~hidden], dent()[window_around(CENTRE)][~hidden], atol=2e-7)
+    np.testing.assert_allclose(change[~hidden], dent()[depth_sequence.window_around(CENTRE)][~hidden], atol=2e-7)
 
 
 @pytest.mark.parametrize("corner", [(3, 2), (HEIGHT - 4, WIDTH - 1)])
@@ -114,19 +102,21 @@ def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int
     valid = (ROWS > 1) | (COLUMNS > 60)
     mesh = mesh_of(valid=valid)
     vertex = int(np.flatnonzero((mesh.pixels == corner).all(axis=1))[0])
-    change = SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
-    there = np.pad(valid, REACH)[window_around(np.array(corner) + REACH)]
+    change = depth_sequence.SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
+    there = np.pad(valid, depth_sequence.REACH)[depth_sequence.window_around(np.array(corner) + depth_sequence.REACH)]
     np.testing.assert_array_equal(np.isfinite(change), there)
     np.testing.assert_allclose(change[there], 0, atol=1e-7)
     assert not there.all()
 
 
 def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
-    labels = np.where(np.abs(np.stack([ROWS, COLUMNS]) - CENTRE[:, None, None]).max(axis=0) < FAR, TISSUE, TOOL)
+    labels = np.where(
+        np.abs(np.stack([ROWS, COLUMNS]) - CENTRE[:, None, None]).max(axis=0) < depth_sequence.FAR, TISSUE, TOOL
+    )
     labels = labels.astype(np.uint8)
     made = recorder()
     assert made.frame(REST, labels) is None
-    labels[0, : MIN_FAR - 100] = labels[-1, :99] = TISSUE
+    labels[0, : depth_sequence.MIN_FAR - 100] = labels[-1, :99] = TISSUE
     assert made.frame(REST, labels) is None
     labels[-1, 99] = TISSUE
     assert made.frame(REST, labels) is not None
@@ -134,7 +124,7 @@ def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
 
 def test_of_white_noise_all_is_new_in_every_frame() -> None:
     noise = noise_of(SIGMA * white(0))
-    assert noise == SequenceNoise(SIGMA, 0.0)
+    assert noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
     assert noise.total == SIGMA
 
 
@@ -187,16 +177,16 @@ def test_noise_is_not_that_of_tissue_that_moves() -> None:
     frames = SIGMA * white(6)
     frames[3:, :8, :40] += 0.03
     frames[5, 80:, 3] = 0.2
-    assert noise_of(frames) == SequenceNoise(SIGMA, 0.0)
+    assert noise_of(frames) == depth_sequence.SequenceNoise(SIGMA, 0.0)
 
 
 def test_before_a_second_frame_all_noise_counts_as_new() -> None:
     made = recorder()
-    assert made.noise == SequenceNoise(SIGMA, 0.0)
+    assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
     made.frame(REST, TISSUE_ALL)
-    assert made.noise == SequenceNoise(SIGMA, 0.0)
+    assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
     made.frame(REST, TISSUE_ALL)
-    assert made.noise == SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
+    assert made.noise == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
 
 
 def test_a_frame_without_much_tissue_is_passed_over() -> None:
@@ -223,19 +213,19 @@ def test_a_sequence_holds_frames_times_and_size() -> None:
         np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
         assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
     empty = made.sequence(np.array([]), [], 0)
-    assert isinstance(empty, DepthSequence)
+    assert isinstance(empty, depth_sequence.DepthSequence)
     assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
 
 
 def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
-    columns = smooth_errors(1e-3)
-    places = np.mgrid[: 2 * REACH + 1, : 2 * REACH + 1].reshape(2, -1).T
+    columns = depth_sequence.smooth_errors(1e-3)
+    places = np.mgrid[: 2 * depth_sequence.REACH + 1, : 2 * depth_sequence.REACH + 1].reshape(2, -1).T
     apart = np.linalg.norm(places[:, None] - places, axis=2)
-    expected = (REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / REST_LENGTH) ** 2)
+    expected = (depth_sequence.REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / depth_sequence.REST_LENGTH) ** 2)
     found = columns @ columns.T
     # As few columns as hold so much of it.
-    assert np.trace(found) >= REST_KEPT * np.trace(expected)
-    assert np.trace(found) - np.square(columns[:, -1]).sum() < REST_KEPT * np.trace(expected)
+    assert np.trace(found) >= depth_sequence.REST_KEPT * np.trace(expected)
+    assert np.trace(found) - np.square(columns[:, -1]).sum() < depth_sequence.REST_KEPT * np.trace(expected)
     np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-15)
-    np.testing.assert_allclose(found, expected, atol=0.06 * (REST_SHARE * 1e-3) ** 2)
+    np.testing.assert_allclose(found, expected, atol=0.06 * (depth_sequence.REST_SHARE * 1e-3) ** 2)
     assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
 from palpate.data.synthetic.render import GREY, Renderer, encode_srgb
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
@@ -127,14 +127,14 @@ def test_the_observed_contact_depth_follows_the_truth(clip: SyntheticClip) -> No
     np.testing.assert_allclose(seen, motion.contact[:, 2], atol=2e-4)
 
 
-def test_light_falls_with_the_square_of_the_distance() -> None:
+def test_light_falls_with_the_square_of_the_distance(clip: SyntheticClip) -> None:
     means = []
     for distance in (0.4, 0.6):
         flat = dataclasses.replace(
             SMALL, distance=(distance, distance), curvature=(0.0, 0.0), relief=0.0, highlights=0.0
         )
         scene = draw_scene(flat, np.random.default_rng(0))
-        renderer = Renderer(scene, simulate_motion(scene, THETA, ONSET, RELEASE), np.random.default_rng(0))
+        renderer = Renderer(scene, clip.motion, np.random.default_rng(0))  # at rest, whatever the motion
         means.append(renderer._tissue_light(renderer.rest, np.s_[0:120, 0:214]).mean())
     assert means[0] / means[1] == pytest.approx((0.6 / 0.4) ** 2, rel=1e-3)
 
@@ -145,9 +145,9 @@ def test_srgb_curve() -> None:
     np.testing.assert_allclose(encode_srgb(linear), expected, atol=5e-4)
 
 
-def test_image_noise_has_the_wanted_size() -> None:
-    settings = dataclasses.replace(SMALL, frames=24, image_noise=0.02)
-    images = make_clip(settings, 5).images.astype(float)
+def test_image_noise_has_the_wanted_size(clip: SyntheticClip) -> None:
+    noisy = dataclasses.replace(clip.scene, settings=dataclasses.replace(SMALL, image_noise=0.02))
+    images = synthetic_clip(noisy, clip.motion, 5).images.astype(float)
     # Two frames before contact differ by noise and the tool, which stays in its part of the picture.
     assert np.median(np.abs(images[0] - images[1])) / 255 == pytest.approx(0.6745 * np.sqrt(2) * 0.02, rel=0.1)
 

@@ -40,6 +40,12 @@ def motion(scene: Scene) -> PressedMotion:
     return simulate_motion(scene, THETA, ONSET, RELEASE)
 
 
+@pytest.fixture(scope="module")
+def drawn(scene: Scene) -> list[PressedMotion]:
+    """Three motions that begin at a frame."""
+    return [draw_motion(scene, np.random.default_rng(seed)) for seed in range(3)]
+
+
 def fitted(scene: Scene, time_step: float, seconds: float, load_seconds: float) -> np.ndarray:
     """Response of the fitted integrator, sampled like the truth."""
     mechanics = Mechanics(time_step=time_step, steps=round(seconds / time_step), load_steps=0)
@@ -175,12 +181,10 @@ def test_a_late_ramp_rises_from_its_start(scene: Scene) -> None:
 
 
 @pytest.mark.slow
-def test_the_delay_has_a_random_stream_of_its_own(scene: Scene) -> None:
-    seeds = range(3)
-    on_time = [draw_motion(scene, np.random.default_rng(seed)) for seed in seeds]
+def test_the_delay_has_a_random_stream_of_its_own(scene: Scene, drawn: list[PressedMotion]) -> None:
     waiting = with_settings(scene, onset_delay=(0.0, 1.0))
-    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in seeds]
-    for before, after in zip(on_time, late, strict=True):
+    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in range(3)]
+    for before, after in zip(drawn, late, strict=True):
         np.testing.assert_array_equal(after.theta, before.theta)
         assert (after.onset_frame, after.release_frame) == (before.onset_frame, before.release_frame)
         assert before.delay == 0 < after.delay < 1 / 25
@@ -240,10 +244,8 @@ def test_theta_is_log_uniform() -> None:
     np.testing.assert_allclose(share.var(axis=0), 1 / 12, rtol=0.1)
 
 
-def test_peaks_are_those_asked_for(scene: Scene) -> None:
-    for seed in range(3):
-        peak = draw_motion(scene, np.random.default_rng(seed)).peak
-        assert 0.01 <= peak <= 0.06 * 1.001
+def test_peaks_are_those_asked_for(drawn: list[PressedMotion]) -> None:
+    assert all(0.01 <= motion.peak <= 0.06 * 1.001 for motion in drawn)
 
 
 def test_impossible_wishes_are_refused(scene: Scene) -> None:

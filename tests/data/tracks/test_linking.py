@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.data.tracks.linking import (
-    GREY,
-    LOCAL,
-    MAX_STEP,
-    REACH,
-    STEP,
-    WINDOW,
-    Linker,
-    Prepared,
-    patterns,
-    resemblance,
-)
+from palpate.data.tracks import linking
 from tests.data.tracks.test_following import HEIGHT, WIDTH, shift, texture, warped
 
 PLACES = np.array([[40.0, 40.0], [88.0, 64.0], [120.0, 90.0]], np.float32)
@@ -29,23 +18,23 @@ def test_a_prepared_picture_has_lost_its_local_mean() -> None:
     bright = np.broadcast_to(np.linspace(20, 220, 855), (481, 855)).astype(np.uint8)
     flecked = np.full((481, 855), 90, np.uint8)
     flecked[200, 300] = 100
-    linker = Linker()
-    inside = slice(LOCAL, -LOCAL), slice(LOCAL, -LOCAL)
-    np.testing.assert_allclose(linker.prepared(bright).exact[inside], GREY, atol=1)
+    linker = linking.Linker()
+    inside = slice(linking.LOCAL, -linking.LOCAL), slice(linking.LOCAL, -linking.LOCAL)
+    np.testing.assert_allclose(linker.prepared(bright).exact[inside], linking.GREY, atol=1)
     prepared = linker.prepared(flecked)
-    assert prepared.exact[200, 300] == GREY + 10
-    assert np.abs(prepared.exact.astype(int) - GREY).sum() == 10
+    assert prepared.exact[200, 300] == linking.GREY + 10
+    assert np.abs(prepared.exact.astype(int) - linking.GREY).sum() == 10
     assert prepared.rough.shape == (120, 213)
 
 
-def prepared(linker: Linker, *pictures: np.ndarray) -> list[Prepared]:
+def prepared(linker: linking.Linker, *pictures: np.ndarray) -> list[linking.Prepared]:
     return [linker.prepared(gray(picture)) for picture in pictures]
 
 
 @pytest.mark.parametrize("light", [0, 30])
 def test_a_shift_is_found_there_and_back(light: int) -> None:
     """In whichever light."""
-    linker = Linker()
+    linker = linking.Linker()
     one, other = prepared(linker, texture(1), warped(texture(1), shift(6.0, -4.0)) - np.uint8(light))
     places, returned = linker.link(one, other, PLACES)
     np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.25)
@@ -62,7 +51,7 @@ def grid_of(motion: tuple[float, float]) -> np.ndarray:
 
 
 def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
-    linker = Linker(spacing=8)
+    linker = linking.Linker(spacing=8)
     one, other = prepared(linker, texture(1), warped(texture(1), shift(6.0, -4.0)))
     places, returned = linker.refine(one, other, PLACES, grid_of((5.0, -3.0)), ALL)
     np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.1)
@@ -72,7 +61,7 @@ def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
 def test_a_guess_of_hundredths_of_a_pixel_is_undone() -> None:
     """Pictures are bent back in whole numbers: where contrast is low, such shifts were lost, and counted as motion."""
     faint = (128 + (texture(1).astype(float) - 128) / 4).round().astype(np.uint8)
-    linker = Linker(spacing=8)
+    linker = linking.Linker(spacing=8)
     one, other = prepared(linker, faint, faint)
     wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
     for guess in (0.05, 0.1, 0.2):
@@ -85,7 +74,7 @@ def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_know
     slope = np.array([[0.2, 0.5], [-0.5, 0.2]])
     middle = np.array([WIDTH, HEIGHT]) / 2
     still = grid_of((0.0, 0.0))
-    linker = Linker(np.ones(still.shape[:2], bool), 8)
+    linker = linking.Linker(np.ones(still.shape[:2], bool), 8)
     places = 8.0 * (1 + np.indices(still.shape[:2])[::-1].reshape(2, -1).T)
     one, other = prepared(linker, texture(1), warped(texture(1), lambda at: (at - middle) @ slope))
     true = (places - middle) @ slope
@@ -101,21 +90,21 @@ def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_know
 
 def test_what_leads_astray_is_not_found() -> None:
     """A guess that is wrong by more than is believed, and a surface without a pattern."""
-    linker, still = Linker(spacing=8), grid_of((0.0, 0.0))
+    linker, still = linking.Linker(spacing=8), grid_of((0.0, 0.0))
     one, other, plain = prepared(linker, texture(1), texture(2), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
     places, returned = linker.refine(plain, plain, PLACES, still, ALL)
     np.testing.assert_array_equal(places, PLACES)
     assert np.isinf(returned).all()
     wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
     places, returned = linker.refine(one, other, wide, still, np.ones(len(wide), bool))
-    assert np.abs(places - wide).max() <= MAX_STEP
+    assert np.abs(places - wide).max() <= linking.MAX_STEP
     assert np.isinf(returned).any()
 
 
 def test_places_at_an_instruments_edge_count_only_for_one_another() -> None:
     """Half of the places move by 1 px, those at the edge by 5."""
     grid = np.ones((12, 12), bool)
-    linker, columns = Linker(grid, 8), np.tile(np.arange(12), 12)
+    linker, columns = linking.Linker(grid, 8), np.tile(np.arange(12), 12)
     step = np.where(columns[:, None] < 6, [1.0, 0.0], [5.0, 0.0]).astype(np.float32)
     found = linker._filtered(step, None, columns < 6)[:, 0]
     np.testing.assert_allclose(found[columns < 6], 1.0, atol=1e-5)
@@ -132,7 +121,7 @@ def test_neighbours_on_the_grid_that_are_seen_tell_a_motion_together() -> None:
     random, off = np.random.default_rng(2), {}
     one, other = (np.clip(picture + random.normal(0, 4, picture.shape), 0, 255) for picture in (texture(1), now))
     for grid in (None, np.ones(rows.shape, bool)):
-        linker = Linker(grid)
+        linker = linking.Linker(grid)
         hidden = np.hypot(*(places - [88, 64]).T) < 5
         there, _ = linker.link(*prepared(linker, one.astype(np.uint8), other.astype(np.uint8)), places, ~hidden)
         off[grid is None] = np.linalg.norm(there - places - [2.0, 1.0], axis=1)
@@ -144,19 +133,19 @@ def test_neighbours_on_the_grid_that_are_seen_tell_a_motion_together() -> None:
 def test_the_filter_widens_no_motion_that_dies_away() -> None:
     """Of u = cos(kx) a Gaussian leaves exp(-k²σ²/2); twice it less a wider one errs in the fourth order only."""
     grid = np.ones((60, 60), bool)
-    linker = Linker(grid, 8)
+    linker = linking.Linker(grid, 8)
     columns = np.tile(np.arange(60.0), 60)
     for wave in (0.2, 0.4):
         motion = np.column_stack([np.cos(wave * columns), np.sin(wave * columns)]).astype(np.float32)
         inner = (columns > 6) & (columns < 53)
         left = (linker._filtered(motion, None)[inner] / motion[inner]).mean(axis=0)
-        window = 1 + (WINDOW / 8 * wave) ** 2 / 24  # which windows take off, and the filter gives back
+        window = 1 + (linking.WINDOW / 8 * wave) ** 2 / 24  # which windows take off, and the filter gives back
         np.testing.assert_allclose(left, window, atol=2 * (wave**2 / 2) ** 2)
         assert np.abs(left - window).max() < 0.3 * (1 - np.exp(-(wave**2) / 2))
 
 
 def test_no_places_are_no_places() -> None:
-    linker = Linker()
+    linker = linking.Linker()
     picture = linker.prepared(gray(texture()))
     nowhere = np.zeros((0, 2), np.float32)
     refined = linker.refine(picture, picture, nowhere, np.zeros((1, 1, 2), np.float32), np.zeros(0, bool))
@@ -168,13 +157,13 @@ def test_no_places_are_no_places() -> None:
 
 def alike(one: np.ndarray, other: np.ndarray, places: np.ndarray) -> np.ndarray:
     """How much the same places of two pictures resemble each other."""
-    return resemblance(patterns(one, places), patterns(other, places))
+    return linking.resemblance(linking.patterns(one, places), linking.patterns(other, places))
 
 
 def test_resemblance_is_the_correlation_of_the_patterns() -> None:
     """By hand, and whatever the light: half as bright is the same pattern, its negative the opposite."""
     one, other = gray(texture(1)), gray(texture(2))
-    steps = np.arange(-REACH, REACH + 1, STEP)
+    steps = np.arange(-linking.REACH, linking.REACH + 1, linking.STEP)
     for place in PLACES.astype(int):
         columns, rows = np.meshgrid(place[0] + steps, place[1] + steps)
         expected = np.corrcoef(one[rows, columns].ravel(), other[rows, columns].ravel())[0, 1]

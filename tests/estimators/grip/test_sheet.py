@@ -5,19 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from palpate.estimators.grip.sheet import (
-    DENSE,
-    LOOKS,
-    SIZE,
-    FoundationFit,
-    Measuring,
-    NoSheet,
-    PointGrid,
-    SeenFrame,
-    fit_foundation,
-    frame_correlation,
-    information,
-)
+from palpate.estimators.grip import sheet
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import response
 
@@ -34,11 +22,11 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     return places, np.linalg.norm(outside, axis=1)
 
 
-def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: float = ANCHOR) -> list[SeenFrame]:
+def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: float = ANCHOR) -> list[sheet.SeenFrame]:
     """Two nodes at the tool's tip are pulled; points within 12 px of the tool are off, as told."""
     places, distance = grid()
     points, away = places[distance > 5], distance[distance > 5]
-    answer, generator = response(anchor, SIZE), np.random.default_rng(seed)
+    answer, generator = response(anchor, sheet.SIZE), np.random.default_rng(seed)
     frames = []
     for pull in PULLS:
         moved = np.zeros_like(points)
@@ -48,19 +36,19 @@ def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: f
         moved += background * pull * (points / 400 - 0.5)
         near = (away < 12)[:, None]
         moved += NOISE * generator.normal(size=moved.shape) + np.where(near, [0.0, dragged * pull], 0.0)
-        frames.append(SeenFrame(moved, np.where(near[:, 0] & (dragged > 0), dragged * pull, NOISE)))
+        frames.append(sheet.SeenFrame(moved, np.where(near[:, 0] & (dragged > 0), dragged * pull, NOISE)))
     return frames
 
 
-def fitted(frames: list[SeenFrame]) -> FoundationFit:
+def fitted(frames: list[sheet.SeenFrame]) -> sheet.FoundationFit:
     places, distance = grid()
     hidden = distance <= 5
-    return fit_foundation(PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), frames)
+    return sheet.fit_foundation(sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), frames)
 
 
 def true_log_force() -> float:
     """Of both nodes, by axis 0.3 and 0.5 of the pull over what a node gives way."""
-    return math.log(2 * math.hypot(0.3, 0.5) * PULLS[-1] / response(ANCHOR, SIZE)[0, 0])
+    return math.log(2 * math.hypot(0.3, 0.5) * PULLS[-1] / response(ANCHOR, sheet.SIZE)[0, 0])
 
 
 @pytest.mark.parametrize(("dragged", "background"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3)])
@@ -80,18 +68,18 @@ def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> No
     hidden = distance <= 5
     exact, asked = seen(), []
     near = (distance[~hidden] < 60)[:, None]
-    biased = [SeenFrame(frame.moved * np.where(near, 0.97, 1.0), frame.noise) for frame in exact]
+    biased = [sheet.SeenFrame(frame.moved * np.where(near, 0.97, 1.0), frame.noise) for frame in exact]
 
-    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
-        assert {*np.flatnonzero(distance[~hidden] < DENSE)} < {*which}
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> sheet.SeenFrame:
+        assert {*np.flatnonzero(distance[~hidden] < sheet.DENSE)} < {*which}
         asked.append((number, motion.reshape(-1, 2)[~hidden]))
         return exact[number]
 
-    parts = PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), biased
-    without = fit_foundation(*parts)
-    found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
+    parts = sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), biased
+    without = sheet.fit_foundation(*parts)
+    found = sheet.fit_foundation(*parts, sheet.Measuring(places.reshape(40, 60, 2), measure))
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01 < abs(without.log_anchor - math.log(ANCHOR))
-    assert [number for number, _ in asked] == LOOKS * [0, 1, 2, 3]
+    assert [number for number, _ in asked] == sheet.LOOKS * [0, 1, 2, 3]
     for number, motion in asked[-4:]:
         assert np.median(np.linalg.norm(motion - exact[number].moved, axis=1)) < 2 * NOISE
 
@@ -103,44 +91,46 @@ def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_f
     hidden = distance <= 5
     exact, asked = seen(), []
 
-    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
+    def measure(number: int, motion: np.ndarray, which: np.ndarray) -> sheet.SeenFrame:
         asked.append(number)
         gone = np.full_like(exact[number].moved, np.nan)
-        return SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
+        return sheet.SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
 
-    parts = PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), exact
-    found = fit_foundation(*parts, Measuring(places.reshape(40, 60, 2), measure))
+    parts = sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), exact
+    found = sheet.fit_foundation(*parts, sheet.Measuring(places.reshape(40, 60, 2), measure))
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01
     if lost == 1:
-        assert asked == [0, 1, 2, 3, *(LOOKS - 1) * [1, 2, 3]]
-        assert found.log_anchor_sd < fit_foundation(*parts).log_anchor_sd
+        assert asked == [0, 1, 2, 3, *(sheet.LOOKS - 1) * [1, 2, 3]]
+        assert found.log_anchor_sd < sheet.fit_foundation(*parts).log_anchor_sd
     else:
         assert asked == [0, 1, 2, 3]
         assert found.log_anchor_sd >= MODEL_ERRORS.foundation_followed
-        assert found.log_anchor_sd == fit_foundation(*parts).log_anchor_sd
+        assert found.log_anchor_sd == sheet.fit_foundation(*parts).log_anchor_sd
 
 
 def test_frames_that_share_no_point_are_taken_to_err_alike() -> None:
     left = np.full((2, 6, 2), np.nan)
     left[0, :3], left[1, 3:] = 1.0, -1.0
-    np.testing.assert_array_equal(frame_correlation(left), 1.0)
+    np.testing.assert_array_equal(sheet.frame_correlation(left), 1.0)
 
 
 def test_motion_that_is_no_sheets_is_refused() -> None:
     places, distance = grid()
     points = places[distance > 5]
     wave = np.sin(points / 30)
-    frames = [SeenFrame(frame.moved + pull / 20 * wave, frame.noise) for frame, pull in zip(seen(), PULLS, strict=True)]
-    with pytest.raises(NoSheet, match="px off besides their noise"):
+    frames = [
+        sheet.SeenFrame(frame.moved + pull / 20 * wave, frame.noise) for frame, pull in zip(seen(), PULLS, strict=True)
+    ]
+    with pytest.raises(sheet.NoSheet, match="px off besides their noise"):
         fitted(frames)
 
 
 def test_a_tool_that_hides_too_much_is_refused() -> None:
     places, distance = grid()
     hidden = distance <= 140
-    frames = [SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
-    with pytest.raises(NoSheet, match=r"from 1 to 400"):
-        fit_foundation(PointGrid(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING), frames)
+    frames = [sheet.SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
+    with pytest.raises(sheet.NoSheet, match=r"from 1 to 400"):
+        sheet.fit_foundation(sheet.PointGrid(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING), frames)
 
 
 def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:
@@ -148,7 +138,7 @@ def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -
     places, distance = grid()
     wave = 0.15 * np.sin(places[distance > 5] / 25)
     plain, waved = (
-        fitted([SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
+        fitted([sheet.SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
     )
     assert (
         plain.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < waved.log_anchor_sd
@@ -158,9 +148,9 @@ def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -
 
 def test_frames_that_err_alike_tell_what_one_does() -> None:
     curvatures = np.full(4, 25.0)
-    assert information(curvatures, np.eye(4)) == pytest.approx(100)
-    assert information(curvatures, np.ones((4, 4))) == pytest.approx(25)
-    assert information(np.array([0.0, -3.0]), np.eye(2)) == 0
+    assert sheet.information(curvatures, np.eye(4)) == pytest.approx(100)
+    assert sheet.information(curvatures, np.ones((4, 4))) == pytest.approx(25)
+    assert sheet.information(np.array([0.0, -3.0]), np.eye(2)) == 0
 
 
 def test_correlation_of_errors_is_measured() -> None:
@@ -168,4 +158,4 @@ def test_correlation_of_errors_is_measured() -> None:
     one, other = generator.normal(size=(2, 5000, 2))
     errors = 0.5 * np.stack([one, 0.6 * one + 0.8 * other])
     errors[0, :50] = np.nan
-    np.testing.assert_allclose(frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)
+    np.testing.assert_allclose(sheet.frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)

@@ -5,28 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from palpate.estimators.grip.lattice import (
-    BEYOND,
-    LEAST_AROUND,
-    LEAST_GRIPPED,
-    MOST_FRAMES,
-    PIECE,
-    RADIUS,
-    SPREAD,
-    TYPICAL_ANCHOR,
-    GripFrame,
-    NothingMoves,
-    SheetFit,
-    _deviation,
-    _likeliest,
-    continued,
-    error_shares,
-    evenly,
-    fit_sheet,
-    lattice_springs,
-    length,
-    skill,
-)
+from palpate.estimators.grip import lattice
 from palpate.physics.sheet import equilibrium
 
 SPACING, COLUMNS, ROWS = 8, 20, 16
@@ -45,9 +24,9 @@ def held(points: np.ndarray) -> np.ndarray:
     return (points[:, 0] <= 4 * SPACING) & (np.abs(points[:, 1] - 8.5 * SPACING) < 3 * SPACING)
 
 
-NODES = continued(grid(), SPACING, BEYOND)
+NODES = lattice.continued(grid(), SPACING, lattice.BEYOND)
 """Of a sheet of one number: the points, and the tissue beyond them."""
-SPRINGS = lattice_springs(NODES, SPACING)
+SPRINGS = lattice.lattice_springs(NODES, SPACING)
 
 
 def beyond(values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -69,11 +48,11 @@ def truth(
     noise: float = NOISE,
     seed: int = 0,
     goes_on: bool = False,
-) -> list[GripFrame]:
+) -> list[lattice.GripFrame]:
     """A grip that pulls and turns a little, every point's motion off by noise, on tissue that may go on beyond them."""
     points = grid()
     nodes = NODES if goes_on else points
-    springs, gripped, log = lattice_springs(nodes, SPACING), held(points), beyond(log_stiffness, nodes)
+    springs, gripped, log = lattice.lattice_springs(nodes, SPACING), held(points), beyond(log_stiffness, nodes)
     stiffness = np.exp((log[springs[:, 0]] + log[springs[:, 1]]) / 2)
     everywhere = np.append(gripped, np.zeros(len(nodes) - len(points), bool))
     off = points[gripped] - points[gripped].mean(axis=0)
@@ -83,53 +62,53 @@ def truth(
         motion = pull * (np.array([1.0, 0.4]) + 0.01 * off @ np.array([[0, 1], [-1, 0]]))
         sheet = equilibrium(springs, stiffness, np.exp(beyond(log_anchor, nodes)), everywhere, motion)
         found = sheet.displacement[: len(points)]
-        frames.append(GripFrame(found + generator.normal(0, noise, found.shape), gripped))
+        frames.append(lattice.GripFrame(found + generator.normal(0, noise, found.shape), gripped))
     return frames
 
 
 def even(
     log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0, goes_on: bool = True
-) -> list[GripFrame]:
+) -> list[lattice.GripFrame]:
     count = COLUMNS * ROWS
     return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed, goes_on)
 
 
 def test_roots_of_mean_squares() -> None:
-    assert length(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
+    assert lattice.length(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
 
 
 def test_a_frame_tells_what_is_seen_and_moves() -> None:
-    count = LEAST_GRIPPED + LEAST_AROUND
+    count = lattice.LEAST_GRIPPED + lattice.LEAST_AROUND
     moved = np.broadcast_to([3.0, 4.0], (count, 2)).copy()
-    gripped = np.arange(count) < LEAST_GRIPPED
-    frame = GripFrame(moved, gripped)
+    gripped = np.arange(count) < lattice.LEAST_GRIPPED
+    frame = lattice.GripFrame(moved, gripped)
     assert (frame.pull, frame.tells) == (pytest.approx(5.0), True)
     np.testing.assert_array_equal(frame.around, ~gripped)
-    assert not GripFrame(moved, gripped & (np.arange(count) > 0)).tells
+    assert not lattice.GripFrame(moved, gripped & (np.arange(count) > 0)).tells
     lost = moved.copy()
     lost[-1, 1] = np.nan
-    assert not GripFrame(lost, gripped).tells
-    np.testing.assert_array_equal(GripFrame(lost, gripped).around, ~gripped & (np.arange(count) < count - 1))
+    assert not lattice.GripFrame(lost, gripped).tells
+    np.testing.assert_array_equal(lattice.GripFrame(lost, gripped).around, ~gripped & (np.arange(count) < count - 1))
     still = np.where(gripped[:, None], moved, [0.6, 0.79])
-    assert not GripFrame(still, gripped).tells  # 0.99 px
-    assert GripFrame(np.where(gripped[:, None], moved, [0.6, 0.81]), gripped).tells
+    assert not lattice.GripFrame(still, gripped).tells  # 0.99 px
+    assert lattice.GripFrame(np.where(gripped[:, None], moved, [0.6, 0.81]), gripped).tells
 
 
 @pytest.mark.parametrize("anchor", [0.002, 0.02, 0.2])
 def test_a_foundation_is_found_again(anchor: float) -> None:
-    fit = fit_sheet(grid(), SPACING, even(np.log(anchor), np.linspace(12, 24, 6)))
+    fit = lattice.fit_sheet(grid(), SPACING, even(np.log(anchor), np.linspace(12, 24, 6)))
     assert fit.log_anchor == pytest.approx(np.log(anchor), abs=0.05)
     assert abs(fit.log_anchor - np.log(anchor)) < 3 * fit.log_anchor_sd
 
 
 def test_a_disc_of_the_radius_holds_ninety_per_cent() -> None:
     draws = np.random.default_rng(0).normal(size=(200_000, 2))
-    assert (np.linalg.norm(draws, axis=1) < RADIUS).mean() == pytest.approx(0.9, abs=0.003)
+    assert (np.linalg.norm(draws, axis=1) < lattice.RADIUS).mean() == pytest.approx(0.9, abs=0.003)
 
 
 def test_forces_are_over_that_of_the_last_frame() -> None:
     frames = even(np.log(0.05), np.linspace(6, 24, 7))
-    fit = fit_sheet(grid(), SPACING, frames)
+    fit = lattice.fit_sheet(grid(), SPACING, frames)
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, np.linspace(6, 24, 7) / 24, rtol=0.01)
     assert force[-1] == pytest.approx(1)
@@ -144,12 +123,12 @@ def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
     whole = held(points)
     fewer = whole & (np.cumsum(whole) <= 21)
 
-    def frame(gripped: np.ndarray, pull: float) -> GripFrame:
+    def frame(gripped: np.ndarray, pull: float) -> lattice.GripFrame:
         motion = np.full((whole.sum(), 2), pull)
         values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
-        return GripFrame(pulled(*values, whole, motion), gripped)
+        return lattice.GripFrame(pulled(*values, whole, motion), gripped)
 
-    fit = SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.3, 0.1)
+    fit = lattice.SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.3, 0.1)
     frames = [frame(whole, 5.0), frame(fewer, 10.0), frame(whole, 10.0)]
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0.5, 1, 1], rtol=1e-6)
@@ -163,10 +142,10 @@ def test_a_force_across_the_last_one_is_uncertain() -> None:
     gripped = held(points)
     values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
     frames = [
-        GripFrame(pulled(*values, gripped, np.tile(pull, (gripped.sum(), 1))), gripped)
+        lattice.GripFrame(pulled(*values, gripped, np.tile(pull, (gripped.sum(), 1))), gripped)
         for pull in ([6.0, 0.0], [0.0, 12.0])
     ]
-    fit = SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.0, 0.1)
+    fit = lattice.SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.0, 0.1)
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0, 1], atol=1e-9)
     np.testing.assert_allclose(sd, [0.1 * 0.5, 0], atol=1e-6)
@@ -177,7 +156,7 @@ def test_lost_points_do_not_count() -> None:
     generator = np.random.default_rng(2)
     for frame in frames:
         frame.moved[(generator.random(len(frame.moved)) < 0.3) & ~frame.gripped] = np.nan
-    fit = fit_sheet(grid(), SPACING, frames)
+    fit = lattice.fit_sheet(grid(), SPACING, frames)
     assert fit.log_anchor == pytest.approx(np.log(0.02), abs=0.05)
     assert np.isfinite(fit.held(frames[-1]).found.displacement).all()
     assert 0 < fit.error < 0.2
@@ -186,40 +165,40 @@ def test_lost_points_do_not_count() -> None:
 def test_frames_without_motion_do_not_count() -> None:
     pulls = np.linspace(12, 24, 6)
     moving = even(np.log(0.02), pulls)
-    still = GripFrame(np.full_like(moving[0].moved, 0.01), moving[0].gripped)
-    one = fit_sheet(grid(), SPACING, moving)
-    other = fit_sheet(grid(), SPACING, [still, *moving[:3], still, *moving[3:]])
+    still = lattice.GripFrame(np.full_like(moving[0].moved, 0.01), moving[0].gripped)
+    one = lattice.fit_sheet(grid(), SPACING, moving)
+    other = lattice.fit_sheet(grid(), SPACING, [still, *moving[:3], still, *moving[3:]])
     assert (one.log_anchor, one.error) == (other.log_anchor, other.error)
 
 
 def test_the_likeliest_numbers_have_no_slope() -> None:
     """Where the optimiser stops no other number is likelier, and the density's curvature is 1 / variance."""
     frames = even(np.log(0.02), np.array([12.0, 24.0]), noise=0.3)
-    sheet = SheetFit(len(grid()), len(NODES), SPRINGS, None)
+    sheet = lattice.SheetFit(len(grid()), len(NODES), SPRINGS, None)
 
     def loss(number: float) -> float:
-        value = 0.5 * ((number - np.log(TYPICAL_ANCHOR)) / SPREAD) ** 2
+        value = 0.5 * ((number - np.log(lattice.TYPICAL_ANCHOR)) / lattice.SPREAD) ** 2
         for frame in frames:
             found = sheet.at(number).held(frame).found.displacement[: len(frame.moved)]
             error = (found - frame.moved)[frame.around]
-            value += len(error) / PIECE**2 / len(frames) * np.log(np.square(error).sum())
+            value += len(error) / lattice.PIECE**2 / len(frames) * np.log(np.square(error).sum())
         return float(value)
 
-    found = _likeliest(sheet.at(np.log(0.02) + 0.5), frames)
+    found = lattice._likeliest(sheet.at(np.log(0.02) + 0.5), frames)
     best = min(np.linspace(np.log(0.02) - 0.5, np.log(0.02) + 0.5, 401).tolist(), key=loss)
     assert found.log_anchor == pytest.approx(best, abs=0.005)
     step, here = 0.02, found.log_anchor
     curvature = (loss(here + step) - 2 * loss(here) + loss(here - step)) / step**2
-    assert _deviation(found, frames) ** -2 == pytest.approx(curvature, rel=0.05)
+    assert lattice._deviation(found, frames) ** -2 == pytest.approx(curvature, rel=0.05)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 9, 30])
 def test_fitted_frames_are_few_evenly_spread_and_end_with_the_last(count: int) -> None:
-    used = evenly(count, MOST_FRAMES)
+    used = lattice.evenly(count, lattice.MOST_FRAMES)
     assert used[-1] == count - 1
-    assert min(count, 2) <= len(used) <= MOST_FRAMES
+    assert min(count, 2) <= len(used) <= lattice.MOST_FRAMES
     assert np.ptp(np.diff(used)) <= 1 if len(used) > 2 else True
-    assert len(used) == MOST_FRAMES or count <= MOST_FRAMES
+    assert len(used) == lattice.MOST_FRAMES or count <= lattice.MOST_FRAMES
 
 
 def test_too_few_frames_that_move_are_a_sentence() -> None:
@@ -228,17 +207,17 @@ def test_too_few_frames_that_move_are_a_sentence() -> None:
         "In 2 of 4 frames the tissue moves by more than 1 px, with 20 points seen at the instrument and 50 around it; "
         "3 are needed"
     )
-    with pytest.raises(NothingMoves, match=told):
-        fit_sheet(grid(), SPACING, frames)
+    with pytest.raises(lattice.NothingMoves, match=told):
+        lattice.fit_sheet(grid(), SPACING, frames)
 
 
 def test_too_few_points_at_the_instrument_are_a_sentence() -> None:
     frames = [
-        GripFrame(frame.moved, frame.gripped & (np.cumsum(frame.gripped) < LEAST_GRIPPED))
+        lattice.GripFrame(frame.moved, frame.gripped & (np.cumsum(frame.gripped) < lattice.LEAST_GRIPPED))
         for frame in even(np.log(0.02), np.linspace(12, 24, 6))
     ]
-    with pytest.raises(NothingMoves, match="In 0 of 6 frames the tissue moves"):
-        fit_sheet(grid(), SPACING, frames)
+    with pytest.raises(lattice.NothingMoves, match="In 0 of 6 frames the tissue moves"):
+        lattice.fit_sheet(grid(), SPACING, frames)
 
 
 def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
@@ -246,18 +225,20 @@ def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
     still = even(np.log(0.05), np.linspace(6, 24, 7))
     terms = np.column_stack([points / 100, np.ones(len(points))])
     generator = np.random.default_rng(4)
-    carried = [GripFrame(frame.moved + terms @ generator.normal(0, 5, (3, 2)), frame.gripped) for frame in still]
-    plain = fit_sheet(points, SPACING, still, background=True)
-    fit = fit_sheet(points, SPACING, carried, background=True)
+    carried = [
+        lattice.GripFrame(frame.moved + terms @ generator.normal(0, 5, (3, 2)), frame.gripped) for frame in still
+    ]
+    plain = lattice.fit_sheet(points, SPACING, still, background=True)
+    fit = lattice.fit_sheet(points, SPACING, carried, background=True)
     # However the background moves, what is left is the same.
     assert (fit.log_anchor, fit.log_anchor_sd) == pytest.approx((plain.log_anchor, plain.log_anchor_sd), rel=1e-4)
     assert fit.log_anchor == pytest.approx(np.log(0.05), abs=0.1)
-    assert skill(fit, carried[-1]) == pytest.approx(skill(plain, still[-1]), abs=1e-4)
+    assert lattice.skill(fit, carried[-1]) == pytest.approx(lattice.skill(plain, still[-1]), abs=1e-4)
     assert fit.log_force(carried[-1]) == pytest.approx(plain.log_force(still[-1]), abs=1e-3)
     # Not to know whether it moves costs something.
-    alone = fit_sheet(points, SPACING, still)
+    alone = lattice.fit_sheet(points, SPACING, still)
     assert plain.log_anchor_sd > alone.log_anchor_sd
-    assert fit_sheet(points, SPACING, carried).log_anchor != pytest.approx(np.log(0.05), abs=0.3)
+    assert lattice.fit_sheet(points, SPACING, carried).log_anchor != pytest.approx(np.log(0.05), abs=0.3)
 
 
 def test_shares_of_errors_are_found_again() -> None:
@@ -265,12 +246,12 @@ def test_shares_of_errors_are_found_again() -> None:
     pull, motion = np.repeat([100.0, 400.0], 20_000), generator.uniform(0, 300, 40_000)
     variance = 0.02**2 * pull + 0.1**2 * motion
     error = np.square(np.sqrt(variance)[:, None] * generator.normal(size=(40_000, 2))).sum(axis=1)
-    assert error_shares(error, motion, pull) == pytest.approx((0.02, 0.1), rel=0.05)
+    assert lattice.error_shares(error, motion, pull) == pytest.approx((0.02, 0.1), rel=0.05)
 
 
 def test_the_force_is_what_the_foundation_holds() -> None:
     frames = even(np.log(0.05), np.linspace(6, 24, 7), noise=0.0)
-    fit = fit_sheet(grid(), SPACING, frames)
+    fit = lattice.fit_sheet(grid(), SPACING, frames)
     log, sd = fit.log_force(frames[-1])
     found = fit.held(frames[-1]).found
     total = np.exp(fit.log_anchor) * found.displacement.sum(axis=0)

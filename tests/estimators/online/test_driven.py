@@ -239,10 +239,10 @@ def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
     mapping = dataclasses.replace(SETTINGS.mapping, steps=1)
     stepping = dataclasses.replace(SETTINGS.stepping, iterations=2)
     tissue = driven(surface, method=Method("PBD-RM"), mapping=mapping, stepping=stepping)
-    tracemalloc.start()
     for index in range(60):
         tissue.step(pulled(index % 5 / 5))
     used = []
+    tracemalloc.start()
     for index in range(3 * 34 + 1):
         if index % 34 == 0:
             gc.collect()

@@ -9,16 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from palpate.evaluation.paper.statistics import (
-    MINIMUM_FOR_WILCOXON,
-    SIGNIFICANCE,
-    Statistic,
-    compare,
-    describe,
-    format_number,
-    judge,
-    summarise,
-)
+from palpate.evaluation.paper import statistics
 
 REGIME = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
 BASELINE = REGIME + np.array([1.0, 2.0, -0.5, 3.0, 4.0, -1.5, 5.0, 6.0])
@@ -31,17 +22,17 @@ CLIPS = np.array(list("aabbccdd"))
      (1e12, "1e+12"), (math.inf, "inf"), ("n too small", "n too small")],
 )  # fmt: skip
 def test_numbers(value, text):
-    assert format_number(value) == text
+    assert statistics.format_number(value) == text
 
 
 def test_statistics_read_as_number_interval_or_why_there_is_none():
-    assert str(Statistic(0.5)) == "0.5"
-    assert str(Statistic(low=-1.0, high=2.0)) == "[−1, 2]"
-    assert str(Statistic(note="n too small")) == "n too small"
+    assert str(statistics.Statistic(0.5)) == "0.5"
+    assert str(statistics.Statistic(low=-1.0, high=2.0)) == "[−1, 2]"
+    assert str(statistics.Statistic(note="n too small")) == "n too small"
 
 
 def test_summary_by_hand():
-    summary = summarise(REGIME, CLIPS)
+    summary = statistics.summarise(REGIME, CLIPS)
     assert (summary["n"].value, summary["clips"].value) == (8, 4)
     assert summary["mean"].value == 4.5
     assert summary["sd"].value == pytest.approx(math.sqrt(42 / 7))  # Σ(x−4.5)² = 42
@@ -52,7 +43,7 @@ def test_bca_interval_is_scipys_on_ten_thousand_resamples():
     expected = stats.bootstrap(
         (values,), np.mean, n_resamples=10_000, method="BCa", batch=500, random_state=np.random.default_rng(0)
     ).confidence_interval
-    interval = summarise(values, np.zeros(40))["interval"]
+    interval = statistics.summarise(values, np.zeros(40))["interval"]
     assert (interval.low, interval.high) == pytest.approx(tuple(expected))
     # An independent check: for a mean of 40 values the interval is close to ±1.96 standard errors.
     error = values.std(ddof=1) / math.sqrt(40)
@@ -61,7 +52,7 @@ def test_bca_interval_is_scipys_on_ten_thousand_resamples():
 
 def test_clip_interval_is_wider_when_clips_differ():
     values = np.repeat([0.0, 1.0, 2.0, 3.0], 25) + np.random.default_rng(0).normal(0, 0.01, 100)
-    summary = summarise(values, np.repeat(list("abcd"), 25))
+    summary = statistics.summarise(values, np.repeat(list("abcd"), 25))
     frames, whole = summary["interval"], summary["clip_interval"]
     assert whole.high - whole.low > 2 * (frames.high - frames.low)
     # Resampling 4 clips of means 0..3: every resampled mean lies within 0 and 3 and the extremes are rare.
@@ -73,11 +64,13 @@ def test_clip_interval_weighs_clips_by_their_frames():
     # All clips have the same mean, so no resample of clips can move it, however unequal their sizes.
     values = np.tile([1.0, 3.0], 6)
     clips = np.array(list("aabbbbcccccc"))
-    assert summarise(values, clips)["clip_interval"] == Statistic(pytest.approx(math.nan, nan_ok=True), 2.0, 2.0)
+    assert statistics.summarise(values, clips)["clip_interval"] == statistics.Statistic(
+        pytest.approx(math.nan, nan_ok=True), 2.0, 2.0
+    )
 
 
 def test_paired_tests_by_hand():
-    result = compare(REGIME, BASELINE, CLIPS)
+    result = statistics.compare(REGIME, BASELINE, CLIPS)
     difference = BASELINE - REGIME
     assert result["mean_difference"].value == pytest.approx(19 / 8)
     assert result["relative_change_percent"].value == pytest.approx(100 * (4.5 - 6.875) / 6.875)
@@ -99,7 +92,7 @@ def test_cohens_d_is_the_papers_variant():
 def test_pairs_that_are_not_finite_are_counted_and_left_out():
     baseline = BASELINE.copy()
     baseline[[0, 3]] = np.nan, np.inf
-    result = compare(REGIME, baseline, CLIPS)
+    result = statistics.compare(REGIME, baseline, CLIPS)
     kept = np.array([1, 2, 4, 5, 6, 7])
     assert (result["n"].value, result["left_out"].value) == (6, 2)
     assert result["mean_difference"].value == pytest.approx((BASELINE - REGIME)[kept].mean())
@@ -107,21 +100,21 @@ def test_pairs_that_are_not_finite_are_counted_and_left_out():
 
 @pytest.mark.parametrize("n", [0, 1, 2, 4])
 def test_too_small_samples_say_so(n):
-    result = compare(REGIME[:n], BASELINE[:n], CLIPS[:n])
+    result = statistics.compare(REGIME[:n], BASELINE[:n], CLIPS[:n])
     assert math.isnan(result["wilcoxon_w"].value)
     assert result["wilcoxon_w"].note.startswith("n too small")
     assert result["difference_interval"].note.startswith("n too small")
     assert result["difference_clip_interval"].note.startswith("n too small")
     assert math.isnan(result["cohens_d"].value) == (n < 2)
-    assert judge(result) == "too few to judge"
-    summary = summarise(REGIME[:n], CLIPS[:n])
+    assert statistics.judge(result) == "too few to judge"
+    summary = statistics.summarise(REGIME[:n], CLIPS[:n])
     assert math.isnan(summary["sd"].value) == (n < 2)
     assert math.isnan(summary["mean"].value) == (n < 1)
     assert summary["interval"].note.startswith("n too small")
 
 
 def test_equal_errors_give_no_statistic_and_no_warning():
-    result = compare(REGIME, REGIME, CLIPS)
+    result = statistics.compare(REGIME, REGIME, CLIPS)
     assert math.isnan(result["t"].value)
     assert result["t"].note == "all differences are equal"
     assert result["difference_interval"].note == "all values are equal"
@@ -131,14 +124,14 @@ def test_equal_errors_give_no_statistic_and_no_warning():
 
 def test_one_sentence_tells_the_verdict_and_its_grounds():
     noise = np.random.default_rng(0).normal(0, 0.1, 100)
-    text = describe(compare(np.ones(100), 1.25 + noise, np.arange(100) % 6), "A", "B")
+    text = statistics.describe(statistics.compare(np.ones(100), 1.25 + noise, np.arange(100) % 6), "A", "B")
     assert text.startswith("A against B: better. Change of the mean error [%]: −2")
     assert "Wilcoxon p: " in text
     assert "frames: 100 of clips: 6; mean difference over resampled clips: [0.2" in text
-    few = describe(compare(np.ones(2), np.zeros(2) + 3, np.zeros(2)), "A", "B")
+    few = statistics.describe(statistics.compare(np.ones(2), np.zeros(2) + 3, np.zeros(2)), "A", "B")
     assert few.startswith("A against B: too few to judge.")
     assert "Wilcoxon p: n too small (non-zero differences: 2, 6 needed)" in few
-    assert "nan" not in describe(compare(np.array([np.nan]), np.array([1.0]), ["a"]), "A", "B")
+    assert "nan" not in statistics.describe(statistics.compare(np.array([np.nan]), np.array([1.0]), ["a"]), "A", "B")
 
 
 @pytest.mark.parametrize(("shift", "expected"), [(+1.0, "better"), (-1.0, "worse"), (0.0, "no different")])
@@ -147,18 +140,18 @@ def test_judge(shift, expected):
     noise -= np.median(noise)
     regime = np.full(60, 10.0)
     baseline = regime + shift + noise
-    assert judge(compare(regime, baseline, np.arange(60) // 10)) == expected  # 6 clips
+    assert statistics.judge(statistics.compare(regime, baseline, np.arange(60) // 10)) == expected  # 6 clips
     for clips in (1, 5):
-        assert judge(compare(regime, baseline, np.arange(60) % clips)) == "too few to judge"
+        assert statistics.judge(statistics.compare(regime, baseline, np.arange(60) % clips)) == "too few to judge"
 
 
 def test_fewer_than_six_can_not_reach_the_level_of_a_signed_rank_test():
     """2/2ⁿ is the smallest two-sided p, of differences that all have one sign."""
-    assert MINIMUM_FOR_WILCOXON == 6
+    assert statistics.MINIMUM_FOR_WILCOXON == 6
     for n in range(2, 12):
         smallest = stats.wilcoxon(np.arange(1.0, n + 1), method="exact").pvalue
         assert smallest == pytest.approx(2 / 2**n)
-        assert (smallest < SIGNIFICANCE) == (n >= MINIMUM_FOR_WILCOXON)
+        assert (smallest < statistics.SIGNIFICANCE) == (n >= statistics.MINIMUM_FOR_WILCOXON)
 
 
 finite = st.floats(0.01, 100, allow_nan=False)
@@ -168,7 +161,7 @@ finite = st.floats(0.01, 100, allow_nan=False)
 @given(arrays(float, 6, elements=finite), arrays(float, 6, elements=finite))
 def test_swapping_the_regimes_swaps_the_signs(first, second):
     clips = np.array(list("aabbcc"))
-    one, other = compare(first, second, clips), compare(second, first, clips)
+    one, other = statistics.compare(first, second, clips), statistics.compare(second, first, clips)
     assert one["mean_difference"].value == -other["mean_difference"].value
     for name in ("wilcoxon_w", "wilcoxon_p", "t_p"):
         assert one[name].value == pytest.approx(other[name].value, nan_ok=True)

@@ -85,7 +85,7 @@ def test_an_estimator_that_knows_the_noise_reaches_the_bound() -> None:
     generator, draws, step = np.random.default_rng(1), 400, 0.05
     in_place, in_time = (np.linalg.cholesky(item) for item in (following.covariance(grid()[0]), following.in_time))
     true = np.einsum("nm,tma->nta", design(apart, LOG), nuisances)
-    noise = np.einsum("nm,ts,dmsa->dnta", in_place, in_time, generator.normal(size=(draws, *true.shape)))
+    noise = np.einsum("nm,ts,dmsa->dnta", in_place, in_time, generator.normal(size=(draws, *true.shape)), optimize=True)
     seen, whiten = true + noise, np.linalg.inv(in_time)
     losses, forces = [], []
     for log_anchor in LOG + step * np.array([-1.0, 0.0, 1.0]):
@@ -111,7 +111,7 @@ def test_drawn_errors_are_measured() -> None:
     true = Following(sizes, TRACKED.reach, TRACKED.shared, TRACKED.in_time)
     places = np.linalg.cholesky(true.covariance(points) + 1e-9 * np.eye(len(points)))
     generator, times = np.random.default_rng(2), np.linalg.cholesky(true.in_time)
-    errors = np.einsum("nm,ts,sma->tna", places, times, generator.normal(size=(2, len(points), 2)))
+    errors = np.einsum("nm,ts,sma->tna", places, times, generator.normal(size=(2, len(points), 2)), optimize=True)
     errors[0, :10] = np.nan
     found = measure_following(points, np.zeros(len(points)), SPACING, 1.7 * sizes, errors)
     # As far as errors of points are correlated, so many fewer count.

@@ -80,7 +80,7 @@ def test_a_floor_cuts_the_body_at_its_height_whatever_the_cells() -> None:
 
 @pytest.mark.slow
 def test_a_sphere_is_filled_and_comes_closer_with_more_cells() -> None:
-    coarse, fine = (mesh_surface(*globe(), cells=cells) for cells in (8, 24))
+    coarse, fine = (mesh_surface(*globe(), cells=cells) for cells in (8, 16))
     assert volume(fine) == pytest.approx(SPHERE, rel=0.06)
     assert abs(volume(fine) - SPHERE) < abs(volume(coarse) - SPHERE)
     assert fine.off < coarse.off < 0.01

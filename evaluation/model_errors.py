@@ -4,8 +4,8 @@
 
 The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
-root mean square errors, what residuals tell of them, the standard deviation of the model that follows, from how many
-clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
+root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
+them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
 takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
 thickness (minutes a clip); video presses in plain videos (`evaluation.plain_video`, half a minute a clip), in turns by
 either law of light.
@@ -51,6 +51,10 @@ LOOKS = tuple(PlainVideo(Path(), look=look).settings for look in ("matte", "endo
 """What plain videos are drawn from, in turns."""
 ENDS = "error", "sd", "model_sd"
 """What a plain video's row has of a quantity."""
+ROUNDS = 100
+"""Of a search for the most likely variance."""
+LEAST_VARIANCE = 1e-12
+"""No error is known better, so that none counts alone."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -66,6 +70,19 @@ def model_sd(off: float, residual: float) -> float:
     """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
     left = math.sqrt(max(off**2 - residual**2, 0.0))
     return float(f"{left:.2g}")
+
+
+def mean_squares(errors: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
+    """Means of squared errors and of what residuals tell of them [K], whose difference is the model's variance.
+
+    It is the most likely one, errors being normally distributed: a clip counts by how small its own variance is.
+    """
+    squares, model = np.square(errors), float(np.square(errors).mean())
+    for _ in range(ROUNDS):
+        weights = 1 / np.square(variances + model + LEAST_VARIANCE)
+        weights /= weights.sum()
+        model = max(float(weights @ (squares - variances)), 0.0)
+    return float(weights @ squares), float(weights @ variances)
 
 
 def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
@@ -129,7 +146,7 @@ def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, da
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
         errors_of, variances = np.transpose(pairs)
-        off, stated = (float(f"{math.sqrt(part.mean()):.3g}") for part in (np.square(errors_of), variances))
+        off, stated = (float(f"{math.sqrt(mean):.3g}") for mean in mean_squares(errors_of, variances))
         measured = {"off": off, "stated": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:

@@ -1,7 +1,8 @@
 """What can be said on real clips, judged on what was kept back from the fit.
 
     python -m evaluation.real --data DIR --output OUT
-    python -m evaluation.real --pulled CLIP [--layout YAML] [--estimator direct|online] [--settings YAML] --output OUT
+    python -m evaluation.real --pulled CLIP [--layout YAML] [--masks FILE] --output OUT
+    python -m evaluation.real --pulled CLIP [--layout YAML] --estimator online [--settings YAML] --output OUT
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
@@ -78,6 +79,8 @@ class Real(Experiment):
     """a clip, as infer.py takes it"""
     layout: Path | None = None
     """of the pulled clip: YAML file that names a folder's files (default: CholecSeg8k)"""
+    masks: Path | None = None
+    """of the pulled clip: outlines of its instruments, or a segmentation model (default: as of infer.py)"""
     estimator: Literal["direct", "online"] = "direct"
     """of pulled clips: direct, as infer.py runs it, or online, ahead from frames 3, 4 and 5"""
     settings: Path | None = None
@@ -90,6 +93,8 @@ class Real(Experiment):
         """Raise a ValueError where options don't belong together, or a file of settings can't be used."""
         if self.layout is not None and self.pulled is None:
             raise ValueError(f"--layout {self.layout} is of a clip of --pulled; give both, or leave it out.")
+        if self.masks is not None and (self.pulled is None or self.estimator == "online"):
+            raise ValueError(f"--masks {self.masks} is of a clip of --pulled that direct judges; leave it out.")
         if self.settings is not None and self.estimator != "online":
             raise ValueError(f"--settings {self.settings} is for --estimator online; leave it out.")
         for name in FILES if self.online is not None else ():
@@ -114,7 +119,7 @@ class Real(Experiment):
             below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
             clips += [(name, clip) for name, clip in below.items() if clip.path.exists()]
         if self.pulled is not None:
-            clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout)))
+            clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout, self.masks)))
         found: dict[tuple[str], PulledClip] = {}
         for name, clip in clips:
             found[f"{name} (2)" if (name,) in found else name,] = clip

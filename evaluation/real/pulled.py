@@ -30,6 +30,8 @@ class PulledClip:
     """Folder of its files, or a video file."""
     layout_file: Path | None = None
     """YAML file that names a folder's files; None = CholecSeg8k's layout."""
+    masks: Path | None = None
+    """Outlines of its instruments, or a segmentation model; None = annotations where there are any, else automatic."""
 
     @property
     def layout(self) -> ClipLayout:
@@ -66,7 +68,8 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
         NoEstimate: no run of contact tells anything as a grip.
     """
     estimator = open_estimator(EstimatorOptions("direct"))
-    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
+    chosen = Chosen(clip.layout, None if clip.masks is None else str(clip.masks))
+    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(chosen))
     session = estimator.start(ClipInfo.of(stream))
     outputs = list(estimates_of(session, stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]

@@ -76,6 +76,19 @@ def test_videos_tell_ratios_and_scale_whatever_a_fit_makes_of_each_clip() -> Non
         assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
 
 
+def test_clips_count_by_how_little_their_residuals_leave_open() -> None:
+    """The most likely variance of a normal distribution, also where a few clips tell next to nothing."""
+    generator = np.random.default_rng(5)
+    variances = np.where(np.arange(600) % 3 == 0, 4.0, 0.01)
+    errors = generator.normal(0, np.sqrt(variances + 0.2**2))
+    off, stated = module.mean_squares(errors, variances)
+    assert math.sqrt(off - stated) == pytest.approx(0.2, rel=0.1)
+    candidates = np.linspace(0.05, 0.5, 1000)
+    total = variances + np.square(candidates)[:, None]
+    likely = candidates[np.argmin((np.log(total) + np.square(errors) / total).sum(axis=1))]
+    assert math.sqrt(off - stated) == pytest.approx(likely, abs=1e-3)
+
+
 def test_pulls_tell_force_over_young_and_its_course() -> None:
     tissue, true = np.full(8, 200.0), np.array([0.2, 0.5, 1.0])
     course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])

@@ -104,6 +104,13 @@ def test_two_known_clips_are_judged(inputs, tmp_path, monkeypatch, capsys) -> No
     assert "skill in frames kept back" in told.out
 
 
+def test_masks_of_a_pulled_clip_are_those_that_are_given(inputs, tmp_path) -> None:
+    outlines = tmp_path / "outlines.yaml"
+    outlines.write_text("0: []\n")  # no instrument is in view
+    assert main([*pulled(inputs, "other"), "--masks", str(outlines), "--output", str(tmp_path / "found")]) == 1
+    assert rows(tmp_path / "found")["other"]["status"] == "No run of contact was found."
+
+
 def test_an_interruption_keeps_what_is_finished(inputs, once, tmp_path, monkeypatch, capsys) -> None:
     def interrupt(clip: PulledClip, row: dict) -> Pull:
         if clip.path.name == "other":
@@ -164,6 +171,7 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, c
         ([], "there is nothing to judge. Give --data or --pulled."),
         (["--data", "{empty}"], "{empty} holds none of " + ", ".join(KNOWN)),
         (["--layout", "a.yaml"], "--layout a.yaml is of a clip of --pulled; give both, or leave it out."),
+        (["--masks", "a.yaml"], "--masks a.yaml is of a clip of --pulled that direct judges; leave it out."),
     ],
 )
 def test_wrong_usage_is_a_sentence(tmp_path, capsys, arguments, told) -> None:

@@ -5,10 +5,10 @@
 The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
-them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips leave `value`, by which the estimators go, as it is. The part grip
-takes the suites retraction, foundation and regions; pull the pulls of the suite fem, by a slab that is given the
-thickness (minutes a clip); video presses in plain videos (`evaluation.plain_video`, half a minute a clip), in turns by
-either law of light.
+them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
+leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
+pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos
+(`evaluation.plain_video`, half a minute a clip), in turns by either law of light.
 """
 
 from __future__ import annotations

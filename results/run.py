@@ -158,7 +158,9 @@ class Batch:
             return paths
         name = self.calibration.fields.clip
         if name is None and len(paths) > 1:
-            raise ValueError(f"{self.calibration.path} tells of one clip, and there are {len(paths)}; name it as clip.")
+            raise ValueError(
+                f"{self.calibration.path} tells of a force in one clip, and there are {len(paths)}; name that as clip."
+            )
         home = [path for path in paths if self._is_home(path)]
         if paths and len(home) != 1:
             raise ValueError(

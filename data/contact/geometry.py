@@ -146,7 +146,9 @@ class GeometrySettings:
         if not 0.01 <= self.keep <= 1:
             raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
         if self.contact == "motion" and self.smoothing == 0:
-            raise ValueError("geometry.contact motion needs a rest shape and its noise; give smoothing above 0.")
+            raise ValueError(
+                "geometry.contact motion needs a rest shape and its noise; give geometry.smoothing above 0."
+            )
         if self.contact_pixels == 0 and self.contact_distance == 0:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 

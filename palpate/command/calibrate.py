@@ -154,7 +154,7 @@ def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
     for number, (rest, each, pose) in enumerate(zip(rests, scene.palpations, poses, strict=True), start=1):
         errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
         rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
-    return to_csv(rows, form=".4f")
+    return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
 def _curves(files: list[Path], indenter: Indenter | None, output: Path, console: Console) -> int:

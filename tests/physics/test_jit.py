@@ -189,7 +189,7 @@ def test_code_does_not_outlive_a_constant_of_another_file(copied):
     assert MOBILE == 9
     [(folder, before)] = shown(start(copied))
     assert before == expected("float32")
-    layout = copied / "physics" / "msd" / "grid_layout.py"
+    layout = copied / "physics" / "msd" / "grid_kernel.py"
     text = layout.read_text()
     moved = text.replace(
         "LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10", "MOBILE, LENGTH, LINK, REST_PLANES = 0, 3, 4, 7, 11"

@@ -122,7 +122,7 @@ def preparation(
 
     Args:
         estimator: opened.
-        masks: `annotation`, `automatic`, or a segmentation network's .onnx file.
+        masks: `auto`, `annotation`, `automatic`, or a file: a segmentation network's .onnx, or outlines in .yaml.
         layout: YAML file that names a folder's files, or what such a file says.
         camera: YAML or JSON file of the camera of clips that bring none of their own.
         contact: `touching` or `motion`: how a press is found (estimators direct and network).

@@ -1,4 +1,4 @@
-"""Where tool and tissue are in a frame: label maps from annotation, a network, or neither.
+"""Where tool and tissue are in a frame: label maps from annotation, a network, outlines, or none of these.
 
 sources           the common interface MaskSource, annotation masks, and the choice between the kinds
 onnx              any segmentation network as an ONNX file

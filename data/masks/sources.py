@@ -1,4 +1,4 @@
-"""Tool and tissue masks of a frame: annotation colours, an ONNX model, or the automatic mode for raw video.
+"""Tool and tissue masks of a frame: annotation, an ONNX model, outlines, or the automatic mode for raw video.
 
 Label maps are uint8 [H, W]: 0 other, 1 tissue, 2 tool (Bini 2026, section 3.1: only the binary tool/tissue partition
 of the annotation is used).
@@ -138,10 +138,12 @@ class AnnotationMasks:
     def __init__(self, layout: ClipLayout, classes: MaskClasses, clip: Path) -> None:
         if not clip.is_dir() or not layout.mask_patterns:
             what = "the layout names" if clip.is_dir() else "a video has"
-            raise InputError(f"{what} no annotation masks; use --masks automatic or a segmentation model.")
+            raise InputError(f"{what} no annotation masks; use --masks automatic, outlines or a segmentation model.")
         if not has_masks(clip, layout):
             expected = layout.mask_patterns[0]
-            raise InputError(f"{clip} holds no annotation masks ({expected}); use --masks automatic or a model.")
+            raise InputError(
+                f"{clip} holds no annotation masks ({expected}); use --masks automatic, outlines or a model."
+            )
         self.layout, self.classes = layout, classes
         self.identity = f"annotation:{classes}:{layout.mask_patterns}"
 

@@ -1,6 +1,6 @@
 """CholecSeg8k and data sets laid out like it: its clips; checks a data set and prepares it.
 
-    python -m data.cholecseg8k DIR [--depth photometric|stored|PRESET|FILE.onnx] [--masks annotation|automatic|ONNX]
+    python -m data.cholecseg8k DIR [--depth photometric|stored|PRESET|FILE.onnx] [--masks annotation|automatic|FILE]
 
 prints a table of the clips (videoNN/videoNN_SSSSS, 80 frames each; 854x480, 25 fps) and prepares depth and geometry for
 training (training with other settings prepares its own). Exit status: 0 all clips done, 1 some failed (named, the
@@ -170,7 +170,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("root", type=path_option, metavar="DIR", help="folder of the data set, or of one clip")
     parser.add_argument("--depth", default="auto", help="auto, stored, a preset's name, or an .onnx file (%(default)s)")
     parser.add_argument("--depth-model", metavar="FILE", help="ONNX file of the preset")
-    parser.add_argument("--masks", default="auto", help="auto, annotation, automatic, or an .onnx file (%(default)s)")
+    masks = "auto, annotation, automatic, or a file: an .onnx model or outlines in .yaml (%(default)s)"
+    parser.add_argument("--masks", default="auto", help=masks)
     parser.add_argument("--layout", type=path_option, metavar="FILE", help="YAML file that names a clip's files")
     parser.add_argument("--cache", type=path_option, default=Path("runs/cache"), help="of results (%(default)s)")
     return parser

@@ -18,7 +18,7 @@ import sys
 import warnings
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
 
@@ -173,13 +173,15 @@ class RunTrainer(Trainer):
 class TrainCLI(LightningCLI):
     """Command line: one configuration file, any field of which can be overridden."""
 
-    commands: ClassVar = COMMANDS
-    """Those that have a parser, each of which takes a tenth of a second."""
+    def __init__(self, *classes: Any, args: list[str] | None = None, **options: Any) -> None:
+        command = (sys.argv[1:] if args is None else args)[:1]
+        self._commands = command if command and command[0] in COMMANDS else COMMANDS
+        """Those that get a parser, each of which takes a tenth of a second."""
+        super().__init__(*classes, args=args, **options)
 
-    @classmethod
-    def subcommands(cls) -> dict[str, set[str]]:
+    def subcommands(self) -> dict[str, set[str]]:
         loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
-        return dict.fromkeys(cls.commands, loaders)
+        return dict.fromkeys(self._commands, loaders)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
@@ -398,9 +400,7 @@ def main(arguments: list[str] | None = None) -> int:
             fit_contact(command[1:])
         else:
             with interruptible():
-                known = command[:1] if command[:1] and command[0] in COMMANDS else COMMANDS
-                cli = type("TrainCLI", (TrainCLI,), {"commands": known})
-                cli(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)
+                TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)
     except (*WRONG_USE, *FAILURES) as error:
         said = str(error)
         status = 2 if isinstance(error, WRONG_USE) else 1

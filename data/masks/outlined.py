@@ -17,6 +17,7 @@ import numpy as np
 from palpate.common.files import file_sha256
 from palpate.data.labels import TISSUE, TOOL, MaskError
 from palpate.data.masks.automatic import lit_picture, picture_field
+from palpate.data.masks.instrument_bands import WORKING_SIZE
 from palpate.data.masks.rigid import RigidInstrument, filled
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
@@ -24,8 +25,6 @@ from palpate.data.source.layout import InputError, read_mapping
 
 VERSION = 1
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
-WORKING_SIZE = 640
-"""Longer side of the pictures in which instruments are followed [px]."""
 ENTERS = 0.012
 """Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side."""
 BEYOND = 2.0

@@ -107,9 +107,10 @@ class SequenceRecorder:
         self._window = np.pad(self._rest, REACH, constant_values=np.nan)[window_around(centre + REACH)]
         self._centre = centre
         apart = np.abs(mesh.pixels - centre).max(axis=1)
-        self._far = mesh.pixels[apart >= FAR]
-        places = (self._far - centre) / FAR
-        self._columns = np.column_stack([np.ones(len(places)), places])
+        far = mesh.pixels[apart >= FAR]
+        self._far = np.ravel_multi_index(tuple(far.T), mesh.grid_shape)
+        self._far_rest = self._rest.ravel()[self._far]
+        self._columns = np.vstack([np.ones(len(far)), (far - centre).T / FAR])
         self._before: np.ndarray | None = None
         self._still: np.ndarray | None = None
         """`_products` of the first frame's errors."""
@@ -128,16 +129,17 @@ class SequenceRecorder:
         """
         visible = np.where((labels == TISSUE) & (depth > 0), depth, np.nan)
         # Scale and tilt are the camera's or the depth network's; they are relative to the distance.
-        far, rest = visible[tuple(self._far.T)], self._rest[tuple(self._far.T)]
-        known = np.isfinite(far)
-        relative = np.where(known, far / rest - 1, 0.0)
+        far = visible.ravel()[self._far]
+        known = valid = np.isfinite(far)
+        relative = np.where(valid, far / self._far_rest - 1, 0.0)
         for _ in range(3):
             if known.sum() < MIN_FAR:
                 return None
-            motion = np.linalg.lstsq(self._columns[known], relative[known], rcond=None)[0]
-            left = relative - self._columns @ motion
-            known &= np.abs(left) <= OUTLIER * np.sqrt(np.mean(np.square(left[known]))) + 1e-12
-        self._measure(np.where(np.isfinite(far), left * rest, np.nan))
+            columns = self._columns * known
+            motion = np.linalg.lstsq(columns @ self._columns.T, columns @ relative, rcond=None)[0]
+            left = relative - motion @ self._columns
+            known = known & (np.abs(left) <= OUTLIER * np.sqrt(np.mean(np.square(left), where=known)) + 1e-12)
+        self._measure(np.where(valid, left * self._far_rest, np.nan))
         rows, columns = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1] / FAR
         moved = motion[0] + motion[1] * rows + motion[2] * columns
         window = np.pad(visible, REACH, constant_values=np.nan)[window_around(self._centre + REACH)]
@@ -160,7 +162,7 @@ class SequenceRecorder:
         of the scarcer ones there are.
         """
         picture = np.full(self._rest.shape, np.nan)
-        picture[tuple(self._far.T)] = np.where(np.abs(left) <= largest, left, np.nan)
+        np.put(picture, self._far, np.where(np.abs(left) <= largest, left, np.nan))
         pairs = picture * picture, picture[1:] * picture[:-1], picture[:, 1:] * picture[:, :-1]
         known = [pair[np.isfinite(pair)] for pair in pairs]
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))

@@ -8,8 +8,6 @@ with stored depth and annotated masks, and as a video without either (photometri
 one call of the network that ships, with what it is given and how well the simulator explains the motion, on one thread.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ Every contender must give the baseline's trajectory and gradient before it is ti
 come from one run. It takes 12 GB of memory.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """What all benchmarks need: a command line whose help is the module's text, timing, a Markdown table, the machine."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Options of a program that are the fields of a dataclass, each with its documentation as its help."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import dataclasses

@@ -3,8 +3,6 @@
 Clips are written frame by frame, so that memory does not grow with their length.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

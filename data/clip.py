@@ -4,8 +4,6 @@ Per frame: picture → labels → depth, free of lens distortion → grid → no
 with the next frame: observed displacement and the run of contact (Bini 2026, sections 3.2.1 and 3.2.2).
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

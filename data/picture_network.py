@@ -1,7 +1,5 @@
 """ONNX networks that take one colour picture, for depth and for masks: opened, checked, fed and run."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """One prepared frame: what training preparation stores and inference consumes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Everything that decides how a clip's frames are prepared."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields
 

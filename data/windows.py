@@ -4,8 +4,6 @@ A window never reaches across a gap in the frame numbers. The last depth before 
 and where a stretch is shorter than the window its first frame is repeated.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

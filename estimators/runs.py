@@ -1,7 +1,5 @@
 """Runs of contact, collected frame by frame: the part of a session that all estimators share."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

@@ -15,8 +15,6 @@ estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
 suites:
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data
 files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

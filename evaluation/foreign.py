@@ -10,8 +10,6 @@ solid, whose complex modulus is E (1 + γ iωτ/(1 + iωτ)) (Findley 1976, sect
 Other masses are then predicted.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

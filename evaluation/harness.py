@@ -5,8 +5,6 @@ cases that no earlier run has done, keeps every row of results as a line of resu
 continues an interrupted run, and writes what the experiment makes of all rows: tables, pictures, a page.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -11,8 +11,6 @@ pull the pulls of the suite fem, by a slab that is given the thickness (minutes 
 (`evaluation.plain_video`, half a minute a clip), in turns by either law of light.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

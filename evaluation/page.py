@@ -1,7 +1,5 @@
 """Markdown and figures as one HTML page."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Mapping

@@ -11,8 +11,6 @@ summary.csv those of all: how often frames under a press are found and others ar
 clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -5,8 +5,6 @@
 Exit status: 0 drawn; 1 the clip has no estimate.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ ratio, log(cos θ/r²) less its value at rest, tells how the point has tilted an
 tilts, and a wet one mirrors light where it faces the camera.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 

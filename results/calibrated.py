@@ -1,7 +1,5 @@
 """Newtons of one clip: calibrated.csv, a row a run of contact, and measured forces compared with estimated ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The tables of a clip: their columns, each with what it is (columns.yaml), and their rows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A field of stiffness drawn on the video: red stiff, blue soft, nothing where it isn't known."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """The clip with what was found drawn on it: outlines, contact point, force arrow, numbers."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from typing import Literal

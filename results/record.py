@@ -1,7 +1,5 @@
 """What a clip's results were made of: hashes, versions, settings. Also decides whether they are still up to date."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

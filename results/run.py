@@ -1,7 +1,5 @@
 """A batch of clips given on the command line: finding them, going on after a failure, progress and closing table."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections import deque

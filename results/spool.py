@@ -1,7 +1,5 @@
 """Frames that wait on disk until it is known what is to be drawn on them; memory does not grow with their number."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where gripped tissue is stiffer than its mean, drawn on the video as far as that is known."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import KDTree
 

@@ -1,7 +1,5 @@
 """The output folder of a run: which folder belongs to which clip, which clips are done, and what can go wrong there."""
 
-from __future__ import annotations
-
 import errno
 import glob
 import hashlib

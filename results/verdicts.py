@@ -1,7 +1,5 @@
 """How pictures show a result: its verdict before its numbers, and no number surer than it is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """From a picture to light: the camera's response undone, instruments, highlights and what is too dark left out."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

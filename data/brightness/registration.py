@@ -4,8 +4,6 @@ Tissue far from instruments is followed from the reference picture to the next o
 exact where the camera turns or the tissue is flat.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

@@ -6,8 +6,6 @@ some of the tool's own pixels to the tissue, which then move by u as far as they
 background's motion is known with an error that neighbouring points share.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ frame after the force has begun, so the onset is the last frame without it; and 
 force has ended, so the release is the last frame before that. Frames wait until both are known.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

@@ -6,8 +6,6 @@ are subtracted. The noise is the change's spread over the picture, and at least 
 pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

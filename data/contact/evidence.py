@@ -9,8 +9,6 @@ Tissue that stays where it is speaks against contact only while the tool moves. 
 may have met the tissue: contact is then undecided, and was so in the frame in which the tool arrived.
 """
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -4,8 +4,6 @@ Built the same way for training and for inference. Lengths are in units of the m
 the sheet's equations know no other scale than F; the noise and the spacing itself are given as well.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

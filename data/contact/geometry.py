@@ -4,8 +4,6 @@ Camera frame: x right, y down, z forward. Lengths are scene units: depth divided
 that z is in (0, 1] and 0 means "no depth". Label maps hold 0 = other, 1 = tissue, 2 = tool, 255 = outside the picture.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ where nothing has changed, none is. What a pull does to tissue hardly shows in i
 `data.contact.evidence`, whose word counts where it is sure.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """A frame and how its light differs from that at rest: where instruments are, and where tissue has darkened."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

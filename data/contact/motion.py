@@ -4,8 +4,6 @@ A contact point that is detected anew in every frame slides over the tissue with
 point instead (dense optical flow, then its depth) observes deformation.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

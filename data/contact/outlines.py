@@ -4,8 +4,6 @@ A tool lies between the camera and the tissue. So depth says on which side of a 
 in front of the tissue is tool, and what lies behind the tissue around it is no tool.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -5,8 +5,6 @@ the patch that has come to lie there; a pixel of the grid that is the mean of se
 what they show.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from palpate.data.contact.depth_sequence import REACH

@@ -1,7 +1,5 @@
 """Where a young contact presses: the tissue near the detected place that has yielded most in the first frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

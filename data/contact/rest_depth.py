@@ -1,7 +1,5 @@
 """What the tissue's depth was before it was touched, from all frames that show it at rest."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import cv2

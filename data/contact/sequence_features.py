@@ -5,8 +5,6 @@ span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. 
 contacts were at most 11 % wider than the whole sequence's, mostly 1 to 5 % (a development run that no command repeats).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

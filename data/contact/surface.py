@@ -4,8 +4,6 @@ A grid cell is a few thousandths of the scene, no more than a depth model's nois
 have lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel takes it away.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

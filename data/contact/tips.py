@@ -1,7 +1,5 @@
 """The free ends of instruments in a mask: the part that may touch."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Tissue points in space from places in a picture, and how they would move if the tissue moved rigidly."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are f
 an offset, one focal length and one range of relative depth. docs/reports/depth.md describes how they are frozen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ and one exposure.
 `python -m data.depth.photometric` writes it; the file that is shipped in this folder gives bit-identical depth.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

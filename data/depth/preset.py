@@ -1,7 +1,5 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Depth maps of one clip's frames from stored files or from an ONNX model, and the constants frozen for the clip."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path

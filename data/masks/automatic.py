@@ -6,8 +6,6 @@ followed there as a rigid body, for half a second at most. The mode abstains (no
 docs/reports/masks.md reports its accuracy on real clips.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

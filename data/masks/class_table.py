@@ -3,8 +3,6 @@
 The first seven were measured on the real masks of video01_00080; the others are the data set's published table.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

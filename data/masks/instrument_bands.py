@@ -4,8 +4,6 @@ Straight edges come from the line segment detector of Grompone von Gioi 2010 (Op
 working picture whose longer side is `WORKING_SIZE`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

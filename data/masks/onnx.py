@@ -4,8 +4,6 @@ Settings stand in a YAML file of the model's name (`model.onnx` → `model.yaml`
 under the key `masks`. They name the channels that are tool and tissue; docs/reports/masks.md has an example.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from os.path import isfile

@@ -6,8 +6,6 @@ or farther: points of it are followed by pyramidal Lucas and Kanade, and a simil
 enters from the picture's edge is straight and goes on beyond it, so that more of it shows as it comes in.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

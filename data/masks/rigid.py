@@ -4,8 +4,6 @@ Points in and at the outline are followed by pyramidal Lucas and Kanade from the
 similarity is fitted to them; where that fails, from the last picture in which it was found.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import cv2

@@ -4,8 +4,6 @@ Label maps are uint8 [H, W]: 0 other, 1 tissue, 2 tool (Bini 2026, section 3.1: 
 of the annotation is used).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path

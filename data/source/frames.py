@@ -3,8 +3,6 @@
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Image files by their bytes, and paths as text."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Generator

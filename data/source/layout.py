@@ -3,8 +3,6 @@
 The default instance is CholecSeg8k; other sequences are described in a YAML file (`configs/layouts/`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Columns of numbers from a CSV file, whose content is not trusted."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

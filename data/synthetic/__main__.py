@@ -5,8 +5,6 @@ depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and
 Every clip is a video of its own, so that a split by video works. No training reads the truth.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

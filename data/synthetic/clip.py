@@ -1,7 +1,5 @@
 """Synthetic clips with known truth: drawn, observed with their errors, and written in CholecSeg8k's folder layout."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -5,8 +5,6 @@ own and nothing is rendered, which is some hundred times faster. What a training
 is kept for evaluation alone.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

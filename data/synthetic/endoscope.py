@@ -6,8 +6,6 @@ vignetting, an exposure that follows the picture's brightness, noise that grows 
 its own; thin smoke drifts before it.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 

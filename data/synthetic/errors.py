@@ -1,7 +1,5 @@
 """Errors of observation put on a synthetic clip: noise, flicker, rounding, wrong outlines and focal length."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2

@@ -1,7 +1,5 @@
 """Files of a synthetic clip: frames in CholecSeg8k's layout, its description, its truth, and its video."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator

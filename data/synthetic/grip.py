@@ -5,8 +5,6 @@ inertia and damping, by another integrator (BDF2 with short steps) on a grid twi
 picture. The sheet lies in the picture's plane and is the same everywhere, whatever the tissue's depth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

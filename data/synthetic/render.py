@@ -5,8 +5,6 @@ Radiance = albedo · cos(angle of incidence) / distance², plus highlights, then
 can follow it.
 """
 
-from __future__ import annotations
-
 import math
 
 import cv2

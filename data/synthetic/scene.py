@@ -5,8 +5,6 @@ sight, so that the depth map shows a press. The true mesh is the grid mesh of th
 grid, the very topology that is later fitted (docs/reports/identifiability.md).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

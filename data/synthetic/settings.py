@@ -4,8 +4,6 @@ The same settings and the same seed give the same clip. Lengths are scene units 
 times seconds.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_type_hints

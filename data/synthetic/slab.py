@@ -6,8 +6,6 @@ law on this mesh. Lengths are scene units, and the unit of force is that of the 
 that unit an area.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 

@@ -1,7 +1,5 @@
 """A synthetic clip in memory as a source of frames, so that benchmarks of a thousand clips write no files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

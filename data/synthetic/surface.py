@@ -5,8 +5,6 @@ steep ramps join the patches. So the depth of a grid pixel is its own vertex's, 
 the grid (a dent is often only two or three vertices wide). The patches are drawn with a z-buffer.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ eighth-order Runge-Kutta method with step control, so that recovering θ with th
 (see docs/reports/identifiability.md, "Recovery of known parameters").
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args

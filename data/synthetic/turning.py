@@ -3,8 +3,6 @@
 The finished picture is turned, with its noise and vignetting; in a real camera these stay in the picture.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation

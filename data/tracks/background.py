@@ -1,7 +1,5 @@
 """The motion of the camera, or of a breathing background, and tissue's motion less that."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ size gives their motion roughly, or what is known already does; a few steps of L
 places themselves give it exactly, in pictures of the whole size without their local mean, which changes with the light.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ motion is small and smooth, so that windows may be wide, and nothing is averaged
 would, which biases the motion at an instrument's edge, where neighbours lie on one side alone.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

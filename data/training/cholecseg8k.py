@@ -7,8 +7,6 @@ training (training with other settings prepares its own). Exit status: 0 all cli
 others complete), 2 wrong usage.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 from collections.abc import Iterable, Sequence

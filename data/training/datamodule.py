@@ -1,7 +1,5 @@
 """Batches for training and interactions for evaluation, from a data set of clips."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Prepares the clips of a data set one after the other, with a progress bar; one bad clip does not end it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1). What is left out is counted by reason.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """Training, validation and test: by video, so that no patient is in two of them (Bini 2026, section 3.1)."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass

@@ -9,8 +9,6 @@ place's amplitude are marginalised.
 Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import warnings

@@ -1,7 +1,5 @@
 """A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -7,8 +7,6 @@ far light spreads in it before it comes out again, how wide the lobe is into whi
 how rough it is, since a rough surface darkens less as it tilts.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

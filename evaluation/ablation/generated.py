@@ -1,7 +1,5 @@
 """What a trained generator makes of a clip: θ as its own head says it, and the picture some frames ahead."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A synthetic clip as it is observed, frame by frame, and what truly happens."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ changes the simulation's parameters by the gradient of the sum. Here these are t
 and by the same optimiser as the online estimator's; followed points count where these are matched.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal

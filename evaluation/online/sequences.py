@@ -6,8 +6,6 @@ Sheets are nets of springs along rows, both diagonals and, against bending, ever
 finite elements, in implicit steps. The estimator's particles lie elsewhere, and in another number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

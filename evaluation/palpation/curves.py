@@ -5,8 +5,6 @@ depth_mm, fn_N) and indentations that are held (t_s, force_N, displacement_mm). 
 what the measures mean is in docs/reports/palpation.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

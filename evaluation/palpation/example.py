@@ -7,8 +7,6 @@ Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 
 0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

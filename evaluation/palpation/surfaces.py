@@ -4,8 +4,6 @@ A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and observed
 are fitted by the co-rotational law, from starts a factor of thirty off; then E from each of the paper's six forces.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Callable, Mapping

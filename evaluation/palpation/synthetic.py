@@ -1,7 +1,5 @@
 """Palpations with known truth: another mesh and law than the fit's, a partial view, noise, and a pose that is off."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

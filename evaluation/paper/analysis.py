@@ -1,7 +1,5 @@
 """All numbers of an evaluation, from test records to what `evaluation.paper.report` writes (Bini 2026, section 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

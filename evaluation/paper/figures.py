@@ -1,7 +1,5 @@
 """Figure 3 of Bini 2026, the estimates by frame, and a predicted next depth map next to the real one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes

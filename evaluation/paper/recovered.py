@@ -8,8 +8,6 @@ with the constant whose logarithm is the truth's mean, which no estimator knows.
 missing, 2 wrong usage.
 """
 
-from __future__ import annotations
-
 from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":

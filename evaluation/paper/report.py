@@ -1,7 +1,5 @@
 """Writes an evaluation as files: tables (Markdown, CSV), figures (PNG), all numbers (JSON) and one HTML page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -5,8 +5,6 @@ one that the training contacts allow. Of motions: when the released tissue comes
 which leave the scene.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -9,8 +9,6 @@ has a spread of 0 and, if well chosen, a good error too. So that check has two q
 and whether they explain the observed motion better than constants do.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple

@@ -5,8 +5,6 @@ since that frame, root mean squares over the points that are followed in both an
 0 = as good as saying that nothing moves on, 1 = exact.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ the tissue moves with the instrument predicts the others from the motion at the 
 that nothing moves, 1 = exact.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -5,8 +5,6 @@ All on the true mesh and at the true instants, with two delays of the press as f
 press is no step on a vertex, nobody knows its patch, its direction, its rise and its fall (`estimators.direct.patch`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

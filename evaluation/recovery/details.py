@@ -16,8 +16,6 @@ place_off                     how far the contact was found from the true one, m
 misfit, seconds               median of the RMS residual along the force over σ, and of the time of an estimate [s]
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """What the benchmark compares: the estimators that users run, and a constant that ignores its input."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Figures of the benchmark: estimates against truth, errors against bounds, and whether intervals hold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

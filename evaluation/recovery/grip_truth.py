@@ -1,7 +1,5 @@
 """What is estimated of a grip or a pull, compared with the truth; the rows' names are explained in `trial`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who 
 followed in the clip, which is measured: followed minus true place (`evaluation.recovery.grip_truth`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

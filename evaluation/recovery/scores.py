@@ -7,8 +7,6 @@ best constant for exactly the clips of a row, their own mean: nothing that ignor
 estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

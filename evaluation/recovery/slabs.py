@@ -25,8 +25,6 @@ relative force, off and held                a pull's force over that of the last
 Pulls are asked of the estimator `direct`, which alone fits grips.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

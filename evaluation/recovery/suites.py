@@ -6,8 +6,6 @@ later, and `oblique` has other geometry. Regimes take turns: clip 0 is under-dam
 under-damped again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -45,8 +45,6 @@ reaction                        of a pull: F/k_s, of finite elements F/E, and th
 curve                           as of a grip
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

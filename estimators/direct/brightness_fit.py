@@ -1,7 +1,12 @@
 """A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
 
+import copy
 import dataclasses
 import math
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 
@@ -41,6 +46,7 @@ TOGETHER = 40.0
 DAMPED = 3.0
 """Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
 FEWEST_FRAMES = 3
+End = TypeVar("End")
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
 
@@ -69,12 +75,18 @@ def fit_brightness(
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
     thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
-    led = [_led(problem, start, tissue, FEW, ROUNDS[0]) for start in _starts(problem, tissue)]
+    led = _on_threads(lambda start: _led(copy.copy(problem), start, tissue, FEW, ROUNDS[0]), _starts(problem, tissue))
     logs = min(led, key=lambda found: found[0])[1]
     for rounds in ROUNDS[1]:
         problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
         logs = _led(problem, logs, tissue, MORE, rounds)[1]
     return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
+
+
+def _on_threads(fit: Callable[[np.ndarray], End], starts: Iterable[np.ndarray]) -> list[End]:
+    """Fits from several starts, on as many threads as there are cores: compiled rollouts run side by side."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(fit, starts))
 
 
 def _simulated(problem: BrightnessProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,8 +148,10 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
     box, motion = problem.box(tissue), problem.motion
     prior = box_information(box)
-    starts = [np.concatenate([logs[:3] + step, logs[3:]]) for step in (0.0, *FIRMER)]
-    optima = [find_optimum(problem, np.clip(start, box[0] + 1e-9, box[1] - 1e-9), *box, FEW) for start in starts]
+    starts = [
+        np.clip(np.concatenate([logs[:3] + step, logs[3:]]), box[0] + 1e-9, box[1] - 1e-9) for step in (0.0, *FIRMER)
+    ]
+    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     # What the law gets wrong shows in how far residuals belong together. Inertia determines the scale, and its part in
     # the motion is about 1/ζ².

@@ -8,6 +8,7 @@ where nothing has changed, none is. What a pull does to tissue hardly shows in i
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from palpate.data.contact.lit_frame import (
     centre,
     darkest,
     darkness_at,
+    goes_along,
     is_at,
     is_half_hidden,
     lie_together,
@@ -150,7 +152,7 @@ class LightContacts:
         if len(dents) == BEGINS and lie_together([one.dent for one in dents]):
             return self._begun(dents)
         bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
-        if len(bared) == BARED and lie_together([one.bared for one in bared]):
+        if len(bared) == BARED and lie_together([one.bared for one in bared]) and not goes_along(bared[-1]):
             return self._over(bared)
         return self._at_rest(len(self._waiting) - self._held())
 
@@ -165,12 +167,14 @@ class LightContacts:
     def _begun(self, dents: list[LitFrame]) -> list[PreparedFrame]:
         """The frames that wait, where the last of them show a dent."""
         self._place = centre([(one.change, one.dent) for one in dents])
+        before = self._waiting[-BEGINS - 1 :: -1]
+        before = before[_went_along(before, dents[0]) :]
         if is_half_hidden(dents[0]):
-            at_tissue = [is_at(one, self._place) for one in self._waiting[-BEGINS - 2 : -BEGINS - HIDDEN_FOR - 1 : -1]]
+            at_tissue = [is_at(one, self._place) for one in before[1:HIDDEN_FOR]]
         else:
-            at_tissue = [one.prepared.in_contact for one in self._waiting[-BEGINS - 2 : -BEGINS - EARLIEST - 1 : -1]]
+            at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
-        decided = self._at_rest(len(self._waiting) - BEGINS - arrived)
+        decided = self._at_rest(len(before) - arrived)
         self._pressing, self._deepest = True, 0.0
         for one in self._waiting:
             self._press(one, self._place)
@@ -228,17 +232,22 @@ class LightContacts:
         if noise > NOISIEST:
             return
         lit.change = mean
-        least = max(DARKER, CLEAR * noise, SHADOW * max(self._shadows, default=0.0))
+        least = max(DARKER, CLEAR * noise)
         lit.darkness = darkest(mean, lit.near <= REACH)[1]
         place, darkness, dark = darkest(mean, lit.standing <= REACH)
         if dark and darkness > least:
-            lit.dent = place
-        elif lit.moves and self._place is None:
-            self._shadows.append(lit.darkness)
+            lit.dark = place
         was = [one.near <= ARRIVED for one in self._waiting]
         if was:
-            place, darkness, dark = darkest(mean, np.any(was, axis=0) & (lit.away > REACH))
-            lit.bared = place if dark and darkness > max(DARKER, CLEAR * noise) else None
+            bared, left, dark = darkest(mean, np.any(was, axis=0) & (lit.away > REACH))
+            if dark and left > least and not (lit.dark is not None and lie_together([lit.dark, bared])):
+                lit.bared = bared
+        if lit.bared is not None and lit.moves:
+            self._shadows.clear()  # a shadow goes along and leaves nothing behind
+        if lit.dark is not None and darkness > SHADOW * max(self._shadows, default=0.0):
+            lit.dent = place
+        elif lit.moves and lit.bared is None and self._place is None:
+            self._shadows.append(lit.darkness)
 
     def _press(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """A frame under the press."""
@@ -270,6 +279,20 @@ class LightContacts:
         elif lit.prepared.frame.time_s - self._pressed_s > RECOVERY_SECONDS:
             # Something else has darkened the tissue: what it is like at rest isn't known any more.
             self._forget()
+
+
+def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
+    """How many frames before the first that shows a dent, latest first, are under the same press.
+
+    The instrument goes along with a dent in oblique tissue, and bares a part of it.
+    """
+    count = 0
+    for index, lit in enumerate(before):
+        if lit.bared is not None and lie_together([lit.bared, first.dent]):
+            count = index + 1
+        elif lit.dark is None or not lie_together([lit.dark, first.dent]):
+            break
+    return count
 
 
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:

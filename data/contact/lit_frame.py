@@ -49,8 +49,11 @@ class LitFrame:
     change: np.ndarray | None = None
     """Logarithm of light over that at rest, averaged around every place; None where it isn't known, or where so much
     changes that a dent would not show."""
+    dark: tuple[int, int] | None = None
+    """Row and column of the darkest place of the lattice next to an instrument that stands; None where nothing is
+    clearly darker than at rest."""
     dent: tuple[int, int] | None = None
-    """Row and column of the darkest place of the lattice next to an instrument; None where no dent shows."""
+    """The same where it is darker than a shadow."""
     bared: tuple[int, int] | None = None
     """The same where an instrument was in a frame that waits, and isn't now."""
     darkness: float = 0.0
@@ -114,6 +117,11 @@ def lie_together(places: Sequence[tuple[int, int] | None]) -> bool:
     """Whether places of the lattice are those of one dent."""
     known = np.array([place for place in places if place is not None])
     return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
+
+
+def goes_along(lit: LitFrame) -> bool:
+    """Whether an instrument moves that is still near to what it has bared, so that it may go along with the dent."""
+    return lit.moves and lit.bared is not None and bool(lit.away[lit.bared] <= 2 * REACH)
 
 
 def is_half_hidden(lit: LitFrame) -> bool:

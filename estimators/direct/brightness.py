@@ -12,6 +12,7 @@ Residuals of neighbours and of successive frames belong together; so many fewer 
 import dataclasses
 import math
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -127,9 +128,11 @@ class BrightnessProblem:
         box[0, [-LAW - 1, -LAW, -1]] = 0.0
         return box
 
-    def start(self, press: np.ndarray, aside: np.ndarray) -> np.ndarray:
-        """All parameters from those of a press and where its dent lies; the others as their priors say, but no lag."""
-        return np.concatenate([press, aside, PRIOR_MEAN[2:-1], [0.0]])
+    def start(self, press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+        """All parameters from those of a press, where its dent lies and how tissue tilts; the others as their priors
+        say, but no lag.
+        """
+        return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:-1], [0.0]])
 
     def darkest(self) -> np.ndarray:
         """Row and column of the middle of what has darkened, from the contact's vertex, shape [2] [grid pixels]."""

@@ -27,6 +27,8 @@ DEPTHS = (0.03, 0.06, 0.1)
 """Largest displacements with which every one of them is tried, in shares of the tissue's distance."""
 ASIDE = (-1.5, 0.0, 1.5)
 """How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
+TILTS = 0.3 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+"""Tilts with which every one of these places is tried, right and down, as tangents."""
 STARTS = 3
 """Fits, begun at the candidates that explain the light best."""
 THINNED = 8
@@ -123,10 +125,10 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
     chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
+    places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
     for start in chosen:
         moved = problem.motion.coarse(start[:-OTHERS])
-        places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
-        starts = [problem.start(start[:-OTHERS], place) for place in places]
+        starts = [problem.start(start[:-OTHERS], place, tilt) for place in places for tilt in TILTS]
         start[:] = min(starts, key=lambda each: tried(each, moved))
     return chosen
 

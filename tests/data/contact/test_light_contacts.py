@@ -20,19 +20,20 @@ DENT = (34, 40)
 
 
 def prepared(
-    index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0, wide: int | None = None
+    index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0, wide: int | None = None, shift: int = 0
 ) -> PreparedFrame:
     """A frame of textured tissue, an instrument that comes from above, and a dent below its tip.
 
-    A wide one may come from below at a column [grid pixels].
+    A wide one may come from below at a column, and the first lie so far to the right, the dent half as far
+    [grid pixels].
     """
     texture = np.exp(0.2 * np.random.default_rng(7).normal(size=GRID)).repeat(4, axis=0).repeat(4, axis=1)
     rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5
-    dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1])) / 2.5**2)
+    dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1] - shift / 2)) / 2.5**2)
     light = 0.6 * gain * texture * np.exp(-darkness * dent)
     labels = np.full((240, 320), TISSUE, np.uint8)
     if tool:
-        labels[: 4 * 32, 150:174] = TOOL
+        labels[: 4 * 32, 150 + 4 * shift : 174 + 4 * shift] = TOOL
     if wide is not None:
         labels[4 * 48 :, 4 * wide : 4 * wide + 60] = TOOL
     noise = np.random.default_rng(index).normal(0, 0.004, (240, 320, 1))
@@ -112,6 +113,17 @@ def test_a_press_under_the_instrument_is_told_by_what_it_leaves_behind():
     assert abs(u - DENT[1]) <= 1
     assert abs(v - DENT[0]) <= 1
     assert [frame.status for frame in frames[14:]] == ["no_tool"] * 6
+
+
+def test_an_instrument_that_goes_along_with_the_dent_of_oblique_tissue_still_presses():
+    """It bares a part of the dent before it stands, which is no sign that it has gone."""
+    frames = [prepared(index, tool=False) for index in range(8)]
+    for index in range(8, 18):
+        went = min(index, 11) - 8
+        frames.append(prepared(index, [0.02, 0.3, 0.5, 0.7][went], shift=3 * went))
+    frames += [prepared(index, tool=False) for index in range(18, 22)]
+    pressed = [frame.frame.index for frame in decided(frames) if frame.press is not None]
+    assert pressed == list(range(8, 18))
 
 
 @pytest.mark.parametrize("wide", [None, 10], ids=["alone", "while a wider instrument stands"])

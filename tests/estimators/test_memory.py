@@ -64,7 +64,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not MEMORY.exists(), reason="
     ("options", "contacts"),
     [
         (EstimatorOptions("network"), 21),
-        (EstimatorOptions("network", Path("models/weights/gan.onnx")), 21),
+        (EstimatorOptions("network", Path("models/weights/gan.onnx"), onset="stamp"), 21),
         (EstimatorOptions("direct", onset="stamp"), 5),
     ],
     ids=["network", "gan.onnx", "direct"],

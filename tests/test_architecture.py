@@ -223,7 +223,9 @@ def test_nothing_that_a_light_door_can_reach_imports_training_libraries(door: st
 @pytest.mark.slow
 def test_inference_runs_where_torch_cannot_be_imported(tmp_path: Path) -> None:
     """Whole runs, fit included, with every training library made impossible to import, in a process of its own."""
-    scene = SceneSettings(width=214, height=120, frames=16, onset_fraction=(0.2, 0.2), depth_noise=0.0005)
+    scene = SceneSettings(
+        width=214, height=120, frames=12, onset_fraction=(0.25, 0.25), press_seconds=(0.16, 0.16), depth_noise=0.0005
+    )
     clip = write_synthetic(tmp_path / "clips", 1, scene, 3)
     write_model(tmp_path / "parameters.onnx")
     program = f"""

@@ -27,7 +27,7 @@ SCENE = SceneSettings(
     height=120,
     frames=22,
     onset_fraction=(0.15, 0.2),
-    press_seconds=(0.3, 0.3),
+    press_seconds=(0.2, 0.2),
     stiffness=(0.4, 0.4),
     damping=(0.03, 0.03),
     force=(-0.05, -0.05),
@@ -479,7 +479,7 @@ def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path, capsys):
 
 def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
     """The same press is none for masks."""
-    unseen = dataclasses.replace(SCENE, frames=30, onset_fraction=(0.25, 0.3), tool_in_view=False)
+    unseen = dataclasses.replace(SCENE, onset_fraction=(0.25, 0.3), press_seconds=(0.2, 0.2), tool_in_view=False)
     clip = write_synthetic(tmp_path / "clips", 1, unseen, 5)
     assert direct(clip, tmp_path / "masks", "--no-overlay") == 0
     assert runs(tmp_path / "masks" / "video01_00000") == []

@@ -202,7 +202,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, k
 def test_the_recommended_system_from_training_to_an_estimate(tmp_path: Path):
     """fit, export and infer.py as a user runs them, from the shipped weights, which a few steps hardly change."""
     clips, root = tmp_path / "clips", tmp_path / "run"
-    arguments = "--clips 3 --frames 24 --seed 2 --size 214x120"
+    arguments = "--clips 3 --frames 24 --seed 2 --size 214x120 --press-seconds 0.24 0.28"
     assert not synthetic.main(["--output", str(clips), *arguments.split()])
     smaller = "--model.width 4 --model.residual_blocks 1 --tracking false --trainer.accelerator cpu"
     smaller += f" --data.root {clips} --data.cache {tmp_path / 'cache'} --trainer.default_root_dir {root}"

@@ -34,8 +34,6 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveCon
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
-from mlflow import MlflowClient
-from mlflow.exceptions import MlflowException
 
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
@@ -340,6 +338,8 @@ def _require_database(path: Path) -> None:
             database.rollback()
         if verdict != "ok":
             raise sqlite3.DatabaseError(verdict)
+        from mlflow import MlflowClient  # takes over a second to load, without need where nothing is tracked
+
         MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
     except Exception as error:  # from SQLite, SQLAlchemy, Alembic or MLflow
         reason = " ".join(str(error).split())[:200]
@@ -404,14 +404,19 @@ def main(arguments: list[str] | None = None) -> int:
     except (*WRONG_USE, *FAILURES) as error:
         said = str(error)
         status = 2 if isinstance(error, WRONG_USE) else 1
-    except MlflowException as error:  # the database was locked or lost during the run
-        reason = " ".join(str(error).split())[:200]
-        said, status = f"tracking failed ({reason}); go on with --ckpt_path last --tracking false.", 1
     except OSError as error:
         if error.strerror is None:  # the error is not from the file system
             raise
         where = error.filename or "The run folder"
         said, status = f"{where}: {error.strerror}; make room or choose another folder.", 1
+    except Exception as error:
+        from mlflow.exceptions import MlflowException  # as above
+
+        if not isinstance(error, MlflowException):
+            raise
+        # The database was locked or lost during the run.
+        reason = " ".join(str(error).split())[:200]
+        said, status = f"tracking failed ({reason}); go on with --ckpt_path last --tracking false.", 1
     except (KeyboardInterrupt, SystemExit) as error:  # Lightning turns Ctrl-C into exit status 1
         if not by_interrupt(error):
             raise

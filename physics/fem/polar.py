@@ -52,7 +52,9 @@ def _rotate(gradient: np.ndarray, rotation: np.ndarray, done: np.ndarray) -> Non
     cofactor = np.empty((3, 3))
     for n in range(len(gradient)):
         now = rotation[n]
-        now[:] = gradient[n]
+        for i in range(3):
+            for j in range(3):
+                now[i, j] = gradient[n, i, j]  # a slice's assignment takes seconds to compile
         for _ in range(_SWEEPS):
             determinant, square, other = 0.0, 0.0, 0.0
             for i in range(3):

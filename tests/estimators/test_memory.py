@@ -16,7 +16,7 @@ from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import InteractionEstimate
 
 MEMORY = Path("/proc/self/statm")
-PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=20, press_seconds=(0.3, 0.3))
+PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=16, press_seconds=(0.2, 0.2))
 GRIP = SceneSettings(width=214, height=120, action="grip", frames=20)
 LARGEST = 2.5
 """Growth that the allocator's own unevenness may explain [MB]; 3 MB a contact were once lost."""
@@ -64,7 +64,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not MEMORY.exists(), reason="
     ("options", "contacts"),
     [
         (EstimatorOptions("network"), 21),
-        (EstimatorOptions("network", Path("models/weights/gan.onnx")), 21),
+        (EstimatorOptions("network", Path("models/weights/gan.onnx"), onset="stamp"), 21),
         (EstimatorOptions("direct", onset="stamp"), 5),
     ],
     ids=["network", "gan.onnx", "direct"],

@@ -42,7 +42,7 @@ def test_an_instrument_that_passes_over_rough_tissue_with_its_shadows_touches_no
 @pytest.mark.slow
 def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path):
     """The demo's third clip, under-damped: everything is determined, and every interval holds."""
-    found = measured_video(PlainVideo(output=tmp_path).settings, clip_seed(1, 2))
+    found = measured_video(PlainVideo(output=tmp_path, frames=20).settings, clip_seed(1, 2))
     assert found["verdict"] == "determined"
     assert found["pressed_found"] == found["pressed_frames"] == 8
     assert found["other_found"] == 0

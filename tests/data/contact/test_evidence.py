@@ -258,7 +258,7 @@ def cholecystectomy(data: Path, first: int, stop: int) -> list[View]:
 @pytest.mark.slow
 def test_no_pressed_frame_of_a_demo_clip_is_called_hovering(tmp_path: Path) -> None:
     """Neither as a video nor as a folder with its true depth, both with automatic masks."""
-    write_clip(tmp_path, 2, SceneSettings(frames=32), clip_seed(1, 1))
+    write_clip(tmp_path, 2, SceneSettings(width=428, height=240, frames=32), clip_seed(1, 1))
     folder = tmp_path / "video02/video02_00000"
     with np.load(folder / "truth.npz") as truth:
         pressed = truth["in_contact"].astype(bool)

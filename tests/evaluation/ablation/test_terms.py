@@ -166,7 +166,7 @@ def test_a_generator_is_judged_by_its_last_word_and_by_the_pictures_between(tmp_
 
 @pytest.mark.slow
 def test_a_real_row_at_toy_size(tmp_path: Path) -> None:
-    scene = SceneSettings(width=214, height=120, frames=30, depth_noise=0.001)
+    scene = SceneSettings(width=214, height=120, frames=20, depth_noise=0.001)
     for number in range(1, 5):
         write_clip(tmp_path / "clips", number, scene, number)
     command = ["terms", "--output", str(tmp_path / "out"), "--clips", str(tmp_path / "clips"), "--rows", "no-gan"]

@@ -2,8 +2,8 @@
 
     python -m evaluation.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
 
-Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-hover` (an instrument that passes over
-tissue and never touches) and `video-pull`. With `--look endoscope` pictures are drawn by another law than the
+Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
+to 25 degrees aside), `video-hover` (an instrument that passes over tissue and never touches) and `video-pull`. With `--look endoscope` pictures are drawn by another law than the
 estimator's (`data.synthetic.endoscope`), and coded more coarsely.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
@@ -49,6 +49,7 @@ SAME_ONSET = 2
 SUITES: Mapping[str, Mapping[str, Any]] = {
     "video": {},
     "video-moving": {"turning_deg": 0.5},
+    "video-oblique": {"max_tilt_deg": 25.0},
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
     "video-pull": {"action": "grip"},
 }
@@ -112,7 +113,7 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> 
 class PlainVideo(Measurements):
     """What is drawn."""
 
-    suite: Literal["video", "video-moving", "video-hover", "video-pull"] = "video"
+    suite: Literal["video", "video-moving", "video-oblique", "video-hover", "video-pull"] = "video"
     """what the clips show"""
     look: Literal["matte", "endoscope"] = "matte"
     """by which law pictures are drawn"""

@@ -31,6 +31,7 @@ from palpate.data.contact.lit_frame import (
     is_half_hidden,
     lie_together,
     lit_frame,
+    stands,
 )
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
@@ -150,7 +151,9 @@ class LightContacts:
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
         if len(dents) == BEGINS and lie_together([one.dent for one in dents]):
-            return self._begun(dents)
+            if stands(dents[0], dents[-1]):
+                return self._begun(dents)
+            self._shadows.append(lit.darkness)  # what has darkened goes along with an instrument that moves slowly
         bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
         if len(bared) == BARED and lie_together([one.bared for one in bared]) and not goes_along(bared[-1]):
             return self._over(bared)

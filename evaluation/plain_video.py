@@ -3,8 +3,9 @@
     python -m evaluation.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
-to 25 degrees aside), `video-hover` (an instrument that passes over tissue and never touches) and `video-pull`. With `--look endoscope` pictures are drawn by another law than the
-estimator's (`data.synthetic.endoscope`), and coded more coarsely.
+to 25 degrees aside), `video-hover` (an instrument that passes over tissue and never touches) and `video-pull`. With
+`--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
+coarsely.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many

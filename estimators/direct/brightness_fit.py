@@ -41,7 +41,7 @@ CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
-LEAST_SKILL = 0.5
+LEAST_SKILL = 0.6
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
 TOGETHER = 40.0
 """So many residuals count as one where tissue is lit by the fit's own law; where it isn't, more of them."""

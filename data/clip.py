@@ -1,4 +1,4 @@
-"""One clip from pictures to contacts: the one per-frame path, for training preparation and for inference alike.
+"""One clip from pictures to contacts: the one per-frame path, for training preparation and for inference.
 
 Per frame: picture → labels → depth, free of lens distortion → grid → normalised depth → contact and mesh → status; and
 with the next frame: observed displacement and the run of contact (Bini 2026, sections 3.2.1 and 3.2.2).

@@ -51,11 +51,11 @@ class ModelErrors:
     firm_force: float
     """Of its F/E, there."""
     brightness_damping: float
-    """Of k_d/k_s by brightness: law, mesh, and what a video's coding leaves out, alike in all pixels."""
+    """Of k_d/k_s by brightness: law, mesh, and what a video's coding leaves out, the same in all pixels."""
     brightness_force: float
     """Of its F/k_s."""
     brightness_scale: float
-    """Of k_s, k_d and F by it, all alike, over the square of the damping ratio."""
+    """Common to k_s, k_d and F by it, over the square of the damping ratio."""
     hidden_force: float
     """Of the force on the foundation of tissue that isn't visible, where the grip's motion is taken as it was seen; a
     share of it."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 CELLS = 16
 """Across a picture of surface errors, in each of which points' distances are averaged."""
-BESIDE = 1.5
+HOLE_MARGIN = 1.5
 """Radius of what is next to the tool in it, over that of its hole."""
 
 
@@ -46,14 +46,14 @@ def draw_surface_errors(
     layout = ConstrainedLayoutEngine(rect=(0, 0.12, 1, 0.8))  # between title and footer
     figure = Figure(figsize=(4.6 * len(panels) + 1, 6.2), dpi=100, layout=layout)
     figure.text(0.01, 0.98, "\n".join(lines_of(title, 45 * len(panels))), va="top", fontsize=14, color=INK)
-    near, drawn = np.linalg.norm(places, axis=1) < BESIDE * hole, []
+    near, drawn = np.linalg.norm(places, axis=1) < HOLE_MARGIN * hole, []
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
         visible = np.isfinite(distance)
         cells = {"gridsize": CELLS, "cmap": "RdBu_r", "linewidths": 0.2}
         drawn.append(axes.hexbin(*places[visible].T, C=distance[visible], **cells))
         axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
-        axes.add_patch(Circle((0, 0), BESIDE * hole, fill=False, linestyle=":", color=MUTED))
+        axes.add_patch(Circle((0, 0), HOLE_MARGIN * hole, fill=False, linestyle=":", color=MUTED))
         mean = float(np.mean(distance[visible & near])) if (visible & near).any() else np.nan
         axes.set_title(f"{name}\n{mean:+.2f} mm next to the tool", fontsize=12)
         axes.set(xlabel="across the force [mm]", aspect="equal")

@@ -51,9 +51,9 @@ class SequenceNoise:
     """Standard deviation of what is new in every frame [scene units]."""
     in_place: float
     """Standard deviation of what stays while tissue is still: rounding, the rest surface's error [scene units]."""
-    alike_in_time: float = 1.0
+    correlated_in_time: float = 1.0
     """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
-    alike_in_place: float = 1.0
+    correlated_in_place: float = 1.0
     """The same of errors that stay."""
 
     @property

@@ -11,7 +11,7 @@ from palpate.data.labels import TISSUE, TOOL
 
 FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
-BESIDE = 4
+OUTLINE_REACH = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
 MAX_BEHIND = 0.25
 """A larger share of the tool's outline isn't the bottom of a dent."""
@@ -61,11 +61,11 @@ def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
         tool: pixels of the tool, shape [h, w], bool.
     """
     valid = tool & (depth > 0)
-    rows, columns = np.nonzero(valid & near(~tool, BESIDE))
+    rows, columns = np.nonzero(valid & near(~tool, OUTLINE_REACH))
     if len(rows) == 0:
         return depth
-    padded = np.pad(np.where(valid, depth, np.inf), BESIDE, constant_values=np.inf)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * BESIDE + 1,) * 2)
+    padded = np.pad(np.where(valid, depth, np.inf), OUTLINE_REACH, constant_values=np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * OUTLINE_REACH + 1,) * 2)
     values = np.sort(windows[rows, columns].reshape(len(rows), -1), axis=1)
     # The nearest quarter: more than half of a corner's surroundings can be background.
     quarter = np.isfinite(values).sum(axis=1) // 4

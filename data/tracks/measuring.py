@@ -118,8 +118,8 @@ def _steps(
     unlike = (weight * np.square(shown - last)).sum(axis=1) / total
     sizes = [(weight * np.square(values)).sum(axis=1) for values in (shown, last)]
     size = np.sqrt(np.maximum(sizes[0] * sizes[1], np.finfo(np.float32).tiny))
-    alike = (weight * shown * last).sum(axis=1) / size > MIN_CORRELATION
+    similar = (weight * shown * last).sum(axis=1) / size > MIN_CORRELATION
     variance = 0.5 * np.trace(np.linalg.inv(normal), axis1=1, axis2=2)
-    found = (total >= MIN_SHARE * len(offsets)) & alike & (np.abs(left).max(axis=1) < MAX_STEP)
+    found = (total >= MIN_SHARE * len(offsets)) & similar & (np.abs(left).max(axis=1) < MAX_STEP)
     moved = motion[points[:, 1], points[:, 0]] + left
     return moved.astype(np.float64), variance, unlike, found

@@ -32,7 +32,7 @@ RELATIVE = 0.1
 """Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts: shadows, light from
 other tissue, walls so steep that the surface between vertices decides."""
 AMPLITUDE = 0.25
-"""The same of every place, in all frames alike: its gloss and albedo are its own."""
+"""The same of every place, common to all frames: its gloss and albedo are its own."""
 GAIN = 0.02
 """Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells."""
 LEAST_NOISE = 0.004
@@ -47,7 +47,7 @@ SPREADING, SPREADING_SD = 0.35, 0.5
 logarithm."""
 LOBE, LOBE_SD = 0.13, 0.4
 """Prior of the width of the lobe into which wet tissue mirrors light [rad], and the standard deviation of its
-logarithm: fine relief makes it wider than a smooth film of water would."""
+logarithm: fine relief makes it wider than a smooth layer of water would."""
 ROUGH, ROUGH_SD = 0.1, 0.12
 """Prior of the tissue's roughness."""
 LAG, LAG_SD = 0.5, 0.7

@@ -174,16 +174,16 @@ class SequenceProblem(LeastSquares, Generic[M]):
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
         noise, frames = self.sequence.noise, len(sunk)
-        new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
+        new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
         new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
         walls = np.sqrt(np.where(self.seen, self._walls, 0.0)).T
         # A patch's end stays where it is, more or less.
         covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]
         covariance += 0.5 * np.square(walls)[:, :, None] * np.eye(frames)
         if noise.in_place > 0:
-            common = noise.alike_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
+            common = noise.correlated_in_place * (np.ones((1, frames, frames)) + STILL_NEW * np.eye(frames))
             if noise.rounded:
-                common = math.sqrt(noise.alike_in_place) * rounding_covariance(sunk.T / noise.in_place)
+                common = math.sqrt(noise.correlated_in_place) * rounding_covariance(sunk.T / noise.in_place)
             covariance = covariance + noise.in_place**2 * common
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
@@ -229,7 +229,7 @@ class SequenceProblem(LeastSquares, Generic[M]):
     @property
     def counted(self) -> float:
         """How many independent values of pixels that move were observed, by the last look."""
-        return float((self.seen & self.moving).sum()) / self.sequence.noise.alike_in_time
+        return float((self.seen & self.moving).sum()) / self.sequence.noise.correlated_in_time
 
     def misfit(self, logs: np.ndarray) -> float:
         """Root mean square of the residuals of pixels that move, in standard deviations; outliers count in full."""

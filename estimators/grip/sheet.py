@@ -23,7 +23,7 @@ from scipy.sparse import csr_array
 
 from palpate.common.robust import error_scale, median_sd, student_loss, student_weights
 from palpate.estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, evenly
-from palpate.estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, alike_points, correlated_points
+from palpate.estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, correlated_points, points_as_one
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import response
 
@@ -192,7 +192,7 @@ class SheetProblem:
         self._middle, self._size = points.mean(axis=0), points.std(axis=0)
         self.loaded = len(self._loaded_cells)
         self._whitening = Whitening(points[self.counted], reach)
-        self._expected = max(alike_points(spacing, reach), 1.0)
+        self._expected = max(points_as_one(spacing, reach), 1.0)
 
     def _following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
         """How places of the grid [n, 2] [px] follow loads and background, shape [n, M + 3]."""

@@ -69,7 +69,7 @@ def matern(distance: np.ndarray) -> np.ndarray:
     return (1 + distance) * np.exp(-distance)
 
 
-def alike_points(spacing: float, reach: float = REACH) -> float:
+def points_as_one(spacing: float, reach: float = REACH) -> float:
     """How many points of a square grid [px] err together: the sum of the correlation over the grid, as its integral."""
     return 6 * np.pi * (reach / spacing) ** 2
 

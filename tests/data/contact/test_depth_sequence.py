@@ -135,8 +135,8 @@ def test_what_is_rounded_stays_in_its_place() -> None:
     assert noise.in_time == pytest.approx(0, abs=1e-3 * sigma)
     assert noise.in_place == pytest.approx(sigma, rel=1e-6)
     # Rounding errors of slanting tissue go together, those of neighbours in one row more than those in one column.
-    assert noise.alike_in_time == 1
-    assert noise.alike_in_place > 2
+    assert noise.correlated_in_time == 1
+    assert noise.correlated_in_place > 2
 
 
 @pytest.mark.parametrize("share", [0.4, 0.8])
@@ -147,7 +147,7 @@ def test_noise_in_time_and_in_place_are_told_apart(share: float) -> None:
     assert noise.in_time == pytest.approx(in_time, rel=0.01)
     assert noise.in_place == pytest.approx(in_place, rel=0.01)
     assert noise.total == pytest.approx(SIGMA, rel=1e-9)
-    assert (noise.alike_in_time, noise.alike_in_place) == (1, 1)
+    assert (noise.correlated_in_time, noise.correlated_in_place) == (1, 1)
 
 
 @pytest.mark.parametrize("blur", [0.6, 1.0, 1.5])
@@ -157,19 +157,19 @@ def test_blurred_noise_makes_neighbours_alike(blur: float) -> None:
     expected = np.square(kernel).sum() ** -2
     assert expected == pytest.approx(4 * math.pi * blur**2, rel=0.12)
     new = noise_of(SIGMA * blurred(white(3), blur))
-    assert (new.in_time, new.in_place, new.alike_in_place) == (SIGMA, 0.0, 1.0)
-    assert new.alike_in_time == pytest.approx(expected, rel=0.08)
+    assert (new.in_time, new.in_place, new.correlated_in_place) == (SIGMA, 0.0, 1.0)
+    assert new.correlated_in_time == pytest.approx(expected, rel=0.08)
     still = noise_of(np.repeat(SIGMA * blurred(white(5, 1), blur), 3, axis=0))
     assert still.in_place == pytest.approx(SIGMA, rel=1e-3)
-    assert still.alike_in_place == pytest.approx(expected, rel=0.2)
+    assert still.correlated_in_place == pytest.approx(expected, rel=0.2)
 
 
 def test_errors_that_stay_are_as_alike_beside_new_ones_that_are_not() -> None:
     kernel = gaussian_filter1d(np.eye(49)[24], 1.0)
     noise = noise_of(0.6 * SIGMA * white(4) + 0.8 * SIGMA * blurred(white(5, 1), 1.0))
-    assert noise.alike_in_time == 1
+    assert noise.correlated_in_time == 1
     assert noise.in_place == pytest.approx(0.8 * SIGMA, rel=0.02)
-    assert noise.alike_in_place == pytest.approx(np.square(kernel).sum() ** -2, rel=0.2)
+    assert noise.correlated_in_place == pytest.approx(np.square(kernel).sum() ** -2, rel=0.2)
 
 
 def test_noise_is_not_that_of_tissue_that_moves() -> None:

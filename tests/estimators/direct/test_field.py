@@ -129,16 +129,16 @@ def expected_covariance(
     noise, (frames, pixels) = problem.sequence.noise, change.shape
     frame, pixel = (part.ravel() for part in np.indices((frames, pixels)))
     same, alike = pixel[:, None] == pixel, frame[:, None] == frame
-    new = noise.alike_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
+    new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
     covariance = np.diag(new)
     walls = WALL * steep.ravel()
     covariance += 0.5 * same * walls[:, None] * walls + 0.5 * np.diag(walls**2)
     if noise.in_place:
         if noise.in_time < 0.5 * noise.in_place:
             kernel = rounding_covariance(change.T / noise.in_place)
-            part = np.sqrt(noise.alike_in_place) * kernel[pixel[:, None], frame[:, None], frame[None]]
+            part = np.sqrt(noise.correlated_in_place) * kernel[pixel[:, None], frame[:, None], frame[None]]
         else:
-            part = noise.alike_in_place * (1 + STILL_NEW * alike)
+            part = noise.correlated_in_place * (1 + STILL_NEW * alike)
         covariance += noise.in_place**2 * part * same
     smooth = smooth_errors(noise.total)[pixel]
     covariance += smooth @ smooth.T

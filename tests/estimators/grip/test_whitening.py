@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.distance import cdist
 
-from palpate.estimators.grip.whitening import REACH, Whitening, alike_points, correlated_points, matern
+from palpate.estimators.grip.whitening import REACH, Whitening, correlated_points, matern, points_as_one
 
 
 def grid(side: int, spacing: int = 8) -> np.ndarray:
@@ -57,7 +57,7 @@ def test_points_that_are_not_seen_say_nothing() -> None:
 def test_points_that_err_alike_are_the_sum_of_the_correlation() -> None:
     points = grid(81)
     summed = matern(np.linalg.norm(points - points[len(points) // 2], axis=1) / REACH).sum()
-    assert alike_points(8) == pytest.approx(summed, rel=0.01)
+    assert points_as_one(8) == pytest.approx(summed, rel=0.01)
 
 
 def test_matern_is_one_at_no_distance_and_dies_away() -> None:

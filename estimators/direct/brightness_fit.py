@@ -48,7 +48,7 @@ TOGETHER = 40.0
 DAMPED = 3.0
 """Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
 FEWEST_FRAMES = 3
-End = TypeVar("End")
+Fitted = TypeVar("Fitted")
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
 
@@ -85,7 +85,7 @@ def fit_brightness(
     return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
 
 
-def _on_threads(fit: Callable[[np.ndarray], End], starts: Iterable[np.ndarray]) -> list[End]:
+def _on_threads(fit: Callable[[np.ndarray], Fitted], starts: Iterable[np.ndarray]) -> list[Fitted]:
     """Fits from several starts, on as many threads as there are cores: compiled rollouts run side by side."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(fit, starts))

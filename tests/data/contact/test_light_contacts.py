@@ -20,16 +20,22 @@ DENT = (34, 40)
 
 
 def prepared(
-    index: int, darkness: float = 0.0, tool: bool = True, gain: float = 1.0, wide: int | None = None, shift: int = 0
+    index: int,
+    darkness: float = 0.0,
+    tool: bool = True,
+    gain: float = 1.0,
+    wide: int | None = None,
+    shift: int = 0,
+    along: float = 0.5,
 ) -> PreparedFrame:
     """A frame of textured tissue, an instrument that comes from above, and a dent below its tip.
 
-    A wide one may come from below at a column, and the first lie so far to the right, the dent half as far
-    [grid pixels].
+    A wide one may come from below at a column, and the first lie so far to the right, the dent along with it by a share
+    of that [grid pixels].
     """
     texture = np.exp(0.2 * np.random.default_rng(7).normal(size=GRID)).repeat(4, axis=0).repeat(4, axis=1)
     rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5
-    dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1] - shift / 2)) / 2.5**2)
+    dent = np.exp(-0.5 * (np.square(rows - DENT[0]) + np.square(columns - DENT[1] - along * shift)) / 2.5**2)
     light = 0.6 * gain * texture * np.exp(-darkness * dent)
     labels = np.full((240, 320), TISSUE, np.uint8)
     if tool:
@@ -138,6 +144,14 @@ def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
             frame.picture_labels[upper] = np.roll(frame.picture_labels[upper], shift, axis=1)
             frame.labels = frame.picture_labels[2::4, 2::4]
         frames.append(frame)
+    assert not any(frame.press for frame in decided(frames))
+
+
+def test_the_shadow_of_an_instrument_that_moves_slowly_is_no_press():
+    """It stands for no two frames, although it hardly moves from one to the next, and its shadow becomes darker."""
+    frames = [prepared(index, tool=False) for index in range(6)]
+    for index in range(6, 18):
+        frames.append(prepared(index, 0.03 if index == 6 else 0.2, shift=index - 12, along=1.0))
     assert not any(frame.press for frame in decided(frames))
 
 

@@ -24,11 +24,12 @@ def test_summary_counts_what_is_determined_and_held():
 
 def test_every_suite_has_settings_of_its_own(tmp_path):
     found = {suite: PlainVideo(output=tmp_path, suite=suite, look="endoscope", width=1280).settings for suite in SUITES}
-    assert len(set(map(str, found.values()))) == len(SUITES) == 4
+    assert len(set(map(str, found.values()))) == len(SUITES) == 5
     assert {(each.width, each.height, each.look, each.video_quality) for each in found.values()} == {
         (1280, 720, "endoscope", 23)
     }
     assert found["video-moving"].turning_deg > 0
+    assert found["video-oblique"].max_tilt_deg == 25
 
 
 @pytest.mark.slow

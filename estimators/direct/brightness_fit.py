@@ -29,6 +29,8 @@ ASIDE = (-1.5, 0.0, 1.5)
 """How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
 TILTS = 0.3 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 """Tilts with which every one of these places is tried, right and down, as tangents."""
+TILTED = 0.9
+"""A tilt is taken where it leaves less than this share of what is left without one."""
 STARTS = 3
 """Fits, begun at the candidates that explain the light best."""
 THINNED = 8
@@ -128,8 +130,10 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
     places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
     for start in chosen:
         moved = problem.motion.coarse(start[:-OTHERS])
-        starts = [problem.start(start[:-OTHERS], place, tilt) for place in places for tilt in TILTS]
-        start[:] = min(starts, key=lambda each: tried(each, moved))
+        starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
+        left = np.array([tried(each, moved) for each in starts])
+        left[: len(places)] *= TILTED
+        start[:] = starts[int(np.argmin(left))]
     return chosen
 
 

@@ -31,21 +31,18 @@ test: lint
 test-fast: $(INSTALLED)
 	$(BIN)/pytest -m "not slow"
 
+# Runs a program quietly while another shows what it does; both must succeed:
+# $(call alongside,QUIET PROGRAM,NAME OF ITS LOG,SHOWN PROGRAM)
+alongside = @$(BIN)/python $(1) > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)/python $(3); $(BIN)/python $(3) && \
+	{ wait $$quiet || { cat $(DEMO)/$(2).log; false; }; }
+
 # The system is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file
 # has neither and goes through the photometric depth model and the automatic masks, and the results say what that means.
 demo: $(INSTALLED)
 	$(BIN)/python -m data.synthetic --output $(DEMO)/clips --clips 6 --frames 32 --seed 1
-	@$(BIN)/python infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite > $(DEMO)/fits.log 2>&1 & fits=$$!; \
-		echo $(BIN)/python train.py fit -c configs/smoke.yaml --ckpt_path last; \
-		$(BIN)/python train.py fit -c configs/smoke.yaml --ckpt_path last && wait $$fits
-	@$(BIN)/python train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx \
-			> $(DEMO)/export.log 2>&1 & export=$$!; \
-		echo $(BIN)/python train.py test -c configs/smoke.yaml $(BEST); \
-		$(BIN)/python train.py test -c configs/smoke.yaml $(BEST) && wait $$export
-	@$(BIN)/python infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite \
-			> $(DEMO)/trained.log 2>&1 & trained=$$!; \
-		echo $(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite; \
-		$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite && wait $$trained
+	$(call alongside,infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite,fits,train.py fit -c configs/smoke.yaml --ckpt_path last)
+	$(call alongside,train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx,export,train.py test -c configs/smoke.yaml $(BEST))
+	$(call alongside,infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite,trained,infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite)
 	@echo
 	@echo "report:   $(DEMO)/training/evaluation/report.html"
 	@echo "network:  $(DEMO)/parameters.onnx"

@@ -184,10 +184,7 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
 
 @pytest.mark.slow
 def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The pull in pictures of a quarter of the suite's size; the truth of both by fewer elements.
-
-    The press is a short one, since the time of its fit grows with the third power of its own.
-    """
+    """A short press, a pull in pictures of a quarter of the suite's size, and the truth of both by fewer elements."""
     suite = SLAB_SUITES["fem"]
     monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
     for name, value in (("frames", 20), ("press_seconds", (0.16, 0.16))):

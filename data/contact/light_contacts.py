@@ -173,7 +173,7 @@ class LightContacts:
         before = self._waiting[-BEGINS - 1 :: -1]
         before = before[_went_along(before, dents[0]) :]
         if is_half_hidden(dents[0]):
-            at_tissue = [is_at(one, self._place) for one in before[1:HIDDEN_FOR]]
+            at_tissue = [is_at(one, self._place) or stands(one, dents[0]) for one in before[1:HIDDEN_FOR]]
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
@@ -287,13 +287,16 @@ class LightContacts:
 def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
     """How many frames before the first that shows a dent, latest first, are under the same press.
 
-    The instrument goes along with a dent in oblique tissue, and bares a part of it.
+    The instrument goes along with a dent in oblique tissue, and bares a part of it. A dent that the instrument hides
+    all but the edge of may not show in a single frame.
     """
-    count = 0
+    count, since = 0, 0
     for index, lit in enumerate(before):
-        if lit.bared is not None and lie_together([lit.bared, first.dent]):
-            count = index + 1
+        if any(place is not None and lie_together([place, first.dent]) for place in (lit.bared, lit.dent)):
+            count, since = index + 1, 0
         elif lit.dark is None or not lie_together([lit.dark, first.dent]):
+            since += 1
+        if since > 1:
             break
     return count
 

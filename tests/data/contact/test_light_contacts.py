@@ -132,6 +132,22 @@ def test_an_instrument_that_goes_along_with_the_dent_of_oblique_tissue_still_pre
     assert pressed == list(range(8, 18))
 
 
+def test_a_press_begins_with_the_first_dent_though_frames_between_do_not_show_it():
+    """As where the instrument hides all but the dent's edge: outlines alone would say where the first of them is."""
+    darkness = [0.0] * 9 + [0.2, 0.0, 0.2, 0.0] + [0.2] * 4
+    frames = [prepared(index, dark, tool=index >= 8, shift=6, along=0.0) for index, dark in enumerate(darkness)]
+    pressed = [frame.frame.index for frame in decided(frames) if frame.press is not None]
+    assert pressed == list(range(8, 17))
+
+
+def test_a_half_hidden_press_begins_when_the_instrument_came_although_it_is_not_next_to_what_shows():
+    frames = [prepared(index, 0.2 if index >= 12 else 0.0, tool=index >= 8, shift=7, along=0.0) for index in range(18)]
+    for frame in frames:  # something that doesn't show lies next to the dent
+        frame.frame.picture[4 * 35 : 4 * 40, 4 * 34 : 4 * 46] = 255
+    pressed = [frame.frame.index for frame in decided(frames) if frame.press is not None]
+    assert pressed == list(range(8, 18))
+
+
 @pytest.mark.parametrize("wide", [None, 10], ids=["alone", "while a wider instrument stands"])
 def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
     """It is as dark while the instrument moves as when it stands."""

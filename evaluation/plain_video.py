@@ -9,7 +9,8 @@ coarsely.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
-clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
+clips determine it, the median error of its logarithm there, how often its 90 % interval holds the truth, and the median
+of what an error would at least be if the light had the noise of still tissue and nothing else (Cramér–Rao bound).
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -40,11 +41,11 @@ from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
+from palpate.evaluation.recovery.bounds import light_information
 from palpate.evaluation.recovery.suites import LARGEST_SEED
+from palpate.physics.identifiability import combination_bounds
 from palpate.physics.mechanics import damping_ratio
 
-LENGTHS = {"force": 1, "force_over_stiffness": 1}
-"""Quantities that count in lengths, with their power."""
 SAME_ONSET = 2
 """A run of contact is the true one where it begins within so many frames of it."""
 SUITES: Mapping[str, Mapping[str, Any]] = {
@@ -91,20 +92,29 @@ def measured_video(settings: SceneSettings, seed: int) -> Row:
     row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     distance = float(scene.mesh.vertices[scene.vertex, 2])
-    return row | (compared(right[0], truth.theta, distance) if right else {"verdict": "no_estimate"})
+    return row | (compared(right[0], truth.theta, distance, 1 / settings.fps) if right else {"verdict": "no_estimate"})
 
 
-def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> Row:
-    """Errors of the logarithm of every quantity, with their standard deviations, and which are determined."""
+def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, frame_seconds: float) -> Row:
+    """Errors of the logarithm of every quantity, with their standard deviations and bounds, and which are determined.
+
+    Args:
+        found: the press.
+        theta: true k_s, k_d and F, shape [3], of tissue at a true
+        distance: [scene units].
+        frame_seconds: time from frame to frame [s].
+    """
     estimate, contact = found.estimate, found.interaction
     assert estimate is not None
     assert contact is not None
-    scale = math.log(float(contact.mesh.vertices[contact.vertex, 2]) / distance)
+    true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
+    information = light_information(contact, true, frame_seconds)
     row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
-        off = powers @ np.log(np.abs(estimate.theta / theta)) - LENGTHS.get(name, 0) * scale
+        off = powers @ np.log(np.abs(estimate.theta / true))
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
+        row[f"{name}_bound"] = float(combination_bounds(information, [powers])[0])
         for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
             row[f"{name}_{end}"] = float(math.sqrt(max(powers @ covariance @ powers, 0.0)))
     return row
@@ -167,11 +177,11 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        errors, sds = (np.array([row[f"{name}_{end}"] for row in known]) for end in ("error", "sd"))
+        errors, sds, bounds = (np.array([row[f"{name}_{end}"] for row in known]) for end in ("error", "sd", "bound"))
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}
-            line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds))}
+            line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds)), "bound": float(np.median(bounds))}
         lines.append(line)
     return pd.DataFrame(lines)
 

@@ -1,4 +1,4 @@
-"""What a contact could have shown at best: Fisher information at the truth, of its point and of its whole dent.
+"""What a contact could have shown at best: Fisher information at the truth, of its point, its whole dent, its light.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
 (`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them. Where the
@@ -13,6 +13,8 @@ from palpate.data.contact.depth_sequence import REACH, DepthSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
+from palpate.estimators.direct.brightness_fit import WITHIN
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
@@ -51,6 +53,24 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     problem = SequenceProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _squared(_of_tissue(problem, logs, motion))
+
+
+def light_information(contact: Interaction, theta: np.ndarray, frame_seconds: float) -> np.ndarray:
+    """Information of log θ alone from the light around a press on a plane that faces the camera, shape [3, 3].
+
+    Its noise is that of still tissue, as if no two places or frames had any of it in common; where the dent lies, the
+    plane's tilt, the instants and the law of light are not known.
+
+    Args:
+        contact: with its brightness sequence.
+        theta: true k_s, k_d and F, in lengths of the contact's mesh, shape [3].
+        frame_seconds: time from frame to frame [s].
+    """
+    problem = BrightnessProblem(contact, MECHANICS.matched(frame_seconds), WITHIN * frame_seconds, np.zeros(2))
+    box = problem.box(RECOMMENDED.log_box)
+    press = np.concatenate([np.log(np.abs(theta)), np.zeros(box.shape[1] - OTHERS - 3)])
+    jacobian = problem.jacobian(problem.start(press, problem.darkest()))
+    return about_tissue(jacobian.T @ jacobian, box_information(box))
 
 
 def known(information: np.ndarray, onset: str) -> np.ndarray:

@@ -16,7 +16,7 @@ INSTALLED := .venv/.installed
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	@echo "Installing the libraries that constraints.txt pins into .venv; this takes a minute or two ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[train,video,dev]"
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[train,dev]"
 	@$(BIN)/python -m compileall -qq -j 0 -x '/tests?/|torch/testing' .venv/lib || true  # as pip would, on all cores
 	touch $@
 

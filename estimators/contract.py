@@ -10,6 +10,7 @@ from palpate.data.depth.normalise import DepthSettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
+from palpate.data.source.coding import Coding
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
@@ -59,12 +60,15 @@ class ClipInfo:
     """How contacts are found."""
     bridge_frames: int
     """Contact that is missing on up to this many frames is still the same run."""
+    coding: Coding | None = None
+    """How the pictures were coded, where that is known and their light is what is measured."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:
         """Of an opened clip."""
-        settings = clip.settings
-        return cls(clip.source.fps, clip.source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
+        settings, source = clip.settings, clip.source
+        coding = source.coding if clip.guesses_depth else None
+        return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames, coding)
 
 
 Output = FrameEstimate | InteractionEstimate

@@ -37,7 +37,7 @@ class Run:
     """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
     def __init__(
-        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: np.ndarray | None = None
+        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: RestingLight | None = None
     ) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
@@ -59,7 +59,9 @@ class Run:
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
             first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
+            self.builder = InteractionBuilder(
+                *found, first_seen, clip.geometry, seconds, clip.size, rest_light, clip.coding
+            )
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -117,7 +119,7 @@ class RunTracker:
             self._light.clear()
         ended = self._push(frame)
         if self.current is None and frame.light is not None:
-            self._light.push(frame.light)
+            self._light.push(frame.light, frame.lit_picture if self._clip.coding is not None else None)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -131,7 +133,7 @@ class RunTracker:
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
-        rest = self._light.median() if len(self._light) else None
+        rest = self._light if len(self._light) else None
         self.current = Run(frame, self._clip, self._seconds, rest) if frame.in_contact else None
         return run
 
@@ -258,6 +260,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.labels,
         frame.light,
         frame.light_view,
+        frame.lit_picture,
     )
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -216,7 +217,6 @@ def classes(mask: np.ndarray) -> np.ndarray:
 
 def cut_video(path: Path) -> None:
     """Sixteen frames, of which the file holds 60 %."""
-    av = pytest.importorskip("av")
     noise = np.random.default_rng(0)
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
 from palpate.data.brightness.light import FINE
+from palpate.data.source.coding import Coding
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -29,6 +32,10 @@ SPREAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
+LitPicture = tuple[np.ndarray, np.ndarray]
+"""A picture, RGB uint8 [H, W, 3], and its label map [H, W]."""
+
+
 @dataclass(frozen=True, eq=False)
 class BrightnessSequence:
     """Light around a contact over a run; N frames, a square of L = FINE·(2·(REACH + MARGIN) + 1) places."""
@@ -41,10 +48,24 @@ class BrightnessSequence:
     """The same at rest, shape [L, L]."""
     noise: float
     """Standard deviation of the difference of light and rest where tissue is still."""
+    coded: CodedPictures | None = None
+    """The video's pictures around the contact; None where it isn't known how they were coded."""
 
     def chosen(self, frames: np.ndarray) -> BrightnessSequence:
         """Some of its frames: a mask [N] or indices."""
-        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames])
+        coded = None if self.coded is None else self.coded.chosen(frames)
+        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames], coded=coded)
+
+    def without_coding(self, expected: np.ndarray) -> BrightnessSequence:
+        """The same without what coding adds to the light.
+
+        Args:
+            expected: logarithm of the light as a fit expects it, shape [N, L, L].
+        """
+        if self.coded is None:
+            return self
+        error = coding_error(self.coded, expected - self.rest)
+        return dataclasses.replace(self, light=(self.light - error).astype(np.float32))
 
 
 def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -92,17 +113,22 @@ class RestingLight:
 
     def __init__(self) -> None:
         self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+        self.pictures: deque[LitPicture] = deque(maxlen=KEPT)
+        """Those from which the light is, where they were given."""
         self._median: np.ndarray | None = None
         """Of these frames, where it has been asked for."""
 
-    def push(self, light: np.ndarray) -> None:
-        """The next frame out of contact, as of `log_light`."""
+    def push(self, light: np.ndarray, picture: LitPicture | None = None) -> None:
+        """The next frame out of contact: its light, as of `log_light`, and from which picture that is."""
         self._frames.append(light)
+        if picture is not None:
+            self.pictures.append(picture)
         self._median = None
 
     def clear(self) -> None:
         """Forget what was seen."""
         self._frames.clear()
+        self.pictures.clear()
         self._median = None
 
     def __len__(self) -> int:
@@ -143,9 +169,13 @@ class BrightnessRecorder:
     Args:
         rest: light at rest, as of `log_light`.
         pixel: row and column of the contact [grid pixels].
+        coding: of the video, where that is known.
+        pictures: from which the light at rest is.
     """
 
-    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
+    def __init__(
+        self, rest: np.ndarray, pixel: np.ndarray, coding: Coding | None = None, pictures: Sequence[LitPicture] = ()
+    ) -> None:
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
         side = FINE * (2 * (REACH + MARGIN) + 1)
         self._window = tuple(np.ix_(first[0] + np.arange(side), first[1] + np.arange(side)))
@@ -159,6 +189,14 @@ class BrightnessRecorder:
         self._places = np.stack(self._far, axis=1) / max(rest.shape)
         self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(rest.shape) for part in self._window)), axis=-1)
         self._noise: list[float] = []
+        self._pictures: PictureRecorder | None = None
+        if coding is not None and len(pictures) >= FEWEST_REST:
+            self._pictures = PictureRecorder(coding, first, side, rest.shape, pictures)
+
+    def picture(self, picture: LitPicture | None) -> None:
+        """The next frame's, from the onset on, whether or not its light counts."""
+        if self._pictures is not None:
+            self._pictures.add(picture)
 
     def _cut(self, light: np.ndarray) -> np.ndarray:
         rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
@@ -173,8 +211,9 @@ class BrightnessRecorder:
         self._noise.append(sd)
         return (self._cut(light) - self._middle @ gain).astype(np.float32)
 
-    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> BrightnessSequence:
-        """The sequence of some frames."""
+    def sequence(self, frames: np.ndarray, times: np.ndarray, light: list[np.ndarray]) -> BrightnessSequence:
+        """The sequence of some frames, counted from the onset."""
+        coded = None if self._pictures is None else self._pictures.pictures(frames)
         stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
         noise = float(np.median(self._noise)) if self._noise else np.nan
-        return BrightnessSequence(np.asarray(times, np.float64), stacked, self._rest, noise)
+        return BrightnessSequence(np.asarray(times, np.float64), stacked, self._rest, noise, coded)

@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 
 from palpate.data.brightness.registration import View
-from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence
+from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence, LitPicture, RestingLight
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
+from palpate.data.source.coding import Coding
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -128,6 +129,8 @@ class ContactFrame:
     """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
+    lit_picture: LitPicture | None = None
+    """The picture from which that light is."""
 
 
 class InteractionBuilder:
@@ -140,7 +143,8 @@ class InteractionBuilder:
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
         size: width and height of the pictures [px]; None = keep no depth-change sequence.
-        rest_light: light of the tissue at rest, as of `log_light`; None = keep no brightness sequence.
+        rest_light: light of the tissue at rest; None = keep no brightness sequence.
+        coding: of the video, where that is known.
     """
 
     def __init__(
@@ -153,7 +157,8 @@ class InteractionBuilder:
         settings: GeometrySettings,
         seconds: float,
         size: tuple[int, int] | None = None,
-        rest_light: np.ndarray | None = None,
+        rest_light: RestingLight | None = None,
+        coding: Coding | None = None,
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
         # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
@@ -178,7 +183,10 @@ class InteractionBuilder:
         self._sequence_of(onset)
         pixel, view = mesh.pixels[vertex], onset.light_view
         pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
-        self._light = None if rest_light is None else BrightnessRecorder(rest_light, pixel)
+        self._light: BrightnessRecorder | None = None
+        if rest_light is not None:
+            self._light = BrightnessRecorder(rest_light.median(), pixel, coding, rest_light.pictures)
+            self._light.picture(onset.lit_picture)
         self._reference = None if view is None else view.reference
         self._brightness: list[tuple[int, float, np.ndarray]] = []
 
@@ -199,7 +207,11 @@ class InteractionBuilder:
         if change is not None:
             self._sequence.append((index, since, change))
         reference = None if frame.light_view is None else frame.light_view.reference
-        if self._light is None or frame.light is None or reference != self._reference:
+        if self._light is None:
+            return
+        shown = reference == self._reference
+        self._light.picture(frame.lit_picture if shown else None)
+        if frame.light is None or not shown:
             return
         light = self._light.frame(frame.light)
         if light is not None:
@@ -244,6 +256,7 @@ class InteractionBuilder:
             sequence = self._recorder.sequence(times, [change for _, change in kept], known)
         brightness = None
         if self._light is not None:
-            lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]
-            brightness = self._light.sequence(np.array([since for since, _ in lit]), [light for _, light in lit])
+            lit = [(index, since, light) for index, since, light in self._brightness if counts(index, since)]
+            frames, times = (np.array([each[part] for each in lit]) for part in (0, 1))
+            brightness = self._light.sequence(frames, times, [light for *_, light in lit])
         return Interaction(self.mesh, press, observation, step, sequence, brightness)

@@ -2,6 +2,7 @@
 
 frames  video files and folders of images as FrameSource; the search for clips
 layout  how a folder's frames, masks, depth and camera file are named
+coding  how a video is coded, and the same done to other pictures
 camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """

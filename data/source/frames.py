@@ -3,6 +3,7 @@
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.images import printable, read_image, require_pixels
 from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 
@@ -75,6 +77,8 @@ class FrameSource(ABC):
     """Number of frames to expect; 0 where unknown."""
     warnings: list[str]
     """Problems of the clip as a whole, filled while iterating."""
+    coding: Coding | None = None
+    """How the pictures were coded; None where nobody knows, or they weren't."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -180,6 +184,11 @@ class VideoFile(FrameSource):
         self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
         self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
         self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
+
+    @functools.cached_property
+    def coding(self) -> Coding | None:
+        """How the pictures were coded; None where the decoder doesn't say."""
+        return coding_of(self.path)
 
     def _open(self) -> cv2.VideoCapture:
         try:

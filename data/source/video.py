@@ -1,4 +1,4 @@
-"""Video files written picture by picture: H.264 by PyAV where it is installed (browsers play it), else MPEG-4."""
+"""Video files written picture by picture: H.264 where PyAV was built with it (browsers play it), else MPEG-4."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
-
-try:
-    import av
-except ImportError:  # the optional extra `video`
-    av = None
 
 
 def open_video(path: Path, size: tuple[int, int], fps: float, crf: int = 21) -> H264 | Mpeg4:
@@ -30,7 +26,7 @@ def open_video(path: Path, size: tuple[int, int], fps: float, crf: int = 21) -> 
     Raises:
         OSError: the file can't be written (also from the methods).
     """
-    if av is not None and H264.encoder in av.codecs_available:
+    if H264.encoder in av.codecs_available:
         return H264(path, size, fps, crf)
     return Mpeg4(path, size, fps)
 
@@ -40,7 +36,7 @@ def _as_os_error() -> Generator[None]:
     """Turn the encoder's own errors into file-system errors, as most of them already are."""
     try:
         yield
-    except av.FFmpegError as error:  # ty: ignore[missing-union-attribute]  it is there (open_video)
+    except av.FFmpegError as error:
         if isinstance(error, OSError):
             raise
         raise OSError(errno.EIO, f"the video encoder failed ({error.strerror})") from error
@@ -52,7 +48,7 @@ class H264:
     encoder = "libx264"
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int) -> None:
-        self._container = av.open(str(path), "w", options={"movflags": "+faststart"})  # ty: ignore[missing-union-attribute]  it is there (open_video)
+        self._container = av.open(str(path), "w", options={"movflags": "+faststart"})
         rate = Fraction(fps).limit_denominator(1001)
         self._stream = self._container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": str(crf)})
         self._stream.width, self._stream.height = size
@@ -61,7 +57,7 @@ class H264:
     def write(self, picture: np.ndarray) -> None:
         """Append a picture, RGB uint8 [H, W, 3]."""
         with _as_os_error():
-            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))  # ty: ignore[missing-union-attribute]  as above
+            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
 
     def close(self) -> None:
         """Finish the file."""

@@ -151,6 +151,11 @@ class BrightnessProblem:
         light = shown.rest + law
         return self._coded(light[..., None], logs[-1])[..., 0], law
 
+    def expected(self, logs: np.ndarray) -> np.ndarray:
+        """Logarithm of the light as it would be if it had not been coded, shape [N, L, L]."""
+        uncoded = np.append(logs[:-1], 0.0)
+        return self.predicted(uncoded, self.motion.quick(logs[:-OTHERS]))[0].reshape(self.sequence.light.shape)
+
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D]."""
         shown, slopes = self.sheet.linearised(*self.motion.at(logs[:-OTHERS]), logs[-OTHERS:-LAW])
@@ -208,7 +213,8 @@ class BrightnessProblem:
         inflated = 1 + np.square(RELATIVE * law / self.noise)
         squares = np.square(residual / self.noise) / inflated
         student = (FREEDOM + 1) / (FREEDOM + squares)
-        self._weight = student / inflated
+        # What doesn't show now counts for nothing until the next look, so that the sum of squares has no steps.
+        self._weight = np.where(known, student / inflated, 0.0)
         white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
         self._law, root = law, np.where(known, np.sqrt(self._weight) / self.noise, 0.0)
         white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]

@@ -37,7 +37,7 @@ THINNED = 8
 """Frames with which starts are chosen."""
 FEW, MORE = 5, 8
 """Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
-ROUNDS = 2, (1, 2)
+ROUNDS = 2, 1, 2
 """Rounds of a start, and of the best one on each of two meshes: of the plane that was found last."""
 CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
@@ -81,9 +81,12 @@ def fit_brightness(
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(copy.copy(problem), start, tissue, FEW, ROUNDS[0]), _starts(problem, tissue))
     logs = min(led, key=lambda found: found[0])[1]
-    for rounds in ROUNDS[1]:
-        problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
-        logs = _led(problem, logs, tissue, MORE, rounds)[1]
+    problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    logs = _led(problem, logs, tissue, MORE, ROUNDS[1])[1]
+    # Only now is it known well enough what the light would be if it had not been coded.
+    contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected(logs)))
+    problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    logs = _led(problem, logs, tissue, MORE, ROUNDS[2])[1]
     return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
 
 
@@ -128,13 +131,15 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
                 misfits.append(tried(start, factor * moved))
     chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
     places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
-    for start in chosen:
+
+    def placed(start: np.ndarray) -> np.ndarray:
         moved = problem.motion.coarse(start[:-OTHERS])
         starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
         left = np.array([tried(each, moved) for each in starts])
         left[: len(places)] *= TILTED
-        start[:] = starts[int(np.argmin(left))]
-    return chosen
+        return starts[int(np.argmin(left))]
+
+    return np.array(_on_threads(placed, chosen))
 
 
 def _led(

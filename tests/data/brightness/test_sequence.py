@@ -45,7 +45,7 @@ def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
     light = rest + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
     np.testing.assert_allclose(change_of_light(light, rest), dent + noise, atol=0.003)
     recorder = BrightnessRecorder(rest, np.array([30, 40]))
-    found = recorder.sequence(np.array([0.04]), [recorder.frame(light)])
+    found = recorder.sequence(np.array([1]), np.array([0.04]), [recorder.frame(light)])
     first = FINE * (np.array([30, 40]) - REACH - MARGIN)
     window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
     np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
@@ -71,6 +71,6 @@ def test_a_frame_that_shows_too_little_tells_no_gain():
 def test_some_frames_of_a_sequence():
     recorder = BrightnessRecorder(texture(), np.array([30, 40]))
     frames = [recorder.frame(texture() + gain) for gain in (0.0, 0.1, 0.2)]
-    found = recorder.sequence(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
+    found = recorder.sequence(np.arange(3), np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
     assert found.light.shape == (2, SIDE, SIDE)

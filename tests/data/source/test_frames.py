@@ -10,6 +10,7 @@ import zlib
 from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -417,7 +418,6 @@ def test_a_folder_that_can_t_be_listed_fails_by_itself(tmp_path, nested):
 
 def write_varying(path, milliseconds):
     """A video whose frames have these time stamps."""
-    av = pytest.importorskip("av")
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg4", rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"

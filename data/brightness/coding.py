@@ -1,0 +1,170 @@
+"""What coding does to the light around a contact, found by coding what a fit expects once more.
+
+A dent's slow growth and its recovery are hardly worth a coder's bits, and a place that an instrument uncovers is coded
+coarsely at first: in coded video tissue seems to recover more slowly than it does, which no noise says. Pictures of the
+tissue at rest, darkened as the fit expects, noisy as a sensor's and coded as the video was, are as far from what they
+were before as the video is from the truth, on average.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from palpate.data.brightness.light import EDGE, SRGB
+from palpate.data.labels import TISSUE
+from palpate.data.source.coding import Coding, recoded
+
+AROUND, BLOCK = 48, 16
+"""Pixels kept around what is compared, so that a coder finds what it predicts from, and the side of its blocks [px]."""
+NOISES = (0.0, 0.7, 1.5, 3.0, 6.0)
+"""Standard deviations of the sensor's noise that are tried [levels of 8 bits]."""
+REPEATS = 16
+"""Frames at rest by which the noise is chosen; the first ones, coded whole, count for nothing."""
+FIRST = 4
+"""So many are the first ones."""
+DRAWS = 2
+"""Sequences whose mean is what coding does."""
+LEAST_RATE, LARGEST_RATE = 1.0, 45.0
+"""Constant rate factors that are used."""
+FEWEST_REST = 3
+"""Fewer pictures of the tissue at rest tell neither its light nor its noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class CodedPictures:
+    """Pictures around a contact as they came out of a video: K at rest, then T from its onset on, of H × W pixels."""
+
+    coding: Coding
+    """Of the video."""
+    pictures: np.ndarray
+    """RGB, uint8 [K + T, H, W, 3]."""
+    tissue: np.ndarray
+    """Where nothing but tissue is near, bool [K + T, H, W]."""
+    rest: int
+    """K."""
+    frames: np.ndarray
+    """Which of the T the frames of a brightness sequence are, shape [N]."""
+    places: np.ndarray
+    """Row and column in these pictures of the lattice's places along either axis, shape [2, L] [px]."""
+
+    def chosen(self, frames: np.ndarray) -> "CodedPictures":
+        """The same for some frames of the sequence: a mask [N] or indices."""
+        return dataclasses.replace(self, frames=self.frames[frames])
+
+
+class PictureRecorder:
+    """Cuts pictures around a contact.
+
+    Args:
+        coding: of the video.
+        first: row and column of the lattice's first place that is compared.
+        side: places along either axis.
+        shape: rows and columns of the whole lattice.
+        rest: pictures of the tissue at rest with their label maps, uint8 [h, w, 3] and [h, w], at least one.
+    """
+
+    def __init__(
+        self,
+        coding: Coding,
+        first: np.ndarray,
+        side: int,
+        shape: tuple[int, ...],
+        rest: Sequence[tuple[np.ndarray, np.ndarray]],
+    ) -> None:
+        self._coding, size = coding, np.array(rest[0][0].shape[:2])
+        pitch = size / shape
+        low = np.floor((first * pitch - AROUND) / BLOCK).astype(int).clip(0) * BLOCK
+        high = np.ceil((first + side) * pitch + AROUND).astype(int).clip(0, size)
+        high -= (high - low) % 2
+        self._window = tuple(map(slice, low, high))
+        places = (np.add.outer(first, np.arange(side)) + 0.5) * pitch[:, None] - 0.5
+        self._places = (places - low[:, None]).astype(np.float32)
+        self._reach = 2 * max(1, round(EDGE * size[1] / 854)) + 1
+        self._kept = [self._cut(*each) for each in rest]
+        self._rest = len(rest)
+
+    def _cut(self, picture: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        other = (labels[self._window] != TISSUE).astype(np.uint8)
+        return picture[self._window].copy(), cv2.dilate(other, np.ones((self._reach,) * 2, np.uint8)) == 0
+
+    def add(self, shown: tuple[np.ndarray, np.ndarray] | None) -> None:
+        """The next frame from the onset on; one without a picture counts as if it showed what the last one does."""
+        self._kept.append(self._kept[-1] if shown is None else self._cut(*shown))
+
+    def pictures(self, frames: np.ndarray) -> CodedPictures:
+        """What was kept, for a sequence of such frames, counted from the onset, shape [N]."""
+        pictures, tissue = (np.stack(part) for part in zip(*self._kept, strict=True))
+        return CodedPictures(self._coding, pictures, tissue, self._rest, np.asarray(frames, int), self._places)
+
+
+def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
+    """What coding adds to the logarithm of light over that at rest, shape [N, L, L].
+
+    Args:
+        shown: the video's pictures.
+        change: of the logarithm of light as a fit expects it, shape [N, L, L].
+    """
+    still = _at_rest(shown)
+    quality, noise = _matched(shown, still)
+    generator, height, width = np.random.default_rng(0), *shown.tissue.shape[1:]
+    # The change between the lattice's places, and none beyond them.
+    rows, columns = (
+        np.interp(np.arange(size), at, np.arange(len(at)), -1, len(at)).astype(np.float32)
+        for size, at in zip((height, width), shown.places, strict=True)
+    )
+    across, down = np.meshgrid(columns, rows)
+    expected = np.zeros((len(shown.pictures), height, width), np.float32)
+    for frame, one in zip(shown.rest + shown.frames, np.nan_to_num(change).astype(np.float32), strict=True):
+        expected[frame] = cv2.remap(one, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    total = np.zeros(change.shape)
+    for _ in range(DRAWS):
+        drawn = []
+        for one, picture, tissue in zip(expected, shown.pictures, shown.tissue, strict=True):
+            found = _noisy(still * np.exp(one)[..., None], noise, generator)
+            drawn.append(np.where(tissue[..., None], found, picture))
+        came = recoded(drawn, quality, shown.coding.bidirectional)[0]
+        pairs = zip(came, drawn, strict=True)
+        error = np.stack([_light(one, shown.places) - _light(other, shown.places) for one, other in pairs])
+        total += error[shown.rest + shown.frames] - np.median(error[: shown.rest], axis=0)
+    return total / DRAWS
+
+
+def _at_rest(shown: CodedPictures) -> np.ndarray:
+    """Light of the tissue at rest, float32 [H, W, 3]: the mean of pictures that show it."""
+    counted = shown.tissue[: shown.rest, ..., None]
+    light = np.where(counted, SRGB[shown.pictures[: shown.rest]], 0).sum(axis=0, dtype=np.float32)
+    return np.where(counted.any(axis=0), light / np.maximum(counted.sum(axis=0), 1), SRGB[shown.pictures[0]])
+
+
+def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
+    """Constant rate factor that quantises as the video does, and noise that changes still tissue as much [levels]."""
+    rest, tissue = shown.pictures[: shown.rest].astype(np.int16), shown.tissue[: shown.rest].all(axis=0)
+    flicker = float(np.abs(np.diff(rest, axis=0))[:, tissue].mean()) if tissue.any() else 0.0
+    quality, changes = shown.coding.quantiser, []
+    for attempt, noise in enumerate((NOISES[2], *NOISES)):
+        generator = np.random.default_rng(1)
+        drawn = [_noisy(still, noise, generator) for _ in range(REPEATS)]
+        came, coding = recoded(drawn, quality, shown.coding.bidirectional)
+        if attempt:
+            changes.append(float(np.abs(np.diff(came[FIRST:].astype(np.int16), axis=0))[:, tissue].mean()))
+        elif coding is not None:
+            quality = float(np.clip(quality + shown.coding.quantiser - coding.quantiser, LEAST_RATE, LARGEST_RATE))
+    return quality, float(np.interp(flicker, np.maximum.accumulate(changes), NOISES))
+
+
+def _noisy(light: np.ndarray, noise: float, generator: np.random.Generator) -> np.ndarray:
+    """A picture of light [H, W, 3], in sRGB and with a sensor's noise [levels], uint8."""
+    levels = np.interp(light, SRGB, np.arange(256.0))
+    return np.clip(np.rint(levels + generator.normal(0, noise, levels.shape)), 0, 255).astype(np.uint8)
+
+
+def _light(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Logarithm of the light of red and green around the lattice's places, shape [L, L]."""
+    light = cv2.LUT(picture[..., 0], SRGB) + cv2.LUT(picture[..., 1], SRGB)
+    pitch = tuple(max(round(float(at[1] - at[0])), 1) for at in places)
+    columns, rows = np.meshgrid(places[1], places[0])
+    mean = cv2.remap(cv2.blur(light, pitch[::-1]), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.log(np.maximum(mean, 1e-3))

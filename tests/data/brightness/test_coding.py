@@ -1,0 +1,106 @@
+"""What coding does to a dent's light, found without knowing what the light was before."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from palpate.data.brightness.coding import CodedPictures, PictureRecorder, coding_error
+from palpate.data.brightness.light import FINE, log_light
+from palpate.data.labels import TISSUE, TOOL
+from palpate.data.source.coding import recoded
+
+GRID = (48, 64)
+SIDE = 24
+"""Places of the lattice that are compared, along an axis."""
+AT_REST, AFTER = 8, 20
+FIRST = np.array([32, 56])
+"""The first of these places."""
+
+
+def dent() -> np.ndarray:
+    """How the logarithm of light changes from the onset on, shape [AFTER, SIDE, SIDE]: a slow recovery."""
+    rows, columns = np.indices((SIDE, SIDE)) - SIDE / 2
+    course = np.concatenate([np.linspace(0.1, 1, 6), 0.85 ** np.arange(1, AFTER - 5)])
+    return -0.35 * course[:, None, None] * np.exp(-0.5 * (rows**2 + columns**2) / 4**2)
+
+
+def drawn(change: np.ndarray) -> list[np.ndarray]:
+    """Pictures of textured tissue that darkens so, with a sensor's noise."""
+    generator = np.random.default_rng(5)
+    height, width = 4 * GRID[0], 4 * GRID[1]
+    texture = 1 + 0.5 * gaussian_filter(generator.normal(size=(height, width)), 3) * 3
+    pictures = []
+    for each in [np.zeros((SIDE, SIDE))] * AT_REST + list(change):
+        whole = np.zeros((FINE * GRID[0], FINE * GRID[1]))
+        whole[FIRST[0] : FIRST[0] + SIDE, FIRST[1] : FIRST[1] + SIDE] = each
+        light = 0.25 * texture * np.exp(whole.repeat(2, axis=0).repeat(2, axis=1))
+        levels = 255 * np.clip(light[..., None] * [1.0, 0.5, 0.4], 0, 1) ** (1 / 2.2)
+        pictures.append(np.clip(np.rint(levels + generator.normal(0, 2, levels.shape)), 0, 255).astype(np.uint8))
+    return pictures
+
+
+def kept(pictures: np.ndarray, quality: float) -> CodedPictures:
+    """As a session keeps them of a video of that quality."""
+    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
+    _, coding = recoded(pictures, quality, bidirectional=True)
+    shape = (FINE * GRID[0], FINE * GRID[1])
+    recorder = PictureRecorder(coding, FIRST, SIDE, shape, [(each, labels) for each in pictures[:AT_REST]])
+    for each in pictures[AT_REST:]:
+        recorder.add((each, labels))
+    return recorder.pictures(np.arange(AFTER))
+
+
+def light_of(pictures: np.ndarray) -> np.ndarray:
+    """Change of the logarithm of light since rest, shape [AFTER, SIDE, SIDE]."""
+    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
+    window = np.s_[FIRST[0] : FIRST[0] + SIDE, FIRST[1] : FIRST[1] + SIDE]
+    light = np.stack([log_light(each, labels, GRID)[window] for each in pictures])
+    return light[AT_REST:] - np.median(light[:AT_REST], axis=0)
+
+
+def course_error(change: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """By which share of the true change another one is off, frame by frame, shape [AFTER]."""
+    return np.nansum((change - true) * true, axis=(1, 2)) / np.square(true).sum(axis=(1, 2))
+
+
+def test_light_of_coarsely_coded_tissue_is_nearer_to_the_truth_without_what_coding_adds():
+    change = dent()
+    before = drawn(change)
+    after, _ = recoded(before, 26, bidirectional=True)
+    observed = light_of(after)
+    error = coding_error(kept(after, 26), change)
+    assert error.shape == change.shape
+    off, left = course_error(observed, change), course_error(observed - error, change)
+    # Coded, the dent seems to recover more slowly: its last frames are too dark against its first ones.
+    late, early = slice(AFTER - 8, None), slice(2, 8)
+    assert off[late].mean() - off[early].mean() > 0.02
+    assert abs(left[late].mean() - left[early].mean()) < 0.5 * (off[late].mean() - off[early].mean())
+
+
+def test_finely_coded_light_stays_nearly_as_it_is():
+    change, size = dent(), []
+    for quality in (4, 26):
+        after, _ = recoded(drawn(change), quality, bidirectional=True)
+        size.append(np.sqrt(np.square(coding_error(kept(after, quality), change)).mean()))
+    assert size[0] < 0.01
+    assert size[0] < 0.5 * size[1]
+
+
+@pytest.mark.parametrize("first", [(-10, -8), (80, 110)], ids=["top left", "bottom right"])
+def test_what_lies_outside_the_picture_does_not_disturb(first):
+    pictures = drawn(dent())
+    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
+    labels[:40] = TOOL
+    _, coding = recoded(pictures, 22, bidirectional=True)
+    shape = (FINE * GRID[0], FINE * GRID[1])
+    recorder = PictureRecorder(coding, np.array(first), SIDE, shape, [(each, labels) for each in pictures[:AT_REST]])
+    for each in pictures[AT_REST:]:
+        recorder.add((each, labels))
+    recorder.add(None)  # a frame without a picture
+    found = recorder.pictures(np.arange(3)).chosen(np.array([0, 2]))
+    assert found.frames.tolist() == [0, 2]
+    assert [side % 2 for side in found.pictures.shape[1:3]] == [0, 0]
+    np.testing.assert_array_equal(found.pictures[-1], found.pictures[-2])
+    error = coding_error(found, dent()[:2])
+    assert error.shape == (2, SIDE, SIDE)
+    assert np.isfinite(error).all()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from palpate.data.brightness.light import EDGE, SRGB
 from palpate.data.labels import TISSUE
@@ -25,8 +26,11 @@ REPEATS = 16
 """Frames at rest by which the noise is chosen; the first ones, coded whole, count for nothing."""
 FIRST = 4
 """So many are the first ones."""
-DRAWS = 2
+DRAWS = 3
 """Sequences whose mean is what coding does."""
+LEAST_CHANGE, WIDTH = 0.02, 1.5
+"""Around smaller expected changes of light coding is taken to change less, in proportion: nothing on average where
+tissue is still, so that only the noise of what was drawn would be added. And around means within how many places."""
 LEAST_RATE, LARGEST_RATE = 1.0, 45.0
 """Constant rate factors that are used."""
 FEWEST_REST = 3
@@ -129,7 +133,8 @@ def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
         pairs = zip(came, drawn, strict=True)
         error = np.stack([_light(one, shown.places) - _light(other, shown.places) for one, other in pairs])
         total += error[shown.rest + shown.frames] - np.median(error[: shown.rest], axis=0)
-    return total / DRAWS
+    near = gaussian_filter(np.abs(np.nan_to_num(change)), (0, WIDTH, WIDTH))
+    return np.minimum(near / LEAST_CHANGE, 1) * total / DRAWS
 
 
 def _at_rest(shown: CodedPictures) -> np.ndarray:

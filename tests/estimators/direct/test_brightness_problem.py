@@ -1,0 +1,63 @@
+"""The light around a press as a least-squares problem."""
+
+import numpy as np
+import pytest
+
+from palpate.data.brightness.light import FINE
+from palpate.data.brightness.sequence import BrightnessSequence
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
+from palpate.estimators.direct.lit_sheet import SIDE
+from palpate.estimators.direct.motion import FITTED
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.observation import Observation
+from tests.estimators.direct.test_lit_sheet import lit
+
+FRAME_S = 0.04
+TIMES = FRAME_S * np.arange(1, 11)
+
+
+@pytest.fixture(scope="module")
+def problem() -> BrightnessProblem:
+    """A press for five frames; some places at rest, and others in single frames, show no tissue."""
+    generator, shape = np.random.default_rng(6), (FINE * SIDE, FINE * SIDE)
+    rest = generator.normal(-1.5, 0.2, shape)
+    light = rest + generator.normal(0, 0.02, (len(TIMES), *shape))
+    rest[19:23, 15:18], light[:, 8:12, 24:30], light[3, 30:34, 18:22] = np.nan, np.nan, np.nan
+    light[:, 18:24, 14:19] += 0.6  # what hides there is no tissue, and another light
+    sheet = lit(rest=rest)
+    load = Press.at(sheet.vertex, sheet.normal, held(0.2 / FITTED.time_step, FITTED.steps))
+    nothing = Observation.of_point(sheet.vertex, TIMES, np.full((len(TIMES), 3), np.nan), np.nan)
+    sequence = BrightnessSequence(TIMES, light.astype(np.float32), rest, 0.02)
+    contact = Interaction(sheet.mesh, load, nothing, FITTED.time_step, brightness=sequence)
+    return BrightnessProblem(contact, FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
+
+
+def start(problem: BrightnessProblem) -> np.ndarray:
+    free = problem.box(RECOMMENDED.log_box).shape[1] - OTHERS - 3
+    return problem.start(np.concatenate([np.log([0.6, 0.05, 0.03]), np.zeros(free)]), np.zeros(2))
+
+
+def test_places_that_come_to_show_count_from_the_next_look_on(problem):
+    """Else the sum of squares has steps, and optima are found at them."""
+    logs = start(problem)
+    problem.look(logs)
+    shows = np.isfinite(problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))[0])
+    harder = logs + np.array([0, 0, 2.5, *[0] * (len(logs) - 3)])  # tissue is shifted farther
+    light, _ = problem.predicted(harder, problem.motion.quick(harder[:-OTHERS]))
+    comes = np.isfinite(light) & ~shows & np.isfinite(problem.observed) & problem.sheet.inner.ravel()
+    assert comes.any()
+    assert (problem.compared(light)[1][comes] == 0).all()
+    problem.look(harder)
+    assert (problem.compared(light)[1][comes] > 0).all()
+
+
+def test_expected_light_is_that_which_is_predicted_without_a_lag(problem):
+    logs = start(problem)
+    logs[-1] = 1.5
+    expected = problem.expected(logs)
+    assert expected.shape == problem.sequence.light.shape
+    logs[-1] = 0.0
+    predicted, _ = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
+    np.testing.assert_array_equal(expected.reshape(predicted.shape), predicted)

@@ -61,14 +61,14 @@ class ClipInfo:
     bridge_frames: int
     """Contact that is missing on up to this many frames is still the same run."""
     coding: Coding | None = None
-    """How the pictures were coded, where that is known and their light is what is measured."""
+    """How the pictures were coded, where that is known."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:
         """Of an opened clip."""
         settings, source = clip.settings, clip.source
-        coding = source.coding if clip.guesses_depth else None
-        return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames, coding)
+        chosen = settings.geometry, settings.bridge_frames
+        return cls(source.fps, source.size, clip.picture_camera, *chosen, source.coding)
 
 
 Output = FrameEstimate | InteractionEstimate

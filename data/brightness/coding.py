@@ -22,10 +22,11 @@ AROUND, BLOCK = 48, 16
 """Pixels kept around what is compared, so that a coder finds what it predicts from, and the side of its blocks [px]."""
 NOISES = (0.0, 0.7, 1.5, 3.0, 6.0)
 """Standard deviations of the sensor's noise that are tried [levels of 8 bits]."""
-REPEATS = 16
-"""Frames at rest by which the noise is chosen; the first ones, coded whole, count for nothing."""
+LONG, SHORT = 32, 16
+"""Frames at rest by which quality is chosen, as many as of the video (quality falls towards a sequence's end), and the
+noise."""
 FIRST = 4
-"""So many are the first ones."""
+"""The first ones, coded whole, count for nothing in the noise."""
 DRAWS = 3
 """Sequences whose mean is what coding does."""
 LEAST_CHANGE, WIDTH = 0.02, 1.5
@@ -151,7 +152,7 @@ def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
     quality, changes = shown.coding.quantiser, []
     for attempt, noise in enumerate((NOISES[2], *NOISES)):
         generator = np.random.default_rng(1)
-        drawn = [_noisy(still, noise, generator) for _ in range(REPEATS)]
+        drawn = [_noisy(still, noise, generator) for _ in range(SHORT if attempt else LONG)]
         came, coding = recoded(drawn, quality, shown.coding.bidirectional)
         if attempt:
             changes.append(float(np.abs(np.diff(came[FIRST:].astype(np.int16), axis=0))[:, tissue].mean()))

@@ -44,10 +44,10 @@ class CodedPictures:
 
     coding: Coding
     """Of the video."""
-    pictures: np.ndarray
-    """RGB, uint8 [K + T, H, W, 3]."""
-    tissue: np.ndarray
-    """Where nothing but tissue is near, bool [K + T, H, W]."""
+    pictures: Sequence[np.ndarray]
+    """RGB, uint8 [H, W, 3] each."""
+    tissue: Sequence[np.ndarray]
+    """Where nothing but tissue is near, bool [H, W] each."""
     rest: int
     """K."""
     frames: np.ndarray
@@ -101,7 +101,7 @@ class PictureRecorder:
 
     def pictures(self, frames: np.ndarray) -> CodedPictures:
         """What was kept, for a sequence of such frames, counted from the onset, shape [N]."""
-        pictures, tissue = (np.stack(part) for part in zip(*self._kept, strict=True))
+        pictures, tissue = zip(*self._kept, strict=True)
         return CodedPictures(self._coding, pictures, tissue, self._rest, np.asarray(frames, int), self._places)
 
 
@@ -114,7 +114,7 @@ def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
     """
     still = _at_rest(shown)
     quality, noise = _matched(shown, still)
-    generator, height, width = np.random.default_rng(0), *shown.tissue.shape[1:]
+    generator, (height, width) = np.random.default_rng(0), shown.tissue[0].shape
     # The change between the lattice's places, and none beyond them.
     rows, columns = (
         np.interp(np.arange(size), at, np.arange(len(at)), -1, len(at)).astype(np.float32)
@@ -140,14 +140,15 @@ def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
 
 def _at_rest(shown: CodedPictures) -> np.ndarray:
     """Light of the tissue at rest, float32 [H, W, 3]: the mean of pictures that show it."""
-    counted = shown.tissue[: shown.rest, ..., None]
-    light = np.where(counted, SRGB[shown.pictures[: shown.rest]], 0).sum(axis=0, dtype=np.float32)
+    counted = np.stack(shown.tissue[: shown.rest])[..., None]
+    light = np.where(counted, SRGB[np.stack(shown.pictures[: shown.rest])], 0).sum(axis=0, dtype=np.float32)
     return np.where(counted.any(axis=0), light / np.maximum(counted.sum(axis=0), 1), SRGB[shown.pictures[0]])
 
 
 def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
     """Constant rate factor that quantises as the video does, and noise that changes still tissue as much [levels]."""
-    rest, tissue = shown.pictures[: shown.rest].astype(np.int16), shown.tissue[: shown.rest].all(axis=0)
+    rest = np.stack(shown.pictures[: shown.rest]).astype(np.int16)
+    tissue = np.all(shown.tissue[: shown.rest], axis=0)
     flicker = float(np.abs(np.diff(rest, axis=0))[:, tissue].mean()) if tissue.any() else 0.0
     quality, changes = shown.coding.quantiser, []
     for attempt, noise in enumerate((NOISES[2], *NOISES)):

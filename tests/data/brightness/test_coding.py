@@ -99,7 +99,7 @@ def test_what_lies_outside_the_picture_does_not_disturb(first):
     recorder.add(None)  # a frame without a picture
     found = recorder.pictures(np.arange(3)).chosen(np.array([0, 2]))
     assert found.frames.tolist() == [0, 2]
-    assert [side % 2 for side in found.pictures.shape[1:3]] == [0, 0]
+    assert [side % 2 for side in found.pictures[0].shape[:2]] == [0, 0]
     np.testing.assert_array_equal(found.pictures[-1], found.pictures[-2])
     error = coding_error(found, dent()[:2])
     assert error.shape == (2, SIDE, SIDE)

@@ -3,7 +3,8 @@
     python -m evaluation.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
-to 25 degrees aside), `video-hover` (an instrument that passes over tissue and never touches) and `video-pull`. With
+to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
+instrument that passes over tissue and never touches) and `video-pull`. With
 `--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
 coarsely.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
@@ -52,6 +53,13 @@ SUITES: Mapping[str, Mapping[str, Any]] = {
     "video": {},
     "video-moving": {"turning_deg": 0.5},
     "video-oblique": {"max_tilt_deg": 25.0},
+    "video-patch": {
+        "patch_radius": (2.0, 5.0),
+        "force_tilt_deg": (0.0, 20.0),
+        "profile": "hold",
+        "rise": (0.1, 0.45),
+        "fall": (0.1, 0.45),
+    },
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
     "video-pull": {"action": "grip"},
 }
@@ -124,7 +132,7 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
 class PlainVideo(Measurements):
     """What is drawn."""
 
-    suite: Literal["video", "video-moving", "video-oblique", "video-hover", "video-pull"] = "video"
+    suite: Literal["video", "video-moving", "video-oblique", "video-patch", "video-hover", "video-pull"] = "video"
     """what the clips show"""
     look: Literal["matte", "endoscope"] = "matte"
     """by which law pictures are drawn"""

@@ -83,12 +83,20 @@ class BrightnessProblem:
         mechanics: of the fits.
         within: as of `PressMotion`.
         tilt: of the plane whose mesh is simulated, right and down, as tangents.
+        kind: what is unknown of the press.
 
     Raises:
         ValueError: the contact has no brightness sequence.
     """
 
-    def __init__(self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray) -> None:
+    def __init__(
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float,
+        tilt: np.ndarray,
+        kind: type[PressMotion] = PressMotion,
+    ) -> None:
         if contact.brightness is None or not len(contact.brightness.times):
             raise ValueError("the contact has no brightness sequence; gather it with frames that have light.")
         self.contact, self.within = contact, within
@@ -104,7 +112,7 @@ class BrightnessProblem:
             sequence=None,
         )
         """The contact on the plane; none of its points is followed."""
-        self.motion = PressMotion(self.press, mechanics, self.sheet.vertices, self.sequence.times, within)
+        self.motion = kind(self.press, mechanics, self.sheet.vertices, self.sequence.times, within)
         self.observed = self.sequence.light.reshape(len(self.sequence.times), -1).astype(np.float64)
         """Shape [N, P]."""
         self._inner = self.sheet.inner.ravel()

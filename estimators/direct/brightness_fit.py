@@ -9,15 +9,18 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
-from palpate.estimators.direct.motion import FITTED, about_tissue
+from palpate.estimators.direct.motion import FITTED, PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, find_optimum
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
+from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, damping_ratio
 from palpate.physics.msd.simulation import simulate
 
@@ -50,15 +53,24 @@ TOGETHER = 40.0
 DAMPED = 3.0
 """Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
 FEWEST_FRAMES = 3
+RADII, RISES = (2.5, 4.0), 0.05
+"""Of patches with which a press is tried [grid pixels], and how long its force rises and falls at first, as shares of
+what is observed."""
+ENOUGH_SKILL = 0.85
+"""A press on a patch is not tried where a step on a point explains more: it never does when the press is none."""
+PATCHED = 0.8
+"""A press on a patch is taken where it leaves less than this share of what a step on a point leaves."""
+Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
 def fit_brightness(
     contact: Interaction, frame_seconds: float, tissue: np.ndarray = RECOMMENDED.log_box
 ) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
-    """Fit a contact's brightness sequence by a step of a force on a plane.
+    """Fit a contact's brightness sequence by a press on a plane: a step on a point, or a force on a patch.
 
     Args:
         contact: with its brightness sequence.
@@ -87,10 +99,45 @@ def fit_brightness(
     contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected(logs)))
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, tissue, MORE, ROUNDS[2])[1]
+    if problem.skill < ENOUGH_SKILL:
+        problem, logs = _patched(problem, logs, some, tissue)
     return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
 
 
-def _on_threads(fit: Callable[[np.ndarray], Fitted], starts: Iterable[np.ndarray]) -> list[Fitted]:
+def _patched(
+    point: BrightnessProblem, logs: np.ndarray, some: np.ndarray, tissue: np.ndarray
+) -> tuple[BrightnessProblem, np.ndarray]:
+    """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
+
+    Args:
+        point: the step of a force on a point, with its
+        logs: that explain the light best, shape [D].
+        some: frames by which that is decided.
+        tissue: the box of φ, shape [2, 3].
+    """
+    contact, motion = point.contact, point.motion
+    thin = dataclasses.replace(contact, brightness=point.sequence.chosen(some))
+    what = motion.mechanics, point.within, point.sheet.tilt
+    step, patch = (BrightnessProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
+    assert isinstance(patch.motion, PatchMotion)
+    as_patch = patch.motion.parameters
+    step.look(logs)
+    deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
+
+    def led(radius: float) -> tuple[float, np.ndarray]:
+        shape = PressShape(radius, (0.0, 0.0), RISES * motion.times[-1], RISES * motion.times[-1])
+        press = as_patch(logs[:-OTHERS], shape)
+        press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
+        return _led(copy.copy(patch), np.concatenate([press, logs[-OTHERS:]]), tissue, FEW, ROUNDS[0])
+
+    misfit, found = min(_on_threads(led, RADII), key=lambda each: each[0])
+    if 1 + misfit > PATCHED * (1 - step.skill):
+        return point, logs
+    problem = BrightnessProblem(contact, *what, PatchMotion)
+    return problem, _led(problem, found, tissue, MORE, ROUNDS[2])[1]
+
+
+def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
     """Fits from several starts, on as many threads as there are cores: compiled rollouts run side by side."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(fit, starts))
@@ -188,5 +235,6 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
         delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
         modes=count_modes(distinct(optima), prior),
         by_light=True,
+        shape=motion.shape(mean[:-OTHERS]),
         refuted=refuted,
     )

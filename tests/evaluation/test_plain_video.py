@@ -6,11 +6,12 @@ import pytest
 
 from palpate.data.synthetic.clip import clip_seed
 from palpate.evaluation.plain_video import SUITES, PlainVideo, measured_video, summarised
+from palpate.evaluation.recovery.suites import suite_clip_seed
 
 
 def test_summary_counts_what_is_determined_and_held():
     frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
-    known = {"force_determined": 1, "force_sd": 0.1}
+    known = {"force_determined": 1, "force_sd": 0.1, "force_bound": 0.02}
     rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)] + [frames]
     found = summarised(rows).set_index("measure")
     assert found.loc["pressed frames called contact", ["count", "of"]].tolist() == [32, 36]
@@ -18,13 +19,14 @@ def test_summary_counts_what_is_determined_and_held():
     assert found.loc["force", ["count", "of"]].tolist() == [3, 4]
     assert found.loc["force", "median error"] == pytest.approx(0.15)
     assert found.loc["force", "held"] == pytest.approx(2 / 3)
+    assert found.loc["force", "bound"] == pytest.approx(0.02)
     assert found.loc["damping", "count"] == 0
     assert math.isnan(found.loc["damping", "held"])
 
 
 def test_every_suite_has_settings_of_its_own(tmp_path):
     found = {suite: PlainVideo(output=tmp_path, suite=suite, look="endoscope", width=1280).settings for suite in SUITES}
-    assert len(set(map(str, found.values()))) == len(SUITES) == 5
+    assert len(set(map(str, found.values()))) == len(SUITES) == 6
     assert {(each.width, each.height, each.look, each.video_quality) for each in found.values()} == {
         (1280, 720, "endoscope", 23)
     }
@@ -50,3 +52,13 @@ def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path)
     for name in ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness"):
         assert found[f"{name}_determined"]
         assert abs(found[f"{name}_error"]) < min(1.645 * found[f"{name}_sd"], 0.25), name
+
+
+@pytest.mark.slow
+def test_a_press_on_a_patch_is_found_to_be_one_and_its_numbers_are_right(tmp_path):
+    """A step on a point explains it worse, and would be sure of a stiffness that is twice as large."""
+    settings = PlainVideo(output=tmp_path, suite="video-patch").settings
+    found = measured_video(settings, suite_clip_seed("validation", 777, 2))
+    assert found["verdict"] == "determined"
+    for name in ("stiffness", "damping", "damping_over_stiffness", "force_over_stiffness"):
+        assert abs(found[f"{name}_error"]) < min(1.645 * found[f"{name}_sd"], 0.2), name

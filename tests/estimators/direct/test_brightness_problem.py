@@ -18,8 +18,7 @@ FRAME_S = 0.04
 TIMES = FRAME_S * np.arange(1, 11)
 
 
-@pytest.fixture(scope="module")
-def problem() -> BrightnessProblem:
+def lit_contact(noise: float = 0.02) -> Interaction:
     """A press for five frames; some places at rest, and others in single frames, show no tissue."""
     generator, shape = np.random.default_rng(6), (FINE * SIDE, FINE * SIDE)
     rest = generator.normal(-1.5, 0.2, shape)
@@ -29,9 +28,13 @@ def problem() -> BrightnessProblem:
     sheet = lit(rest=rest)
     load = Press.at(sheet.vertex, sheet.normal, held(0.2 / FITTED.time_step, FITTED.steps))
     nothing = Observation.of_point(sheet.vertex, TIMES, np.full((len(TIMES), 3), np.nan), np.nan)
-    sequence = BrightnessSequence(TIMES, light.astype(np.float32), rest, 0.02)
-    contact = Interaction(sheet.mesh, load, nothing, FITTED.time_step, brightness=sequence)
-    return BrightnessProblem(contact, FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
+    sequence = BrightnessSequence(TIMES, light.astype(np.float32), rest, noise)
+    return Interaction(sheet.mesh, load, nothing, FITTED.time_step, brightness=sequence)
+
+
+@pytest.fixture(scope="module")
+def problem() -> BrightnessProblem:
+    return BrightnessProblem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
 
 
 def start(problem: BrightnessProblem) -> np.ndarray:

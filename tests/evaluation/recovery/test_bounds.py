@@ -15,13 +15,20 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.onset import BETWEEN, STAMP
-from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information, known
+from palpate.evaluation.recovery.bounds import (
+    MECHANICS,
+    contact_information,
+    field_information,
+    known,
+    light_information,
+)
 from palpate.physics.identifiability import bounds, box_information, fisher_information
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED, theta_of
 from palpate.physics.mesh import contact_normal
 from palpate.physics.msd.simulation import simulate
 from palpate.physics.observation import Observation
+from tests.estimators.direct.test_brightness_problem import FRAME_S, lit_contact
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(
@@ -225,3 +232,14 @@ def test_who_does_not_know_the_shape_of_a_press_knows_less_of_its_tissue() -> No
     information = slopes.T @ slopes + SIGMA**2 * box_information(watch.box(RECOMMENDED.log_box)) * ([0] * 5 + [1] * 7)
     np.testing.assert_allclose(np.linalg.inv(found), np.linalg.inv(information)[:5, :5], rtol=1e-4)
     assert (bounds(found) > 1.02 * bounds(slopes[:, :5].T @ slopes[:, :5])).all()
+
+
+def test_light_tells_less_where_it_is_noisier_and_more_of_a_deeper_dent():
+    theta = np.array([0.6, 0.05, -0.03])
+    least = bounds(light_information(lit_contact(0.02), theta, FRAME_S))
+    noisier = bounds(light_information(lit_contact(0.04), theta, FRAME_S))
+    # The law's own parameters have priors, which no noise touches.
+    assert (noisier > 1.5 * least).all()
+    assert (noisier < 2 * least).all()
+    deeper = bounds(light_information(lit_contact(0.02), theta * [1, 1, 1.5], FRAME_S))
+    assert (deeper[:2] < least[:2]).all()

@@ -20,14 +20,14 @@ from palpate.data.source.coding import Coding, recoded
 
 AROUND, BLOCK = 48, 16
 """Pixels kept around what is compared, so that a coder finds what it predicts from, and the side of its blocks [px]."""
-NOISES = (0.0, 0.7, 1.5, 3.0, 6.0)
+NOISES = (0.0, 1.0, 2.5, 6.0)
 """Standard deviations of the sensor's noise that are tried [levels of 8 bits]."""
 LONG, SHORT = 32, 16
 """Frames at rest by which quality is chosen, as many as of the video (quality falls towards a sequence's end), and the
 noise."""
 FIRST = 4
 """The first ones, coded whole, count for nothing in the noise."""
-DRAWS = 3
+DRAWS = 2
 """Sequences whose mean is what coding does."""
 LEAST_CHANGE, WIDTH = 0.02, 1.5
 """Around smaller expected changes of light coding is taken to change less, in proportion: nothing on average where
@@ -151,7 +151,7 @@ def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
     tissue = np.all(shown.tissue[: shown.rest], axis=0)
     flicker = float(np.abs(np.diff(rest, axis=0))[:, tissue].mean()) if tissue.any() else 0.0
     quality, changes = shown.coding.quantiser, []
-    for attempt, noise in enumerate((NOISES[2], *NOISES)):
+    for attempt, noise in enumerate((NOISES[1], *NOISES)):
         generator = np.random.default_rng(1)
         drawn = [_noisy(still, noise, generator) for _ in range(SHORT if attempt else LONG)]
         came, coding = recoded(drawn, quality, shown.coding.bidirectional)

@@ -53,9 +53,8 @@ TOGETHER = 40.0
 DAMPED = 3.0
 """Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
 FEWEST_FRAMES = 3
-RADII, RISES = (2.5, 4.0), 0.05
-"""Of patches with which a press is tried [grid pixels], and how long its force rises and falls at first, as shares of
-what is observed."""
+RADIUS, RISING = 3.0, 0.05
+"""Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
 ENOUGH_SKILL = 0.85
 """A press on a patch is not tried where a step on a point explains more: it never does when the press is none."""
 PATCHED = 0.8
@@ -112,7 +111,7 @@ def _patched(
     Args:
         point: the step of a force on a point, with its
         logs: that explain the light best, shape [D].
-        some: frames by which that is decided.
+        some: frames by which it is decided whether a patch is worth a fit.
         tissue: the box of φ, shape [2, 3].
     """
     contact, motion = point.contact, point.motion
@@ -120,21 +119,17 @@ def _patched(
     what = motion.mechanics, point.within, point.sheet.tilt
     step, patch = (BrightnessProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
     assert isinstance(patch.motion, PatchMotion)
-    as_patch = patch.motion.parameters
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
-
-    def led(radius: float) -> tuple[float, np.ndarray]:
-        shape = PressShape(radius, (0.0, 0.0), RISES * motion.times[-1], RISES * motion.times[-1])
-        press = as_patch(logs[:-OTHERS], shape)
-        press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
-        return _led(copy.copy(patch), np.concatenate([press, logs[-OTHERS:]]), tissue, FEW, ROUNDS[0])
-
-    misfit, found = min(_on_threads(led, RADII), key=lambda each: each[0])
-    if 1 + misfit > PATCHED * (1 - step.skill):
+    changing = RISING * motion.times[-1]
+    press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
+    press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
+    misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), tissue, MORE, 1)
+    if -misfit < step.skill:
         return point, logs
     problem = BrightnessProblem(contact, *what, PatchMotion)
-    return problem, _led(problem, found, tissue, MORE, ROUNDS[2])[1]
+    misfit, found = _led(problem, found, tissue, MORE, ROUNDS[2])
+    return (problem, found) if 1 + misfit < PATCHED * (1 - point.skill) else (point, logs)
 
 
 def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.data.brightness.registration import View
-from palpate.data.brightness.sequence import LitPicture
+from palpate.data.brightness.sequence import LabelledPicture
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.source.frames import Frame
 
@@ -47,7 +47,7 @@ class PreparedFrame:
     """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
-    lit_picture: LitPicture | None = None
+    light_picture: LabelledPicture | None = None
     """Picture and label map from which that light is, in that view."""
     press: tuple[int, int] | None = None
     """Grid pixel (u, v) of the dent by whose darkening a press was found; None where outlines tell the contact."""

@@ -119,7 +119,7 @@ class RunTracker:
             self._light.clear()
         ended = self._push(frame)
         if self.current is None and frame.light is not None:
-            self._light.push(frame.light, frame.lit_picture if self._clip.coding is not None else None)
+            self._light.push(frame.light, frame.light_picture if self._clip.coding is not None else None)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -260,7 +260,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.labels,
         frame.light,
         frame.light_view,
-        frame.lit_picture,
+        frame.light_picture,
     )
 
 

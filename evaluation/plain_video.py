@@ -11,7 +11,8 @@ Nothing but the video is given: masks are automatic, depth is guessed, and the l
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
 clips determine it, the median error of its logarithm there, how often its 90 % interval holds the truth, and the median
-of what an error would at least be if the light had the noise of still tissue and nothing else (Cramér–Rao bound).
+of what the error of a step on a point would at least be if the light had the noise of still tissue and nothing else
+(Cramér–Rao bound).
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -34,6 +35,7 @@ import pandas as pd
 from palpate.api import open_clip, open_estimator
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
+from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
@@ -43,7 +45,7 @@ from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
 from palpate.evaluation.recovery.bounds import light_information
-from palpate.evaluation.recovery.suites import LARGEST_SEED
+from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED
 from palpate.physics.identifiability import combination_bounds
 from palpate.physics.mechanics import damping_ratio
 
@@ -53,13 +55,7 @@ SUITES: Mapping[str, Mapping[str, Any]] = {
     "video": {},
     "video-moving": {"turning_deg": 0.5},
     "video-oblique": {"max_tilt_deg": 25.0},
-    "video-patch": {
-        "patch_radius": (2.0, 5.0),
-        "force_tilt_deg": (0.0, 20.0),
-        "profile": "hold",
-        "rise": (0.1, 0.45),
-        "fall": (0.1, 0.45),
-    },
+    "video-patch": EVERY["patch"].truth,
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
     "video-pull": {"action": "grip"},
 }
@@ -163,7 +159,8 @@ class PlainVideo(Measurements):
     def settings(self) -> SceneSettings:
         """What the clips are drawn from."""
         size: dict[str, Any] = {"width": self.width, "height": HEIGHTS[self.width], "frames": self.frames}
-        return SceneSettings(**size, look=self.look, video_quality=QUALITY[self.look], **SUITES[self.suite])
+        drawn = {"look": self.look, "video_quality": QUALITY[self.look], **SUITES[self.suite]}
+        return from_mapping(SceneSettings, size | drawn, f"The suite {self.suite}")
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from."""

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.brightness.light import EDGE, SRGB
-from palpate.data.labels import TISSUE
+from palpate.data.brightness.light import DARKEST, SRGB, not_tissue
 from palpate.data.source.coding import Coding, recoded
 
 AROUND, BLOCK = 48, 16
@@ -87,13 +86,12 @@ class PictureRecorder:
         self._window = tuple(map(slice, low, high))
         places = (np.add.outer(first, np.arange(side)) + 0.5) * pitch[:, None] - 0.5
         self._places = (places - low[:, None]).astype(np.float32)
-        self._reach = 2 * max(1, round(EDGE * size[1] / 854)) + 1
+        self._width = int(size[1])
         self._kept = [self._cut(*each) for each in rest]
         self._rest = len(rest)
 
     def _cut(self, picture: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        other = (labels[self._window] != TISSUE).astype(np.uint8)
-        return picture[self._window].copy(), cv2.dilate(other, np.ones((self._reach,) * 2, np.uint8)) == 0
+        return picture[self._window].copy(), not_tissue(labels[self._window], self._width) == 0
 
     def add(self, shown: tuple[np.ndarray, np.ndarray] | None) -> None:
         """The next frame from the onset on; one without a picture counts as if it showed what the last one does."""
@@ -170,8 +168,8 @@ def _noisy(light: np.ndarray, noise: float, generator: np.random.Generator) -> n
 
 def _light(picture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Logarithm of the light of red and green around the lattice's places, shape [L, L]."""
-    light = cv2.LUT(picture[..., 0], SRGB) + cv2.LUT(picture[..., 1], SRGB)
+    light = 0.5 * (cv2.LUT(picture[..., 0], SRGB) + cv2.LUT(picture[..., 1], SRGB))
     pitch = tuple(max(round(float(at[1] - at[0])), 1) for at in places)
     columns, rows = np.meshgrid(places[1], places[0])
     mean = cv2.remap(cv2.blur(light, pitch[::-1]), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.log(np.maximum(mean, 1e-3))
+    return np.log(np.maximum(mean, DARKEST))

@@ -25,6 +25,17 @@ def lattice_size(grid_shape: tuple[int, int]) -> tuple[int, int]:
     return FINE * grid_shape[0], FINE * grid_shape[1]
 
 
+def not_tissue(labels: np.ndarray, width: int) -> np.ndarray:
+    """1 where pixels lie on or next to what is no tissue, else 0, uint8 [h, w].
+
+    Args:
+        labels: label map [h, w] of a picture or of a part of it.
+        width: of the whole picture [px].
+    """
+    reach = 2 * max(1, round(EDGE * width / 854)) + 1
+    return cv2.dilate((labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
+
+
 def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, int]) -> np.ndarray:
     """Logarithm of the light of red and green on a lattice, means over areas of the picture, float32.
 
@@ -41,9 +52,7 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
         cv2.resize(cv2.LUT(level, SRGB), size, interpolation=cv2.INTER_AREA) for level in cv2.split(picture)
     )
     light = 0.5 * (red + green)
-    reach = 2 * max(1, round(EDGE * picture.shape[1] / 854)) + 1
-    other = cv2.dilate(255 * (labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
-    unknown = cv2.resize(other, size, interpolation=cv2.INTER_AREA) > 0
+    unknown = cv2.resize(255 * not_tissue(labels, picture.shape[1]), size, interpolation=cv2.INTER_AREA) > 0
     unknown |= (light < DARKEST) | (red > BRIGHTEST)
     hue = np.log(blue + 0.003) - np.log(red + 0.003)
     levels = np.clip((hue + 4) * (255 / 5), 0, 255).astype(np.uint8)

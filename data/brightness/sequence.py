@@ -32,7 +32,7 @@ SPREAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-LitPicture = tuple[np.ndarray, np.ndarray]
+LabelledPicture = tuple[np.ndarray, np.ndarray]
 """A picture, RGB uint8 [H, W, 3], and its label map [H, W]."""
 
 
@@ -113,12 +113,12 @@ class RestingLight:
 
     def __init__(self) -> None:
         self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
-        self.pictures: deque[LitPicture] = deque(maxlen=KEPT)
+        self.pictures: deque[LabelledPicture] = deque(maxlen=KEPT)
         """Those from which the light is, where they were given."""
         self._median: np.ndarray | None = None
         """Of these frames, where it has been asked for."""
 
-    def push(self, light: np.ndarray, picture: LitPicture | None = None) -> None:
+    def push(self, light: np.ndarray, picture: LabelledPicture | None = None) -> None:
         """The next frame out of contact: its light, as of `log_light`, and from which picture that is."""
         self._frames.append(light)
         if picture is not None:
@@ -174,7 +174,11 @@ class BrightnessRecorder:
     """
 
     def __init__(
-        self, rest: np.ndarray, pixel: np.ndarray, coding: Coding | None = None, pictures: Sequence[LitPicture] = ()
+        self,
+        rest: np.ndarray,
+        pixel: np.ndarray,
+        coding: Coding | None = None,
+        pictures: Sequence[LabelledPicture] = (),
     ) -> None:
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
         side = FINE * (2 * (REACH + MARGIN) + 1)
@@ -193,7 +197,7 @@ class BrightnessRecorder:
         if coding is not None and len(pictures) >= FEWEST_REST:
             self._pictures = PictureRecorder(coding, first, side, rest.shape, pictures)
 
-    def picture(self, picture: LitPicture | None) -> None:
+    def picture(self, picture: LabelledPicture | None) -> None:
         """The next frame's, from the onset on, whether or not its light counts."""
         if self._pictures is not None:
             self._pictures.add(picture)

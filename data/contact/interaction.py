@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.data.brightness.registration import View
-from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence, LitPicture, RestingLight
+from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence, LabelledPicture, RestingLight
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.data.source.coding import Coding
@@ -129,7 +129,7 @@ class ContactFrame:
     """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
-    lit_picture: LitPicture | None = None
+    light_picture: LabelledPicture | None = None
     """The picture from which that light is."""
 
 
@@ -186,7 +186,7 @@ class InteractionBuilder:
         self._light: BrightnessRecorder | None = None
         if rest_light is not None:
             self._light = BrightnessRecorder(rest_light.median(), pixel, coding, rest_light.pictures)
-            self._light.picture(onset.lit_picture)
+            self._light.picture(onset.light_picture)
         self._reference = None if view is None else view.reference
         self._brightness: list[tuple[int, float, np.ndarray]] = []
 
@@ -210,7 +210,7 @@ class InteractionBuilder:
         if self._light is None:
             return
         shown = reference == self._reference
-        self._light.picture(frame.lit_picture if shown else None)
+        self._light.picture(frame.light_picture if shown else None)
         if frame.light is None or not shown:
             return
         light = self._light.frame(frame.light)

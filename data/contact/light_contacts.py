@@ -116,7 +116,7 @@ class LightContacts:
         view, picture, labels = self._registration.push(*prepared.view)
         another = self._view is not None and view.reference != self._view.reference
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
-        prepared.lit_picture = picture, labels
+        prepared.light_picture = picture, labels
         self._view = view
         decided = gap + (self._forget() if another else [])
         lit = lit_frame(prepared, prepared.light, view, picture, labels, self._tips)

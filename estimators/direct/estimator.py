@@ -115,7 +115,7 @@ class DirectSession(RunSession):
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
         if self.estimator.observation in (BRIGHTNESS, BOTH) and frame.visible and frame.light is None:
-            frame.light, frame.lit_picture = log_light(*frame.view, frame.depth.shape), frame.view
+            frame.light, frame.light_picture = log_light(*frame.view, frame.depth.shape), frame.view
         yield from self._ended(self._runs.push(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)

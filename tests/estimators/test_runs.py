@@ -209,7 +209,7 @@ def test_pictures_around_a_contact_are_kept_of_videos_whose_coding_is_known(codi
     light = np.random.default_rng(8).normal(-1, 0.2, (FINE * height, FINE * width)).astype(np.float32)
     tracker = RunTracker(dataclasses.replace(clip_info(), coding=coding), SECONDS)
     for index in range(10):
-        lit = {"light": light, "lit_picture": (np.full((height, width, 3), 20 * index, np.uint8), LABELS)}
+        lit = {"light": light, "light_picture": (np.full((height, width, 3), 20 * index, np.uint8), LABELS)}
         if index == 7:
             lit = {}
         followed = {"track_start": 4, "track_position": MESH.vertices[12], "consecutive": True} if index >= 4 else {}

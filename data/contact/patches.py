@@ -247,14 +247,14 @@ def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tup
 
 
 @inlined
-def _corner(along, last):
+def corner(along, last):
     """The place within the square, and the row or column before it."""
     along = min(max(along, 0.0), last)
     return along, min(int(along), int(last) - 1)
 
 
 @inlined
-def _bilinear(values, top, left, down, right, channel):
+def bilinear(values, top, left, down, right, channel):
     """One channel of values [S, S, C] between four of them."""
     upper, lower = values[top, left, channel], values[top + 1, left, channel]
     upper += right * (values[top, left + 1, channel] - upper)
@@ -276,10 +276,10 @@ def between(values, place):
             if np.isnan(row + column):
                 found[frame, index] = np.nan
                 continue
-            row, top = _corner(row, last)
-            column, left = _corner(column, last)
+            row, top = corner(row, last)
+            column, left = corner(column, last)
             for channel in range(values.shape[3]):
-                found[frame, index, channel] = _bilinear(values[frame], top, left, row - top, column - left, channel)
+                found[frame, index, channel] = bilinear(values[frame], top, left, row - top, column - left, channel)
     return found
 
 
@@ -297,11 +297,11 @@ def _settled(shift, samples):
         for index in range(samples.shape[0]):
             row, column, change = samples[index, 0], samples[index, 1], np.inf
             for _ in range(ITERATIONS):
-                near_row, top = _corner(row, last)
-                near_column, left = _corner(column, last)
+                near_row, top = corner(row, last)
+                near_column, left = corner(column, last)
                 down, right = near_row - top, near_column - left
-                next_row = samples[index, 0] - _bilinear(shift[frame], top, left, down, right, 0)
-                next_column = samples[index, 1] - _bilinear(shift[frame], top, left, down, right, 1)
+                next_row = samples[index, 0] - bilinear(shift[frame], top, left, down, right, 0)
+                next_column = samples[index, 1] - bilinear(shift[frame], top, left, down, right, 1)
                 change = max(abs(next_row - row), abs(next_column - column))
                 row, column = next_row, next_column
                 if np.isnan(row + column) or change <= EXACT:

@@ -15,8 +15,9 @@ from scipy.ndimage import gaussian_filter1d
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.contact.patches import between as between_vertices
-from palpate.data.contact.patches import focal_length
+from palpate.data.contact.patches import bilinear, corner, focal_length
 from palpate.physics.brightness import log_brightness, log_brightness_slopes, matt, matt_slope, mirrored
+from palpate.physics.jit import kernel
 from palpate.physics.mesh import Mesh, grid_mesh
 
 ITERATIONS = 6
@@ -214,15 +215,10 @@ class LitSheet:
         """Which tissue pixels show, from displacements and whatever else moves with them, shape [N, V, 3, C]."""
         aside, normal, frames = others[:2], self.normal_at(others[2:4]), len(moving)
         field = np.einsum("ij,nrcjd->nrcid", _rotation(self.normal, normal), self.dense(moving))
-        still = field[..., 0]
-        pixels = self._places.reshape(-1, 2)
-        place = np.broadcast_to(pixels, (frames, *pixels.shape)).copy()
-        for _ in range(ITERATIONS):
-            away = between(still, place - aside)
-            rays = self.rays(place + self._first)
-            across = away[..., :2] - rays[..., :2] * away[..., 2:]
-            beyond = self._depth(rays, normal) + away[..., 2]
-            place = pixels - self.focal * across[..., ::-1] / beyond[..., None]
+        still, pixels = np.ascontiguousarray(field[..., 0]), self._places.reshape(-1, 2)
+        place = _rested(
+            still, pixels, aside, self._first - self.middle, self.focal, self.distance * (self.ray @ normal), normal
+        )
         values = between(field.reshape(frames, SIDE, SIDE, -1), place - aside).reshape(*place.shape[:2], 3, -1)
         rays = self.rays(place + self._first)
         depth = self._depth(rays, normal)
@@ -230,8 +226,7 @@ class LitSheet:
         square = np.einsum("npi,npi->np", rays, rays)
         facing, falloff = np.log(np.abs(rays @ normal)) - 0.5 * np.log(square), -np.log(square) - 2 * np.log(depth)
         below = (depth + values[..., 2, 0]).reshape(frames, *flat.shape) - flat
-        still = np.moveaxis(field, -1, 0)[0][..., None]
-        return _Seen(normal, still, values, place, rays, depth, flat, facing, falloff, below)
+        return _Seen(normal, still[..., None], values, place, rays, depth, flat, facing, falloff, below)
 
     def _carried(self, place: np.ndarray, step: float = 0.0) -> np.ndarray:
         """Light at rest of places [N, P, 2]; with a step, that a step down and to the right as well, [N, P, 1 or 3]."""
@@ -328,6 +323,41 @@ def _lit(
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values on a square [N, S, S, C] at places (row, column) in every frame [N, P, 2], bilinear, shape [N, P, C]."""
     return between_vertices(np.ascontiguousarray(values), np.ascontiguousarray(places))
+
+
+@kernel
+def _rested(still, pixels, aside, shift, focal, plane, normal):
+    """Where the tissue that pixels show lay at rest, row and column on the square of vertices, shape [N, P, 2].
+
+    Args:
+        still: displacements on the square, shape [N, S, S, 3].
+        pixels: row and column on the square, shape [P, 2].
+        aside: of the dent, by rows and columns.
+        shift: from the square's row and column to the camera's axis.
+        focal: by rows and columns.
+        plane: of points on the plane, along its normal.
+        normal: of the plane, shape [3].
+    """
+    found, last = np.empty((len(still), *pixels.shape)), still.shape[1] - 1.0
+    for frame in range(len(still)):
+        field = still[frame]
+        for index in range(len(pixels)):
+            row, column = pixels[index, 0], pixels[index, 1]
+            for _ in range(ITERATIONS):
+                near_row, top = corner(row - aside[0], last)
+                near_column, left = corner(column - aside[1], last)
+                down, right = near_row - top, near_column - left
+                across_x = bilinear(field, top, left, down, right, 0)
+                across_y = bilinear(field, top, left, down, right, 1)
+                away = bilinear(field, top, left, down, right, 2)
+                y, x = (row + shift[0]) / focal[0], (column + shift[1]) / focal[1]
+                beyond = plane / (x * normal[0] + y * normal[1] + normal[2]) + away
+                row = pixels[index, 0] - focal[0] * (across_y - y * away) / beyond
+                column = pixels[index, 1] - focal[1] * (across_x - x * away) / beyond
+                if np.isnan(row + column):
+                    break
+            found[frame, index, 0], found[frame, index, 1] = row, column
+    return found
 
 
 def _distance(mesh: Mesh, pixel: np.ndarray) -> float:

@@ -8,6 +8,7 @@ where it was observed. Before the press begins the tissue is at rest.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -67,25 +68,25 @@ class DelayedMotion:
         """The instants since the beginning of the press, shape [N] [s]."""
         return self.times - (self.within * logs[self.tissue] if self.within else 0.0)
 
-    def seen(self, curves: np.ndarray, step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, curves: Sequence[np.ndarray], step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N, …, D].
 
         Args:
             curves: displacements after every step, their derivatives by tissue's parameters, and by the load's duration
-                where that is unknown, shape [T, …, D].
+                where that is unknown, shape [T, …, D'] each.
             step: [s].
             logs: all parameters.
         """
         since = self.since(logs)
-        found, rate = between_steps(curves, step, since)
+        (found, rate), (by_tissue, _), *others = (between_steps(curve, step, since) for curve in curves)
         if not self.within:
-            return found[..., 0], found[..., 1:]
-        by_duration = found[..., 1 + self.tissue :]
+            return found[..., 0], by_tissue
         # A later beginning moves all of the motion, and shortens the load.
-        delayed = -rate[..., :1] * (since > 0)[:, None, None, None]
-        if self.contact.released:
-            delayed = delayed - by_duration
-        parts = [found[..., 1 : 1 + self.tissue], self.within * delayed, self.within * by_duration]
+        delayed = -rate * (since > 0)[:, None, None, None]
+        if not self.contact.released:
+            return found[..., 0], np.concatenate([by_tissue, self.within * delayed], axis=-1)
+        ((by_duration, _),) = others
+        parts = [by_tissue, self.within * (delayed - by_duration), self.within * by_duration]
         return found[..., 0], np.concatenate(parts, axis=-1)
 
 
@@ -167,7 +168,7 @@ class PressMotion(DelayedMotion):
             longer = LATER * step
             later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
             curves.append((later - path)[..., None] / longer)
-        found, slopes = self.seen(np.concatenate(curves, axis=-1), step, logs)
+        found, slopes = self.seen(curves, step, logs)
         return found, np.concatenate([slopes, others], axis=-1)
 
     def _others(self, logs: np.ndarray) -> np.ndarray:

@@ -136,7 +136,8 @@ class SlabMotion(DelayedMotion):
         except NoEquilibrium:
             shape = (len(self.times), self._shown.shape[0], 3)
             return np.full(shape, np.nan), np.full((*shape, len(logs)), np.nan)
-        found = self.seen(np.concatenate([path[..., None], slopes], axis=-1), self.step, logs)
+        curves = path[..., None], slopes[..., : self.tissue], slopes[..., self.tissue :]
+        found = self.seen(curves, self.step, logs)
         return self._corrected(logs, *found)
 
     def _corrected(self, logs: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -101,6 +101,7 @@ class LitSheet:
         """Pixels of the lattice on the square of vertices, shape [L, L, 2]."""
         self._first = first.astype(np.float64)
         self._rays = self.rays(self._places + first)
+        self._pixel_rays = np.ascontiguousarray(self._rays.reshape(-1, 3))
         self._rest = np.asarray(rest, np.float64)
         self.inner = np.zeros(rest.shape, bool)
         """Pixels that are compared, shape [L, L]; what may come to be seen there surrounds them."""
@@ -166,25 +167,16 @@ class LitSheet:
         """
         tilt, rounding, frames = others[2:4], np.exp(others[4]), len(moved)
         seen = self._seen(np.concatenate([moved[..., None], slopes], axis=-1), others)
-        still, at, rays, depth = (
-            np.ascontiguousarray(seen.field[..., 0]),
-            seen.place - others[:2],
-            seen.rays,
-            seen.depth,
-        )
-        away, by_motion = seen.values[..., 0], seen.values[..., 1:]
-        gradient = np.stack([between(still, at + step) - away for step in DIFFERENCE * np.eye(2)], axis=-1) / DIFFERENCE
-        # How the point moves that a place at rest becomes, by the place itself: [N, P, 3, 2].
+        rays, depth = seen.rays, seen.depth
         ray_slopes = np.zeros((3, 2))
         ray_slopes[1, 0], ray_slopes[0, 1] = 1 / self.focal
         depth_slopes = -depth[..., None] * (seen.normal @ ray_slopes) / (rays @ seen.normal)[..., None]
-        by_place = rays[..., None] * depth_slopes[..., None, :] + depth[..., None, None] * ray_slopes + gradient
-        by_all = np.concatenate([by_motion, -gradient, self._by_tilt(rays, depth, away, tilt)], axis=-1)
-        # A pixel goes on showing what lies on its own ray.
-        pixel_rays = self._rays.reshape(-1, 3)[:, :2, None]
-        off_ray = by_place[..., :2, :] - pixel_rays * by_place[..., 2:, :]
-        shifted = -_solved(off_ray, by_all[..., :2, :] - pixel_rays * by_all[..., 2:, :])
-        deeper = np.einsum("npi,npid->npd", by_place[..., 2, :], shifted) + by_all[..., 2, :]
+        along_plane = self._depth_by_tilt(rays, depth, tilt)
+        turning = np.cross(seen.normal, self._normal_slopes(tilt).T)
+        at, still = seen.place - others[:2], np.ascontiguousarray(seen.field[..., 0])
+        shifted, deeper = _followed(
+            still, at, seen.values, rays, depth, depth_slopes, along_plane, turning, self._pixel_rays, self.focal
+        )
         flat_slopes = self._depth_by_tilt(self._rays, seen.flat, tilt)
         deeper[..., -2:] -= flat_slopes.reshape(-1, 2)
         below = np.concatenate([seen.below[..., None], deeper.reshape(*seen.below.shape, -1)], axis=-1)
@@ -264,13 +256,6 @@ class LitSheet:
         normal, slopes = self.normal_at(tilt), self._normal_slopes(tilt)
         return depth[..., None] * (self.ray @ slopes / (self.ray @ normal) - rays @ slopes / (rays @ normal)[..., None])
 
-    def _by_tilt(self, rays: np.ndarray, depth: np.ndarray, away: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-        """Derivatives by the tilt of where places at rest come to lie, shape [N, P, 3, 2]: the dent turns with it."""
-        normal, slopes = self.normal_at(tilt), self._normal_slopes(tilt)
-        plane = rays[..., None] * self._depth_by_tilt(rays, depth, tilt)[..., None, :]
-        axes = np.cross(normal, slopes.T)
-        return plane + np.stack([np.cross(axis, away) for axis in axes], axis=-1)
-
 
 def _lit(
     now: tuple[np.ndarray, np.ndarray],
@@ -326,6 +311,63 @@ def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 @kernel
+def _followed(still, at, values, rays, depth, depth_slopes, along_plane, turning, pixel_rays, focal):
+    """How the places at rest shift that pixels show, [N, P, 2, D], and how much deeper their tissue comes to lie,
+    [N, P, D], by all parameters of the motion, the dent's place and the tilt: a pixel goes on showing its own ray.
+
+    Args:
+        still: displacements on the square of vertices, shape [N, S, S, 3].
+        at: places on it whose displacements pixels show, shape [N, P, 2].
+        values: displacements there and their derivatives by the motion's parameters, shape [N, P, 3, 1 + D'].
+        rays, depth: of these places at rest, shapes [N, P, 3] and [N, P].
+        depth_slopes: derivatives of that depth by row and column, shape [N, P, 2].
+        along_plane: the same by the tilt.
+        turning: axes around which the dent turns with the tilt, shape [2, 3].
+        pixel_rays: rays of the pixels, shape [P, 3].
+        focal: by rows and columns.
+    """
+    frames, pixels, _, columns = values.shape
+    motion = columns - 1
+    shifted, deeper = np.empty((frames, pixels, 2, motion + 4)), np.empty((frames, pixels, motion + 4))
+    last, by_place, by_one = still.shape[1] - 1.0, np.empty((3, 2)), np.empty(3)
+    for frame in range(frames):
+        for index in range(pixels):
+            ray, across = rays[frame, index], pixel_rays[index]
+            for way in range(2):
+                row, column = at[frame, index, 0], at[frame, index, 1]
+                row, column = (row + DIFFERENCE, column) if way == 0 else (row, column + DIFFERENCE)
+                row, top = corner(row, last)
+                column, left = corner(column, last)
+                for axis in range(3):
+                    beside = bilinear(still[frame], top, left, row - top, column - left, axis)
+                    by_place[axis, way] = (beside - values[frame, index, axis, 0]) / DIFFERENCE
+            gradient = by_place.copy()
+            for way in range(2):
+                for axis in range(3):
+                    by_place[axis, way] += ray[axis] * depth_slopes[frame, index, way]
+                by_place[1 - way, way] += depth[frame, index] / focal[way]
+            a, b = by_place[0, 0] - across[0] * by_place[2, 0], by_place[0, 1] - across[0] * by_place[2, 1]
+            c, d = by_place[1, 0] - across[1] * by_place[2, 0], by_place[1, 1] - across[1] * by_place[2, 1]
+            determinant = a * d - b * c
+            x, y, z = values[frame, index, 0, 0], values[frame, index, 1, 0], values[frame, index, 2, 0]
+            for one in range(motion + 4):
+                if one < motion:
+                    by_one[:] = values[frame, index, :, 1 + one]
+                elif one < motion + 2:
+                    by_one[:] = -gradient[:, one - motion]
+                else:
+                    axis, plane = turning[one - motion - 2], along_plane[frame, index, one - motion - 2]
+                    by_one[0] = ray[0] * plane + axis[1] * z - axis[2] * y
+                    by_one[1] = ray[1] * plane + axis[2] * x - axis[0] * z
+                    by_one[2] = ray[2] * plane + axis[0] * y - axis[1] * x
+                first, second = by_one[0] - across[0] * by_one[2], by_one[1] - across[1] * by_one[2]
+                down, right = (b * second - d * first) / determinant, (c * first - a * second) / determinant
+                shifted[frame, index, 0, one], shifted[frame, index, 1, one] = down, right
+                deeper[frame, index, one] = by_place[2, 0] * down + by_place[2, 1] * right + by_one[2]
+    return shifted, deeper
+
+
+@kernel
 def _rested(still, pixels, aside, shift, focal, plane, normal):
     """Where the tissue that pixels show lay at rest, row and column on the square of vertices, shape [N, P, 2].
 
@@ -371,13 +413,6 @@ def _rotation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     x, y, z = np.cross(first, second)
     turn = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + turn + turn @ turn / (1 + first @ second)
-
-
-def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x of A x = b for many A [..., 2, 2] and b [..., 2, D]; LAPACK would be called once for each."""
-    (a, b), (c, d) = np.moveaxis(matrices, (-2, -1), (0, 1))[..., None]
-    first, second = right[..., 0, :], right[..., 1, :]
-    return np.stack([d * first - b * second, a * second - c * first], axis=-2) / (a * d - b * c)[..., None]
 
 
 def _rounded(values: np.ndarray, width: float) -> np.ndarray:

@@ -33,6 +33,7 @@ BY_LIGHT = (
 )
 
 
+DEPTH_ALONE = "The estimate is by its depth alone."
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
 
@@ -199,14 +200,16 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     one, other = np.linalg.inv(covariances)
     logs = [np.log(np.abs(item.theta)) for item in (by_depth, by_light)]
     both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
-    refuted = ""
+    refuted, information = "", by_depth.information
+    if information is not None and by_light.information is not None:
+        information = information + by_light.information
     if apart @ np.linalg.solve(sum(covariances), apart) > CONTRADICTION:
         refuted = "The tissue's depth and its brightness contradict each other."
     return dataclasses.replace(
         by_depth,
         theta=np.exp(both @ (one @ logs[0] + other @ logs[1])) * np.sign(by_depth.theta),
         covariance=both,
-        information=np.asarray(by_depth.information) + np.asarray(by_light.information),
+        information=information,
         expected_information=by_depth.verdict_information + by_light.verdict_information,
         refuted=refuted,
     )

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from palpate.data.brightness.light import log_light
 from palpate.data.brightness.sequence import RestingLight
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
@@ -166,7 +167,9 @@ class RunSession:
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.by_light = False
-        """Whether a press is fitted to the light of the tissue, where it is known."""
+        """Whether a press is estimated by the light of the tissue, where it is known."""
+        self.needs_light = False
+        """Whether that light is looked at although depth is measured."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         self._runs = RunTracker(clip, self.mechanics.seconds)
@@ -175,6 +178,12 @@ class RunSession:
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
         """Yield the record of the run that the clip's end has cut off."""
         yield from self._ended(self._runs.finish())
+
+    def _pushed(self, frame: PreparedFrame) -> Run | None:
+        """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
+        if self.needs_light and frame.visible and frame.light is None:
+            frame.light, frame.light_picture = log_light(*frame.view, frame.depth.shape), frame.view
+        return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
@@ -211,7 +220,7 @@ class RunSession:
         try:
             if self.by_light and contact.shows_light:
                 start = time.perf_counter()
-                contact, found, simulated = fit_brightness(contact, 1 / self.clip.fps)
+                contact, found, simulated = self._lit(contact)
                 self.seconds["fit"] += time.perf_counter() - start
                 doubts = found.refuted
             else:
@@ -220,6 +229,14 @@ class RunSession:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
         return run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
+
+    def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+        """As of `fit_brightness`: the estimate of a whole contact by its light.
+
+        Raises:
+            NoEstimate: the contact can't be estimated.
+        """
+        return fit_brightness(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""

@@ -37,6 +37,7 @@ from palpate.evaluation.harness import Row
 from palpate.evaluation.plain_video import PlainVideo, measured_video
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
+from palpate.models.calibration_fit import mean_squares
 
 SPLIT = "validation"
 VIDEO = "video"
@@ -49,10 +50,6 @@ LOOKS = tuple(PlainVideo(Path(), look=look).settings for look in ("matte", "endo
 """What plain videos are drawn from, in turns."""
 ENDS = "error", "sd", "model_sd"
 """What a plain video's row has of a quantity."""
-ROUNDS = 100
-"""Of a search for the most likely variance."""
-LEAST_VARIANCE = 1e-12
-"""No error is known better, so that none counts alone."""
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
@@ -68,19 +65,6 @@ def model_sd(off: float, residual: float) -> float:
     """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
     left = math.sqrt(max(off**2 - residual**2, 0.0))
     return float(f"{left:.2g}")
-
-
-def mean_squares(errors: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
-    """Means of squared errors and of what residuals tell of them [K], whose difference is the model's variance.
-
-    It is the most likely one, errors being normally distributed: a clip counts by how small its own variance is.
-    """
-    squares, model = np.square(errors), float(np.square(errors).mean())
-    for _ in range(ROUNDS):
-        weights = 1 / np.square(variances + model + LEAST_VARIANCE)
-        weights /= weights.sum()
-        model = max(float(weights @ (squares - variances)), 0.0)
-    return float(weights @ squares), float(weights @ variances)
 
 
 def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:

@@ -6,7 +6,7 @@ Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-ob
 to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
 instrument that passes over tissue and never touches) and `video-pull`. With
 `--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
-coarsely.
+coarsely. `--estimator network` measures the network's posterior by light instead of the fit.
 Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
@@ -32,20 +32,25 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from palpate.api import open_clip, open_estimator
+from palpate.api import open_clip
+from palpate.common.files import file_sha256
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
+from palpate.data.contact.interaction import BRIGHTNESS
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
+from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.open import open_estimator as open_by_options
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import Measurements, Report, Row, run
 from palpate.evaluation.recovery.bounds import light_information
 from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED
+from palpate.models.onnx_session import SHIPPED
 from palpate.physics.identifiability import combination_bounds
 from palpate.physics.mechanics import damping_ratio
 
@@ -66,9 +71,12 @@ QUALITY = {"matte": 18, "endoscope": 23}
 """Constant rate factor of the videos."""
 
 
-def measured_video(settings: SceneSettings, seed: int) -> Row:
-    """Measures of one drawn clip."""
-    estimator = open_estimator("direct")
+DIRECT = EstimatorOptions("direct")
+
+
+def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT) -> Row:
+    """Measures of one drawn clip by an estimator."""
+    estimator = open_by_options(options)
     scene, truth = draw_truth(settings, seed)
     with tempfile.TemporaryDirectory() as folder:
         clip = write_clip(Path(folder), 1, settings, seed)
@@ -120,6 +128,8 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
         row[f"{name}_bound"] = float(combination_bounds(information, [powers])[0])
         for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
+            if covariance is None:
+                continue
             row[f"{name}_{end}"] = float(math.sqrt(max(powers @ covariance @ powers, 0.0)))
     return row
 
@@ -140,18 +150,24 @@ class PlainVideo(Measurements):
     """how many"""
     frames: int = 32
     """of each clip"""
+    estimator: Literal["direct", "network"] = "direct"
+    """which"""
+    model: Path | None = None
+    """network's file (default: the one that comes along)"""
 
     writes = ("table.csv", "summary.csv")
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""
+        if self.model is not None and self.estimator != "network":
+            raise ValueError("--model is for --estimator network; leave it out.")
         require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Every clip by its number."""
         return {
-            str(index): functools.partial(measured_video, self.settings, clip_seed(self.seed, index))
+            str(index): functools.partial(measured_video, self.settings, clip_seed(self.seed, index), self.options)
             for index in range(self.clips)
         }
 
@@ -162,9 +178,18 @@ class PlainVideo(Measurements):
         drawn = {"look": self.look, "video_quality": QUALITY[self.look], **SUITES[self.suite]}
         return from_mapping(SceneSettings, size | drawn, f"The suite {self.suite}")
 
+    @property
+    def options(self) -> EstimatorOptions:
+        """What opens the estimator: the direct one takes light of itself, the network is asked to for whole runs."""
+        by_light = BRIGHTNESS if self.estimator == "network" else None
+        return EstimatorOptions(self.estimator, self.model, observation=by_light)
+
     def record(self) -> Mapping[str, Any]:
-        """What the clips are drawn from."""
-        return {**dataclasses.asdict(self.settings), "seed": self.seed}
+        """What the clips are drawn from, and the estimator."""
+        drawn = {**dataclasses.asdict(self.settings), "seed": self.seed}
+        if self.estimator == "network":
+            drawn |= {"estimator": self.estimator, "model_sha256": file_sha256(self.model or SHIPPED)}
+        return drawn
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The measures of every clip, and those of all."""

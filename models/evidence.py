@@ -21,6 +21,8 @@ from palpate.physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 MAX_MEAN_STEP = 1.0
 """A mean moves at most this far at once in any log-parameter, because the linearisation holds no farther."""
+MAX_SQUARES = 60.0
+"""Squared distances beyond this don't pull: a few sequences that tell nothing would decide a step."""
 MEAN_WEIGHT = 0.2
 """Weight of the mean's gradient against the covariance's; it changes how fast the two are learnt, not their optimum."""
 
@@ -97,6 +99,18 @@ def covering(mean: Tensor, factor: Tensor, best: Tensor, information: Tensor) ->
     spread = (vectors * values.rsqrt()[:, None]).to(factor)
     apart = torch.cat([spread, (mean - best)[..., None]], dim=2)
     squares = torch.linalg.solve_triangular(factor, apart, upper=False).square().sum((1, 2))
+    return (0.5 * squares + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
+
+
+def density_loss(mean: Tensor, factor: Tensor, logs: Tensor) -> Tensor:
+    """-log q(φ), the mean over the batch, up to a constant: the loss of neural posterior estimation.
+
+    Args:
+        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
+        logs: φ that the observations were drawn with, shape [B, 3].
+    """
+    apart = torch.linalg.solve_triangular(factor, (logs - mean)[..., None], upper=False)
+    squares = apart.square().sum((1, 2)).clamp(max=MAX_SQUARES)
     return (0.5 * squares + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
 
 

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from palpate.command import train
-from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER
 from palpate.estimators.online.settings import OnlineSettings, load_settings
@@ -21,9 +20,9 @@ pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
 ONLINE = CHECKOUT / "configs" / "online.yaml"
 """Settings of an estimator, which no command trains."""
-CONTACT = CHECKOUT / "configs" / "contact.yaml"
-"""Settings of the contact posterior's training, which `fit` takes as well."""
-SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in (ONLINE, CONTACT)]
+POSTERIORS = [CHECKOUT / "configs" / f"{name}.yaml" for name in train.PARTS]
+"""Settings of the posteriors' trainings, which `fit` takes as well."""
+SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in (ONLINE, *POSTERIORS)]
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +51,14 @@ def test_the_online_estimator_s_file_holds_every_setting_with_its_default():
     assert leaves(values).keys() == leaves(dataclasses.asdict(settings)).keys()
 
 
-def test_the_contact_posterior_s_configuration_holds_every_setting_with_its_default(monkeypatch):
-    chosen: list[ContactSettings] = []
-    monkeypatch.setattr(train, "train_contact", chosen.append)
-    assert train.main(["fit", "-c", str(CONTACT), "--contact.output", "elsewhere"]) == 0
-    assert chosen == [ContactSettings(Path("elsewhere"))]
-    assert yaml.safe_load(CONTACT.read_text(encoding="utf-8"))["contact"].keys() == vars(chosen[0]).keys()
+@pytest.mark.parametrize("path", POSTERIORS, ids=lambda path: path.stem)
+def test_a_posterior_s_configuration_holds_every_setting_with_its_default(monkeypatch, path: Path):
+    chosen: list[Any] = []
+    name, (settings, _, weights) = path.stem, train.PARTS[path.stem]
+    monkeypatch.setitem(train.PARTS, name, (settings, chosen.append, weights))
+    assert train.main(["fit", "-c", str(path), f"--{name}.output", "elsewhere"]) == 0
+    assert chosen == [settings(Path("elsewhere"))]
+    assert yaml.safe_load(path.read_text(encoding="utf-8"))[name].keys() == vars(chosen[0]).keys()
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

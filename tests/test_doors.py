@@ -22,6 +22,7 @@ DOORS = {
     "palpate.data.depth.photometric": ["-m", "data.depth.photometric"],
     "palpate.evaluation.benchmark": ["-m", "evaluation.benchmark"],
     "palpate.estimators.network.calibration": ["-m", "estimators.network.calibration"],
+    "palpate.estimators.network.light_calibration": ["-m", "estimators.network.light_calibration"],
     "palpate.evaluation.ablation.__main__": ["-m", "evaluation.ablation"],
     "palpate.evaluation.compare_with_truth": ["-m", "evaluation.compare_with_truth"],
     "palpate.evaluation.plain_video": ["-m", "evaluation.plain_video"],

@@ -20,6 +20,15 @@ SRGB = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055)
 """Light that every level of an sRGB picture stands for (IEC 61966-2-1), in shares of white."""
 
 
+GAMMA = 2.2
+"""Power of the response, for what a level is at some light."""
+
+
+def level_of_light(light: np.ndarray) -> np.ndarray:
+    """What a level of 8 bits is in the logarithm of light at such a logarithm of light."""
+    return GAMMA / 255 * np.exp(-light / GAMMA)
+
+
 def lattice_size(grid_shape: tuple[int, int]) -> tuple[int, int]:
     """Rows and columns of the lattice over a grid [h, w]."""
     return FINE * grid_shape[0], FINE * grid_shape[1]

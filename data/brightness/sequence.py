@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
-from palpate.data.brightness.light import FINE
+from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.source.coding import Coding
 
 REACH = 7
@@ -50,6 +50,16 @@ class BrightnessSequence:
     """Standard deviation of the difference of light and rest where tissue is still."""
     coded: CodedPictures | None = None
     """The video's pictures around the contact; None where it isn't known how they were coded."""
+
+    @property
+    def coder_step(self) -> float:
+        """Least change of a block's mean that the video's coder doesn't leave out [logarithm of light], 0 where that
+        isn't known.
+        """
+        bright = self.rest[np.isfinite(self.rest)]
+        if self.coded is None or not len(bright):
+            return 0.0
+        return self.coded.coding.step * float(level_of_light(np.median(bright)))
 
     def chosen(self, frames: np.ndarray) -> BrightnessSequence:
         """Some of its frames: a mask [N] or indices."""

@@ -32,6 +32,11 @@ class Coding(NamedTuple):
     bidirectional: bool
     """Whether other frames are predicted from later ones as well."""
 
+    @property
+    def step(self) -> float:
+        """How far apart the means of a block of 8 × 8 pixels lie that H.264 can tell apart [levels of 8 bits]."""
+        return 0.625 * 2 ** (self.quantiser / 6) / 8
+
 
 def coding_of(path: Path) -> Coding | None:
     """How a video is coded; None where that isn't said (codecs other than H.264), or nothing can be coded like it."""

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.brightness.light import FINE
+from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.brightness.sequence import SPREAD, BrightnessSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.lit_sheet import LitSheet, Shown
@@ -52,8 +52,6 @@ ROUGH, ROUGH_SD = 0.1, 0.12
 """Prior of the tissue's roughness."""
 LAG, LAG_SD = 0.5, 0.7
 """Prior of how far coded pictures lag behind the light [levels of 8 bits]."""
-GAMMA = 2.2
-"""Power of the response, for what a level is at some light."""
 GLOSS, RESPONSE, AMBIENT = 0.15, 0.1, 0.05
 """Standard deviations of mirrored light over matt light where tissue faces the camera, of the logarithm of the
 response's power against sRGB's, and of the share of light from everywhere: cameras have curves of their own."""
@@ -121,7 +119,7 @@ class BrightnessProblem:
         """Which places have been visible since the frame before."""
         self._followed[0] = known[0] & np.isfinite(self.sequence.rest.ravel())
         rest = np.nan_to_num(self.sequence.rest.ravel())
-        self._level = GAMMA / 255 * np.exp(-rest / GAMMA)
+        self._level = level_of_light(rest)
         """What a level of 8 bits is in the logarithm of light, shape [P]."""
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)

@@ -17,7 +17,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.brightness.light import log_light
 from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -28,7 +27,7 @@ from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from palpate.estimators.estimate import Estimate, NoEstimate, combined
+from palpate.estimators.estimate import DEPTH_ALONE, Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -109,14 +108,13 @@ class DirectSession(RunSession):
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon, estimator.thickness)
         self.by_light = estimator.observation in (None, BRIGHTNESS) and estimator.thickness is None
+        self.needs_light = estimator.observation in (BRIGHTNESS, BOTH)
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
-        if self.estimator.observation in (BRIGHTNESS, BOTH) and frame.visible and frame.light is None:
-            frame.light, frame.light_picture = log_light(*frame.view, frame.depth.shape), frame.view
-        yield from self._ended(self._runs.push(frame))
+        yield from self._ended(self._pushed(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
 
@@ -170,7 +168,7 @@ class DirectSession(RunSession):
         try:
             return combined(by_depth, fit_brightness(contact, 1 / self.clip.fps)[1]), ""
         except NoEstimate as reason:
-            return by_depth, f"{reason} The estimate is by its depth alone."
+            return by_depth, f"{reason} {DEPTH_ALONE}"
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.features import FEATURES, contact_features
-from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import BOTH, BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.light_features import light_slots
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import Estimate, NoEstimate, mixture
+from palpate.estimators.estimate import DEPTH_ALONE, Estimate, NoEstimate, combined, mixture
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
@@ -22,17 +23,23 @@ from palpate.estimators.onset import onset_error, onset_perturbations
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
+from palpate.physics.identifiability import NOTHING, box_information
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
 """Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
+TOO_DARK = "Too few frames after the onset show how bright the tissue around the contact is."
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
+BY_NETWORK = "By the network; the whole run is fitted when it has ended: see interactions.csv."
+LARGEST_LEFT = 0.6
+"""Share of the change of light: where rings around the contact leave more, it is no press, or too faint to tell."""
+LEFT = "A press doesn't explain how the tissue's brightness changes: rings around it leave {:.0%}."
 BOUND_MARGIN = 0.02
 """A mean closer to a bound than this share of the box (in logarithms) counts as at the bound."""
 
@@ -45,10 +52,11 @@ class NetworkEstimator(ModelEstimator):
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a whole contact counts.
         observation: which kind of observation, one of `data.contact.interaction.OBSERVATIONS`. With the contact's point
-            alone the network gets no depth-change sequence, and depth windows are blank.
+            alone the network gets no depth-change sequence, and depth windows are blank. None = depth where it is
+            measured, else light, by which the network estimates frames while whole runs are fitted.
 
     Raises:
-        ModelFileError: its metadata can't be used.
+        ModelFileError: its metadata can't be used, or the observation is light, of which the file knows nothing.
     """
 
     name = "network"
@@ -59,8 +67,12 @@ class NetworkEstimator(ModelEstimator):
     ) -> None:
         super().__init__(model)
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
-        self.by_light = observation is None
-        """Whether whole runs are fitted to the light of the tissue where depth is guessed from the pictures."""
+        if observation in (BRIGHTNESS, BOTH) and not model.sees_light:
+            raise ModelFileError(
+                f"{model.path} knows nothing of light; leave --observation {observation} out, or take estimator direct."
+            )
+        self.by_light = observation in (None, BRIGHTNESS)
+        """Whether it goes by the light of the tissue, where that is known."""
         self.described = {"name": self.name, "onset": onset, "observation": observation or "auto", "horizon": horizon}
         """The settings that are not in the model's file."""
         self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
@@ -85,7 +97,7 @@ class NetworkEstimator(ModelEstimator):
         """
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
-        if self.observation != FIELD:
+        if self.observation not in (FIELD, BOTH):
             contact = dataclasses.replace(contact, sequence=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
@@ -115,14 +127,45 @@ class NetworkEstimator(ModelEstimator):
         known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
         return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
+    def lit(self, contact: Interaction) -> Estimate:
+        """The estimate of a contact by its light.
+
+        Raises:
+            NoEstimate: the light of too few frames is known.
+            ModelFileError: the network gives a number that is not finite.
+        """
+        if contact.brightness is None or len(contact.brightness.times) < LEAST_OBSERVATIONS:
+            raise NoEstimate(TOO_DARK)
+        slots, known = light_slots(contact)
+        mean, covariance = self.model.by_light(slots.vectors(known))
+        self.require_finite(mean, covariance)
+        box, left = self.bounds.log_box, float(slots.unexplained(known)[0])
+        values, vectors = np.linalg.eigh(np.linalg.inv(covariance[0]) - box_information(box))
+        return Estimate(
+            theta_of(mean[0]),
+            covariance[0],
+            expected_information=vectors * np.maximum(values, NOTHING) @ vectors.T,
+            noise=contact.brightness.noise,
+            at_bound=np.minimum(mean[0] - box[0], box[1] - mean[0]) < BOUND_MARGIN * (box[1] - box[0]),
+            by_light=True,
+            refuted=LEFT.format(left) if left > LARGEST_LEFT else "",
+        )
+
+    def require_finite(self, *outputs: np.ndarray) -> None:
+        """Raise a ModelFileError where a network gives a number that is not finite."""
+        if not all(np.isfinite(values).all() for values in outputs):
+            raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
+
 
 class NetworkSession(RunSession):
     """One clip: an estimate for every frame in contact, and one for every whole run of contact."""
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.by_light = estimator.by_light
+        self.by_light, self.needs_light = estimator.by_light, estimator.observation in (BRIGHTNESS, BOTH)
         self.estimator = estimator
+        self._whole_runs = BY_NETWORK if estimator.observation != BRIGHTNESS else ""
+        """What is said of a frame's estimate by light."""
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
         self._depths: list[tuple[float, np.ndarray]] = []
@@ -135,9 +178,9 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         depth = self._window.push(frame) if self.estimator.model.takes_depth else None
-        if depth is not None and self.estimator.observation != FIELD:
+        if depth is not None and self.estimator.observation not in (FIELD, BOTH):
             depth = np.zeros_like(depth)  # no pixel has a depth
-        ended = self._runs.push(frame)
+        ended = self._pushed(frame)
         run = self._runs.current
         yield from self._ended(ended)
         self._follow(frame)
@@ -167,9 +210,7 @@ class NetworkSession(RunSession):
         window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
         found = estimator.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
-        if not all(np.isfinite(values).all() for values in found):
-            path = estimator.model.path
-            raise ModelFileError(f"{path} gives a number that is not finite; export another checkpoint.")
+        estimator.require_finite(*found)
         start = time.perf_counter()
         judged = [
             estimator.judged(each, self.mechanics, within, *own) for each, *own in zip(contacts, *found, strict=True)
@@ -183,27 +224,56 @@ class NetworkSession(RunSession):
     def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:
         if frame.geometry is None or run is None:
             return frame_estimate(frame, self.clip)
-        if self.by_light and run.lit:
-            return frame_estimate(frame, self.clip, doubts=WHOLE, whole=True)
         if run.builder is None:
             return frame_estimate(frame, self.clip, verdict="undetermined")
         contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
+        lit = self.by_light and run.lit
+        if lit and not self.estimator.model.sees_light:
+            return frame_estimate(frame, self.clip, doubts=WHOLE, whole=True)
         try:
-            found = self.estimate(self.estimator.as_trained(contact), depth)
+            found, said = (self._by_light(contact), self._whole_runs) if lit else self._by_depth(contact, depth)
         except NoEstimate as reason:
             return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
         arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
-        lengths = self._lengths(found, contact, frame, run.builder)
-        return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=_doubts(found), arrow=arrow)
+        lengths = (None, None) if lit else self._lengths(found, contact, frame, run.builder)
+        doubts = " ".join(filter(None, (found.refuted, said, _doubts(found))))
+        return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)
+
+    def _by_light(self, contact: Interaction) -> Estimate:
+        start = time.perf_counter()
+        try:
+            return self.estimator.lit(contact)
+        finally:
+            self.seconds["network"] += time.perf_counter() - start
+
+    def _by_depth(self, contact: Interaction, depth: np.ndarray | None) -> tuple[Estimate, str]:
+        """The estimate by depth, with that by light where both are asked for, or a sentence on why not."""
+        found = self.estimate(self.estimator.as_trained(contact), depth)
+        if self.estimator.observation != BOTH:
+            return found, ""
+        try:
+            return combined(found, self._by_light(contact)), ""
+        except NoEstimate as reason:
+            return found, f"{reason} {DEPTH_ALONE}"
+
+    def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+        if self.estimator.observation != BRIGHTNESS:
+            return super()._lit(contact)
+        found = self._by_light(contact)
+        return contact, found, self._simulated(found, contact)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
         known = self.estimator.as_trained(contact)
         last = known.observation.times[-1] + TIME_TOLERANCE
         depth = next((window for since, window in reversed(self._depths) if since <= last), None)
-        found = self.estimate(known, depth)
-        path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
+        found, unlit = self._by_depth(contact, depth)
+        return found, self._simulated(found, contact), f"{found.refuted} {unlit} {_doubts(found)}".strip()
+
+    def _simulated(self, found: Estimate, contact: Interaction) -> tuple[np.ndarray, np.ndarray]:
+        steps = contact.steps if len(contact.observation) else contact.load.factor.size
+        path = simulate(found.theta, contact.mesh, contact.load.until(steps), self.mechanics)
         times = self.mechanics.time_step * np.arange(1, len(path) + 1)
-        return found, (times, path @ np.asarray(contact.direction, np.float64)), _doubts(found)
+        return times, path @ np.asarray(contact.direction, np.float64)
 
     def _lengths(
         self, found: Estimate, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder

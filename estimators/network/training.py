@@ -219,9 +219,11 @@ def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     return bound_loss(posterior.expected_bound_factor(torch.from_numpy(drawn.features)), drawn.information)
 
 
-def descend(network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> Iterator[float]:
+def descend(
+    network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float, decay: float = 1e-4
+) -> Iterator[float]:
     """Minimise a network's loss, a function of the step's number; yields the loss of each step."""
-    optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-4)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     rise = max(0.1, 3 / steps)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=rise)
     for step in range(steps):

@@ -1,9 +1,10 @@
-"""Train, validate, test or export the parameter network, or train the contact posterior, from one configuration file.
+"""Train, validate, test or export the parameter network, or train a contact posterior, from one configuration file.
 
     palpate train fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
     palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
+    palpate train fit -c configs/light.yaml [--light.sheets 3000 …]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
 pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
@@ -16,6 +17,7 @@ import os
 import sqlite3
 import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -43,6 +45,8 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
+from palpate.estimators.network.light_training import WEIGHTS as LIGHT_WEIGHTS
+from palpate.estimators.network.light_training import LightSettings, train_light
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
 from palpate.evaluation.paper.analysis import EvaluationError
 from palpate.evaluation.paper.figures import draw_next_depth
@@ -68,6 +72,11 @@ MAX_SEED = 2**32 - 1
 BASELINE_CONTACTS = 8
 """Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
+PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
+    "contact": (ContactSettings, train_contact, WEIGHTS),
+    "light": (LightSettings, train_light, LIGHT_WEIGHTS),
+}
+"""Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
 
@@ -353,39 +362,41 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
 
 
-def trains_contact(arguments: list[str]) -> bool:
-    """Whether `fit` is to train the contact posterior: a configuration or an option holds settings of `contact`."""
+def trained_part(arguments: list[str]) -> str | None:
+    """Which of PARTS `fit` is to train: a configuration or an option holds its settings; None = the generator."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-c", "--config", action="append", default=[])
     given, others = parser.parse_known_args(arguments)
-    if any(option.startswith("--contact.") for option in others):
-        return True
+    sections = {option.removeprefix("--").partition(".")[0] for option in others if option.startswith("--")}
     with contextlib.suppress(InputError):  # the parser of the settings says what is wrong with the file
-        return any("contact" in read_mapping(Path(path), "a configuration") for path in given.config)
-    return False
+        for path in given.config:
+            sections |= set(read_mapping(Path(path), "a configuration"))
+    return next((name for name in PARTS if name in sections), None)
 
 
-def fit_contact(arguments: list[str]) -> None:
-    """Train the contact posterior.
+def fit_part(name: str, arguments: list[str]) -> None:
+    """Train one of PARTS.
 
     Args:
+        name: of the part.
         arguments: command line after `fit`.
     """
-    parser = SentenceParser(prog="train.py fit", description="Train the contact posterior.", allow_abbrev=False)
+    settings_class, train, weights = PARTS[name]
+    parser = SentenceParser(prog="train.py fit", description=f"Train the {name} posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
-    parser.add_class_arguments(ContactSettings, "contact")
+    parser.add_class_arguments(settings_class, name)
     chosen = parser.parse_args(arguments)
     try:
-        settings = ContactSettings(**chosen.contact.as_dict())
+        settings = settings_class(**chosen[name].as_dict())
     except ValueError as error:  # from the check of a setting
         raise UsageError(str(error)) from error
-    if (settings.output / WEIGHTS).exists():
+    if (settings.output / weights).exists():
         raise UsageError(f"{settings.output} holds a finished training; give another output, or remove that folder.")
     try:
         with interruptible():
-            train_contact(settings)
+            train(settings)
     except KeyboardInterrupt:
-        text = f"Interrupted; {settings.output} holds no {WEIGHTS}. The same command goes on, after its fits if made."
+        text = f"Interrupted; {settings.output} holds no {weights}. The same command goes on after what it has kept."
         print(plain(text), file=sys.stderr)
         raise
 
@@ -396,8 +407,9 @@ def main(arguments: list[str] | None = None) -> int:
     disable_possible_user_warnings()  # guesses about worker counts
     command = sys.argv[1:] if arguments is None else arguments
     try:
-        if command[:1] == ["fit"] and trains_contact(command[1:]):
-            fit_contact(command[1:])
+        part = trained_part(command[1:]) if command[:1] == ["fit"] else None
+        if part is not None:
+            fit_part(part, command[1:])
         else:
             with interruptible():
                 TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)

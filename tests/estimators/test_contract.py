@@ -34,7 +34,13 @@ from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, so
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-ESTIMATORS = (*NAMES, "network with depth", "network with depth-change sequence", "online with a volume")
+ESTIMATORS = (
+    *NAMES,
+    "network with depth",
+    "network with depth-change sequence",
+    "network by light",
+    "online with a volume",
+)
 FPS = (25.0, 30.0)
 MESH = sheet(7, 7)
 NORMAL = np.array([0.0, 0.0, -1.0])
@@ -57,6 +63,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
         "network": EstimatorOptions("network"),
         "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
         "network with depth-change sequence": EstimatorOptions(model=folder / "depth-change sequence.onnx"),
+        "network by light": EstimatorOptions("network", observation="brightness"),
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
         "online": EstimatorOptions("online", settings=coarse),

@@ -11,6 +11,7 @@ from palpate.evaluation import model_errors
 from palpate.evaluation import model_errors as module
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.trial import Trial
+from palpate.models.calibration_fit import mean_squares
 
 VALUES = vars(MODEL_ERRORS)
 
@@ -81,7 +82,7 @@ def test_clips_count_by_how_little_their_residuals_leave_open() -> None:
     generator = np.random.default_rng(5)
     variances = np.where(np.arange(600) % 3 == 0, 4.0, 0.01)
     errors = generator.normal(0, np.sqrt(variances + 0.2**2))
-    off, stated = module.mean_squares(errors, variances)
+    off, stated = mean_squares(errors, variances)
     assert math.sqrt(off - stated) == pytest.approx(0.2, rel=0.1)
     candidates = np.linspace(0.05, 0.5, 1000)
     total = variances + np.square(candidates)[:, None]

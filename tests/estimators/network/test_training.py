@@ -278,7 +278,7 @@ def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(made, 
     with monkeypatch.context() as patch:
         patch.setattr(contact_training, "expected_loss", interrupt)
         assert short(parts) == INTERRUPTED
-    assert "The same command goes on, after its fits if made." in " ".join(capsys.readouterr().err.split())
+    assert "The same command goes on after what it has kept." in " ".join(capsys.readouterr().err.split())
     assert sorted(path.name for path in parts.iterdir()) == [LIST, PREPARED, "training.jsonl"]
     assert made == MADE
     assert short(parts) == 0

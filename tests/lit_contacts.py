@@ -1,0 +1,29 @@
+"""Contacts with brightness sequences, made by hand."""
+
+import numpy as np
+
+from palpate.data.brightness.sequence import BrightnessSequence
+from palpate.data.contact.interaction import Interaction
+from palpate.physics.load import Press, held
+from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.observation import Observation
+
+FOCAL, DISTANCE, RADIUS = 160.0, 0.4, 12
+"""Of the camera [grid pixels], of the tissue [scene units], and rows from the contact to its rim."""
+
+
+def facing() -> tuple[Mesh, int]:
+    """Tissue that faces the camera, and the vertex in its middle."""
+    rows, columns = np.indices((2 * RADIUS + 1,) * 2) - RADIUS
+    rays = np.stack([columns / FOCAL, rows / FOCAL, np.ones(rows.shape)], axis=-1)
+    mesh = grid_mesh(DISTANCE * rays, np.ones(rows.shape, bool))
+    return mesh, int(np.flatnonzero((mesh.pixels == RADIUS).all(axis=1))[0])
+
+
+def lit_contact(times: np.ndarray, change: np.ndarray) -> Interaction:
+    """A press of 0.3 s on it, whose light changes so [N, L, L]."""
+    mesh, vertex = facing()
+    load = Press.at(vertex, np.array([0, 0, -1], np.float32), held(30, 100))
+    light = BrightnessSequence(times, change.astype(np.float32), np.zeros(change.shape[1:]), 0.01)
+    observed = Observation.of_point(vertex, times, np.zeros((len(times), 3)), np.nan)
+    return Interaction(mesh, load, observed, 0.01, brightness=light)

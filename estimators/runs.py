@@ -182,7 +182,9 @@ class RunSession:
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
         if self.needs_light and frame.visible and frame.light is None:
-            frame.light, frame.light_picture = log_light(*frame.view, frame.depth.shape), frame.view
+            light = log_light(*frame.view, frame.depth.shape)
+            # The frame itself stays as it is: others may look at it.
+            frame = dataclasses.replace(frame, light=light, light_picture=frame.view)
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:

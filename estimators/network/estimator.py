@@ -15,6 +15,7 @@ from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_featu
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.direct.brightness import LEAST_NOISE
 from palpate.estimators.estimate import DEPTH_ALONE, Estimate, NoEstimate, combined, mixture
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
@@ -141,11 +142,15 @@ class NetworkEstimator(ModelEstimator):
         self.require_finite(mean, covariance)
         box, left = self.bounds.log_box, float(slots.unexplained(known)[0])
         values, vectors = np.linalg.eigh(np.linalg.inv(covariance[0]) - box_information(box))
+        noise = max(contact.brightness.noise, LEAST_NOISE)
+        information = vectors * np.maximum(values, NOTHING) @ vectors.T
         return Estimate(
             theta_of(mean[0]),
             covariance[0],
-            expected_information=vectors * np.maximum(values, NOTHING) @ vectors.T,
-            noise=contact.brightness.noise,
+            information=information,
+            expected_information=information,
+            noise=noise,
+            misfit=math.sqrt(np.square(slots.left[0, : known[0]]).mean()) / noise,
             at_bound=np.minimum(mean[0] - box[0], box[1] - mean[0]) < BOUND_MARGIN * (box[1] - box[0]),
             by_light=True,
             refuted=LEFT.format(left) if left > LARGEST_LEFT else "",
@@ -234,7 +239,9 @@ class NetworkSession(RunSession):
             found, said = (self._by_light(contact), self._whole_runs) if lit else self._by_depth(contact, depth)
         except NoEstimate as reason:
             return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
-        arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
+        arrow = None
+        if found.explained or not lit:
+            arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
         lengths = (None, None) if lit else self._lengths(found, contact, frame, run.builder)
         doubts = " ".join(filter(None, (found.refuted, said, _doubts(found))))
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)

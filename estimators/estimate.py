@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -33,7 +33,6 @@ BY_LIGHT = (
 )
 
 
-DEPTH_ALONE = "The estimate is by its depth alone."
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
 
@@ -188,6 +187,14 @@ def mixture(found: Sequence[Estimate]) -> Estimate:
     )
 
 
+def with_light(by_depth: Estimate, by_light: Callable[[], Estimate]) -> tuple[Estimate, str]:
+    """`combined` with what gives the estimate by light; where that raises NoEstimate, the one by depth and why."""
+    try:
+        return combined(by_depth, by_light()), ""
+    except NoEstimate as reason:
+        return by_depth, f"{reason} The estimate is by its depth alone."
+
+
 def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     """Estimates of one contact by its depth and by its light as one: their information adds, as their errors differ.
 
@@ -200,16 +207,14 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     one, other = np.linalg.inv(covariances)
     logs = [np.log(np.abs(item.theta)) for item in (by_depth, by_light)]
     both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
-    refuted, information = "", by_depth.information
-    if information is not None and by_light.information is not None:
-        information = information + by_light.information
+    refuted = ""
     if apart @ np.linalg.solve(sum(covariances), apart) > CONTRADICTION:
         refuted = "The tissue's depth and its brightness contradict each other."
     return dataclasses.replace(
         by_depth,
         theta=np.exp(both @ (one @ logs[0] + other @ logs[1])) * np.sign(by_depth.theta),
         covariance=both,
-        information=information,
+        information=np.asarray(by_depth.information) + np.asarray(by_light.information),
         expected_information=by_depth.verdict_information + by_light.verdict_information,
         refuted=refuted,
     )

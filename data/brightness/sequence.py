@@ -20,6 +20,10 @@ REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
 MARGIN = 3
 """Around that what may come to be seen there is known, too [grid pixels]."""
+SIDE = FINE * (2 * (REACH + MARGIN) + 1)
+"""Places along either axis of that square."""
+PLACES = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
+"""Their rows, or columns, from the contact, shape [SIDE] [grid pixels]."""
 KEPT = 8
 """Frames before a contact whose median is the light at rest."""
 FEWEST_FAR = 500
@@ -38,7 +42,7 @@ LabelledPicture = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class BrightnessSequence:
-    """Light around a contact over a run; N frames, a square of L = FINE·(2·(REACH + MARGIN) + 1) places."""
+    """Light around a contact over a run; N frames, a square of L = SIDE places along either axis."""
 
     times: np.ndarray
     """Since the onset, shape [N] [s]."""
@@ -191,13 +195,12 @@ class BrightnessRecorder:
         pictures: Sequence[LabelledPicture] = (),
     ) -> None:
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
-        side = FINE * (2 * (REACH + MARGIN) + 1)
-        self._window = tuple(np.ix_(first[0] + np.arange(side), first[1] + np.arange(side)))
+        self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
         self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
         self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < rest.shape[1])
         self._rest = self._cut(rest)
         rows, columns = (part.ravel() for part in np.mgrid[: rest.shape[0] : SPARSE, : rest.shape[1] : SPARSE])
-        far = (np.abs(np.stack([rows, columns]) - first[:, None] - side // 2) > side // 2).any(axis=0)
+        far = (np.abs(np.stack([rows, columns]) - first[:, None] - SIDE // 2) > SIDE // 2).any(axis=0)
         self._far = rows[far], columns[far]
         self._far_rest = rest[self._far]
         self._places = np.stack(self._far, axis=1) / max(rest.shape)
@@ -205,7 +208,7 @@ class BrightnessRecorder:
         self._noise: list[float] = []
         self._pictures: PictureRecorder | None = None
         if coding is not None and len(pictures) >= FEWEST_REST:
-            self._pictures = PictureRecorder(coding, first, side, rest.shape, pictures)
+            self._pictures = PictureRecorder(coding, first, SIDE, rest.shape, pictures)
 
     def picture(self, picture: LabelledPicture | None) -> None:
         """The next frame's, from the onset on, whether or not its light counts."""

@@ -13,8 +13,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import MARGIN, REACH
+from palpate.data.brightness.sequence import PLACES, REACH
 from palpate.data.contact.features import SLOTS, slot_times
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import focal_length
@@ -131,8 +130,7 @@ class LightSlots:
 @functools.cache
 def light_shapes() -> tuple[np.ndarray, np.ndarray]:
     """The shapes at the places that are compared [P, SHAPES], and which places of the lattice those are [L, L]."""
-    along = (np.arange(FINE * (2 * (REACH + MARGIN) + 1)) + 0.5) / FINE - 0.5 - REACH - MARGIN
-    rows, columns = np.meshgrid(along, along, indexing="ij")
+    rows, columns = np.meshgrid(PLACES, PLACES, indexing="ij")
     inner = (np.abs(rows) <= REACH + 0.5) & (np.abs(columns) <= REACH + 0.5)
     radius, angle = np.hypot(rows, columns)[inner], np.arctan2(rows, columns)[inner]
     rings = np.exp(-np.square((radius[:, None] - RADII) / WIDTHS) / 2)

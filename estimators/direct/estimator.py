@@ -21,13 +21,12 @@ from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, FIELD, O
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.direct.brightness_fit import fit_brightness
 from palpate.estimators.direct.contact_fit import fit_contact, fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from palpate.estimators.estimate import DEPTH_ALONE, Estimate, NoEstimate, combined
+from palpate.estimators.estimate import Estimate, NoEstimate, with_light
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -158,17 +157,10 @@ class DirectSession(RunSession):
         try:
             found, motion = self.fit(contact)
             if self.estimator.observation == BOTH:
-                found, unlit = self._with_light(contact, found)
+                found, unlit = with_light(found, lambda: self._lit(contact)[1])
         finally:
             self.seconds["fit"] += time.perf_counter() - start
         return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
-
-    def _with_light(self, contact: Interaction, by_depth: Estimate) -> tuple[Estimate, str]:
-        """The estimate by depth and light, and a sentence where there is none by light."""
-        try:
-            return combined(by_depth, fit_brightness(contact, 1 / self.clip.fps)[1]), ""
-        except NoEstimate as reason:
-            return by_depth, f"{reason} {DEPTH_ALONE}"
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.direct.brightness import LEAST_NOISE
-from palpate.estimators.estimate import DEPTH_ALONE, Estimate, NoEstimate, combined, mixture
+from palpate.estimators.estimate import Estimate, NoEstimate, mixture, with_light
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
@@ -229,12 +229,12 @@ class NetworkSession(RunSession):
     def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:
         if frame.geometry is None or run is None:
             return frame_estimate(frame, self.clip)
-        if run.builder is None:
-            return frame_estimate(frame, self.clip, verdict="undetermined")
-        contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
         lit = self.by_light and run.lit
         if lit and not self.estimator.model.sees_light:
             return frame_estimate(frame, self.clip, doubts=WHOLE, whole=True)
+        if run.builder is None:
+            return frame_estimate(frame, self.clip, verdict="undetermined")
+        contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
         try:
             found, said = (self._by_light(contact), self._whole_runs) if lit else self._by_depth(contact, depth)
         except NoEstimate as reason:
@@ -256,12 +256,7 @@ class NetworkSession(RunSession):
     def _by_depth(self, contact: Interaction, depth: np.ndarray | None) -> tuple[Estimate, str]:
         """The estimate by depth, with that by light where both are asked for, or a sentence on why not."""
         found = self.estimate(self.estimator.as_trained(contact), depth)
-        if self.estimator.observation != BOTH:
-            return found, ""
-        try:
-            return combined(found, self._by_light(contact)), ""
-        except NoEstimate as reason:
-            return found, f"{reason} {DEPTH_ALONE}"
+        return with_light(found, lambda: self._by_light(contact)) if self.estimator.observation == BOTH else (found, "")
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         if self.estimator.observation != BRIGHTNESS:

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.fft import dct
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.brightness.light import FINE, level_of_light
-from palpate.data.brightness.sequence import MARGIN, REACH, BrightnessSequence
+from palpate.data.brightness.light import level_of_light
+from palpate.data.brightness.sequence import PLACES, SIDE, BrightnessSequence
 from palpate.data.contact.features import FRAME_RATE, SLOTS, slot_times
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.light_features import LightSlots, light_amounts, light_slots
@@ -68,7 +68,6 @@ DEAD = 0.15, 0.4
 """What a coder adds to a coefficient over its step before it cuts the fraction off: less than half leaves more out."""
 UNCODED = 0.15
 """Share of sequences that are not coded."""
-SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 BLOCK = 4
 """Places of the lattice along a coder's block: of 8 pixels where a place is the mean of 2 × 2."""
 _DCT = dct(np.eye(BLOCK), axis=0, norm="ortho")
@@ -254,9 +253,8 @@ def _shown(released: float, dent: np.ndarray, generator: np.random.Generator) ->
         dent: where the dent's middle lies, at the instrument's tip: rows, columns from the contact [grid pixels].
         generator: draws the instrument and the highlights.
     """
-    along = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
     tip, angle = dent + generator.normal(0, AT_TIP, 2), generator.uniform(0, 2 * math.pi)
-    rows, columns = np.meshgrid(along - tip[0], along - tip[1], indexing="ij")
+    rows, columns = np.meshgrid(PLACES - tip[0], PLACES - tip[1], indexing="ij")
     ahead = columns * math.cos(angle) + rows * math.sin(angle)
     across = np.abs(rows * math.cos(angle) - columns * math.sin(angle))
     wider, edge, speed = generator.uniform(0.8, 1.5), generator.uniform(0.5, 1.6), generator.uniform(1.5, 8)

@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import MARGIN, REACH
+from palpate.data.brightness.sequence import SIDE
 from palpate.data.contact.features import SLOTS, slot_times
 from palpate.data.contact.light_features import (
     LIGHT_FEATURES,
@@ -20,7 +19,6 @@ from palpate.data.contact.light_features import (
 )
 from tests.lit_contacts import lit_contact
 
-SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 GENERATOR = np.random.default_rng(4)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from palpate.data.brightness.sequence import SIDE
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.light_features import SHAPES
 from palpate.estimators.network.light_draws import (
@@ -10,7 +11,6 @@ from palpate.estimators.network.light_draws import (
     DISTANCES,
     LIGHTS,
     MOTIONS,
-    SIDE,
     LightDraws,
     as_coded,
     draw_light,

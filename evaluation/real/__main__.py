@@ -6,10 +6,11 @@
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
-fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
-it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes table.csv
-(clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not a medical
-device.
+fitted included; `contact_frame_N` is the probability that tissue moves with the instrument; `skill of light` is that of
+the change of light in these frames, and `skill of motion` says what light adds to predicted motion. With `--estimator
+online` it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes
+table.csv (clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not
+a medical device.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, run
 from palpate.evaluation.page import as_png
+from palpate.evaluation.real.brightness import evaluate_light, read_light
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 from palpate.results.plots import draw_summary
@@ -50,7 +52,7 @@ KNOWN = {
 
 
 def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
-    """What is measured of a clip, by name, as far as it comes; `figure` is a PNG file in base 64."""
+    """What is measured of a clip, by name, as far as it comes; `figures` are PNG files in base 64, by their names."""
     asked, (name,) = case
     clip, row = asked.wanted[name,], Row(clip=name, status="")
     try:
@@ -58,8 +60,13 @@ def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
             if asked.online is None:
                 pull = evaluate_pull(clip, row)
                 row |= pull.measures
-                figure = draw_summary(pull.frames, runs=[pull.run], title=name)
-                row["figure"] = base64.b64encode(as_png(figure)).decode()
+                figures = {"": draw_summary(pull.frames, runs=[pull.run], title=name)}
+                try:
+                    lit, figures["-brightness"] = evaluate_light(read_light(clip, pull.run))
+                except (NoEstimate, NothingMoves) as error:
+                    lit = {"brightness": str(error)}
+                row |= lit
+                row["figures"] = {name: base64.b64encode(as_png(each)).decode() for name, each in figures.items()}
             else:
                 row |= evaluate_prediction(clip, asked.online)
     except Exception as error:  # of one clip; the others still are judged
@@ -128,7 +135,9 @@ class Real(Experiment):
     @property
     def writes(self) -> list[str]:  # ty: ignore[incompatible-property-override]  nobody sets it
         """Files of the results."""
-        return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.wanted) + 1))]
+        numbers = range(1, len(self.wanted) + 1)
+        figures = [f"figures/{number}{name}.png" for number in numbers for name in ("", "-brightness")]
+        return ["table.csv", "report.html", *figures]
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
@@ -139,10 +148,14 @@ class Real(Experiment):
         return super().cases({key: row for key, row in done.items() if row["status"] == OK}, progress)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """A row a clip and measure, and a figure a clip."""
+        """A row a clip and measure, and figures a clip: what the session says, and what brightness adds."""
         found = [dict(rows[key]) for key in self.wanted if key in rows]
-        drawn = [base64.b64decode(row.pop("figure")) for row in found if "figure" in row]
-        figures = {f"{number}.png": content for number, content in enumerate(drawn, 1)}
+        drawn = [row.pop("figures") for row in found if "figures" in row]
+        figures = {
+            f"{number}{name}.png": base64.b64decode(content)
+            for number, each in enumerate(drawn, 1)
+            for name, content in each.items()
+        }
         frame = by_measure(found, "clip")
         failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
         lines = [[to_cell(cell, ".3g") for cell in line] for line in frame.itertuples(index=False)]

@@ -12,7 +12,7 @@ from pathlib import Path
 from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, load_layout
-from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.contract import Chosen, ClipInfo, Estimator
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions, open_estimator
@@ -65,9 +65,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
         InputError: the clip can't be read.
         NoEstimate: no run of contact tells anything as a grip.
     """
-    estimator = open_estimator(EstimatorOptions("direct"))
-    chosen = Chosen(clip.layout, None if clip.masks is None else str(clip.masks))
-    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(chosen))
+    estimator, stream = opened(clip)
     session = estimator.start(ClipInfo.of(stream))
     outputs = list(estimates_of(session, stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]
@@ -80,6 +78,17 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
         raise NoEstimate(" ".join(run.detail for run in runs) or "No run of contact was found.")
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
     return Pull({"status": "ok"} | grip_measures(run, grip), frames, run)
+
+
+def opened(clip: PulledClip) -> tuple[Estimator, ClipStream]:
+    """The estimator `direct` and a clip's prepared frames, as users open both.
+
+    Raises:
+        InputError: the clip can't be read.
+    """
+    estimator = open_estimator(EstimatorOptions("direct"))
+    chosen = Chosen(clip.layout, None if clip.masks is None else str(clip.masks))
+    return estimator, ClipStream(open_source(clip.path, clip.layout), estimator.preparation(chosen))
 
 
 def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> dict[str, object]:

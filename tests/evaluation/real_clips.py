@@ -71,9 +71,9 @@ tissue_values: [255]
 """
 
 
-def pull_clip(folder: Path, shares: np.ndarray) -> PulledClip:
+def pull_clip(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> PulledClip:
     """The same as a user gives it: a folder, with its layout beside it."""
-    write_pull(folder, shares)
+    write_pull(folder, shares, camera)
     layout = folder.with_name(f"{folder.name}.yaml")
     layout.write_text(LAYOUT)
     return PulledClip(folder, layout)

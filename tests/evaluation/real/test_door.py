@@ -11,8 +11,10 @@ import pytest
 from palpate.common.options import options
 from palpate.common.output import LIST
 from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.evaluation.harness import write
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
+from palpate.evaluation.real.brightness import LitPull, read_light
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip
 from tests.tables import read_measures
@@ -51,9 +53,27 @@ def once() -> Callable[[PulledClip, dict], Pull]:
     return evaluate
 
 
+@pytest.fixture(scope="module")
+def light_once() -> Callable[[PulledClip, InteractionEstimate], LitPull]:
+    """`read_light`, of every clip once."""
+    found: dict[PulledClip, LitPull] = {}
+
+    def read(clip: PulledClip, run: InteractionEstimate) -> LitPull:
+        if clip not in found:
+            found[clip] = read_light(clip, run)
+        return found[clip]
+
+    return read
+
+
 @pytest.fixture(autouse=True)
-def judging_once(once: Callable[[PulledClip, dict], Pull], monkeypatch: pytest.MonkeyPatch) -> None:
+def judging_once(
+    once: Callable[[PulledClip, dict], Pull],
+    light_once: Callable[[PulledClip, InteractionEstimate], LitPull],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", once)
+    monkeypatch.setattr("palpate.evaluation.real.__main__.read_light", light_once)
 
 
 def pulled(inputs: Path, name: str) -> list[str]:
@@ -82,10 +102,13 @@ def test_two_known_clips_are_judged(inputs, tmp_path, monkeypatch, capsys) -> No
     for each in found.values():
         assert each["status"] == "ok"
         assert float(each["skill in frames kept back"]) > 0.5
+        assert each["skill of motion: sheet"] == each["skill in frames kept back"]
+        assert float(each["skill of light: nothing moves"]) == 0
+        assert float(each["skill of light: sheet, places"]) > 0.5
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Not a medical device" in page
     assert "<td>skill in frames kept back</td>" in page
-    for name in ("1.png", "2.png"):
+    for name in ("1.png", "1-brightness.png", "2.png", "2-brightness.png"):
         content = (tmp_path / "figures" / name).read_bytes()
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         assert picture.std() > 10
@@ -133,7 +156,7 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(inputs
     assert list(found["still"]) == ["status", "frames", "frames in contact", *contact]
     assert sentence in found["still"]["status"]
     assert found["pull"]["status"] == "ok"
-    assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
+    assert sorted(path.name for path in (tmp_path / "figures").glob("*.png")) == ["1-brightness.png", "1.png"]
     assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
     told = capsys.readouterr().err
     assert told.count(f"still: {found['still']['status']}") == 1
@@ -155,6 +178,17 @@ def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(
     assert found["pull"]["status"] == told
     assert found["other"]["status"] == "ok"
     assert "pull: unexpected ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_where_light_tells_nothing_the_grip_is_judged(inputs, tmp_path, monkeypatch) -> None:
+    def fail(clip: PulledClip, run: InteractionEstimate) -> LitPull:
+        raise NoEstimate("It is too dark.")
+
+    monkeypatch.setattr("palpate.evaluation.real.__main__.read_light", fail)
+    assert main([*pulled(inputs, "pull"), "--output", str(tmp_path)]) == 0
+    found = rows(tmp_path)["pull"]
+    assert (found["status"], found["brightness"]) == ("ok", "It is too dark.")
+    assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
 
 
 def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -192,7 +226,7 @@ def test_an_output_that_can_t_be_written_is_a_sentence(inputs, tmp_path, capsys)
     assert "written:" not in told
 
 
-@pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/1.png"])
+@pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/1.png", "figures/1-brightness.png"])
 def test_a_user_s_file_in_the_output_is_named_before_the_work_and_stays(inputs, tmp_path, capsys, name) -> None:
     path = tmp_path / "out" / name
     path.parent.mkdir(parents=True)

@@ -38,7 +38,8 @@ ROUNDS = 8
 """In which it is found what tissue a place shows."""
 OBSERVED = "observed"
 STILL, SHEET, CORRECTED, FOLLOWED = "nothing moves", "sheet", "sheet, places", "followed motion"
-"""Motions by which the picture at rest is carried along; the last one is no prediction."""
+"""Motions by which the picture at rest is carried along. With places, what the sheet leaves at each of them in the
+first half goes on in the later one; the last motion is no prediction."""
 SHOWN, EDGE = 0.5, 10
 """Largest change of light that the colours of a figure tell apart, and what it shows around what is compared [px]."""
 

@@ -22,8 +22,9 @@ from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
-from palpate.data.labels import MaskError
+from palpate.data.labels import TISSUE, MaskError
 from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -111,7 +112,7 @@ class ClipStream:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
-        motion = ContactMotion(self.camera, self.source.size, self.settings)
+        motion = ContactMotion(self.camera, self.source.size, self.settings, measured=not self.guesses_depth)
         held: list[PreparedFrame] = []
         for prepared in self._judged():
             held.append(prepared)
@@ -182,14 +183,21 @@ class ClipStream:
             if self.settings.depth.rounded == "picture":
                 depth_error = depth_error or self._beyond_scale(depth)
                 depth = np.zeros_like(depth) if depth_error else self._rounded(depth)
-                z, grid_labels = resize_depth(depth, known, shape)
+                z, grid_labels = self._on_grid(depth, known, shape)
             else:
-                grid_depth, grid_labels = resize_depth(depth, known, shape)
+                grid_depth, grid_labels = self._on_grid(depth, known, shape)
                 depth_error = depth_error or self._beyond_scale(grid_depth)
                 z = nothing if depth_error else self._rounded(grid_depth)
             if labels is None:
                 return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
             return self._judge(PreparedFrame(frame, "ok", "", z, grid_labels, labels), depth_error)
+
+    def _on_grid(self, depth: np.ndarray, labels: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Depth and labels on the grid; of depth from shading what of it is shape."""
+        depth, labels = resize_depth(depth, labels, shape)
+        if self._depth.from_shading:
+            depth = organ_shape(depth, labels == TISSUE, self.camera)
+        return depth, labels
 
     def _picture_depth(self, frame: Frame) -> tuple[np.ndarray, str]:
         """Depth at the picture's size [unit of the depth source], or zeros and why there is none."""

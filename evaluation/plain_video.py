@@ -36,9 +36,12 @@ from palpate.api import open_clip
 from palpate.common.files import file_sha256
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import dent_geometry
 from palpate.data.contact.interaction import BRIGHTNESS
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
+from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
@@ -53,6 +56,7 @@ from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED
 from palpate.models.onnx_session import SHIPPED
 from palpate.physics.identifiability import combination_bounds
 from palpate.physics.mechanics import damping_ratio
+from palpate.physics.mesh import contact_normal
 
 SAME_ONSET = 2
 """A run of contact is the true one where it begins within so many frames of it."""
@@ -82,11 +86,13 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
         clip = write_clip(Path(folder), 1, settings, seed)
         stream = open_clip(clip.with_suffix(".mp4"), estimator)
         found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
+        facing = normal_error(stream, scene)
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
     pressed = truth.in_contact
     # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
     judged = np.arange(len(pressed)) != truth.onset_frame
     row: Row = {
+        "normal_error_deg": facing,
         "pressed_frames": int((pressed & judged).sum()),
         "pressed_found": int((pressed & judged & contact).sum()),
         "other_frames": int((~pressed & judged).sum()),
@@ -105,6 +111,16 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     distance = float(scene.mesh.vertices[scene.vertex, 2])
     return row | (compared(right[0], truth.theta, distance, 1 / settings.fps) if right else {"verdict": "no_estimate"})
+
+
+def normal_error(stream: ClipStream, scene: Scene) -> float:
+    """Angle between the normal at the contact by guessed depth of the first picture and the true one [deg]."""
+    first = stream.prepared(next(iter(stream.source)))
+    row, column = (scene.mesh.pixels[scene.vertex] * first.depth.shape / scene.mesh.grid_shape).round().astype(int)
+    geometry = stream.settings.geometry
+    found = dent_geometry(first.depth, first.labels, (column, row), stream.camera, geometry)
+    cosine = found.normal @ contact_normal(scene.mesh, scene.vertex)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, frame_seconds: float) -> Row:
@@ -204,6 +220,8 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     for name in ("pressed", "other"):
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
+    angles = [row["normal_error_deg"] for row in rows]
+    lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": float(np.median(angles))})
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]

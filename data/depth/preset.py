@@ -58,6 +58,8 @@ class DepthPreset:
     """Divides RGB after the mean [value_scale]."""
     factor: float = 1.0
     """Multiplies the output, e.g. 0.001 where it is in millimetres."""
+    shading: bool = False
+    """Whether depth is brightness read as distance, so that only its shape over a whole organ counts."""
     focal_output: str | tuple[str, ...] = ()
     """Accepted names of an output that estimates the focal length; none = the model gives none."""
     focal_kind: Literal["px", "fov_deg"] = "px"

@@ -32,6 +32,8 @@ class DepthSource(ABC):
     """Depth that the clip's own file declares as z = 1; None where it declares none."""
     from_picture: bool = False
     """Whether it is guessed from the picture alone, so that it may change where only the light or the view does."""
+    from_shading: bool = False
+    """Whether it is brightness read as distance, so that `shading.organ_shape` tells what of it is shape."""
     depends_on_clip: bool = False
     """Whether `freeze` has constants to fix."""
     focal: float | None = None
@@ -126,7 +128,7 @@ class ModelDepth(DepthSource):
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)
         self._frozen = False
-        self.metric = self._preset.metric
+        self.metric, self.from_shading = self._preset.metric, self._preset.shading
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
         self.identity = f"{model.identity}:{digest_of(constants)[:16]}"

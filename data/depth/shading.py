@@ -1,0 +1,102 @@
+"""The shape of tissue that its shading tells: that of the whole organ, without what is texture.
+
+Under a light at the camera a plane n·X = h of one albedo sends back I ∝ (n·r)³/h² along the unit ray r: the distance is
+h/(n·r), and the cosine to the light n·r. How brightness changes over a whole organ tells n to about ten degrees; what
+changes over less than that is mostly albedo (vessels, fat, bruises), and turns normals by 50 degrees when it is read as
+distance (docs/reports/depth.md).
+"""
+
+import cv2
+import numpy as np
+
+from palpate.data.source.camera import Camera, back_project
+
+EDGE = 6
+"""Width of what is left out at the border of tissue, where shadows and other colours lie [grid px]."""
+FEWEST = 200
+"""With fewer pixels than that, those at the border count as well."""
+THINNED = 5
+"""One pixel in so many is enough for the plane."""
+ORGAN = 0.4
+"""Standard deviation of the Gaussian that keeps an organ's curvature, as a share of the grid's width."""
+COARSE = 4
+"""Grid pixels along a side of one in which that curvature is averaged: it has no detail."""
+PLANE_TILT = 0.35
+"""Standard deviation of a plane's tangents before anything is known of it."""
+INDEPENDENT = 50
+"""So many independent observations of what is no plane a picture holds: texture goes together over wide areas."""
+LARGEST_TANGENT = 3.0
+"""Of the plane's tilt along either axis."""
+GRAZING = 0.05
+"""Least cosine between the plane's normal and a ray."""
+ROUNDS = 8
+"""Gauss-Newton steps with Cauchy's weights; the fit has settled after five."""
+TOUGH = 5.0
+"""Scale of Cauchy's weights, in standard deviations of what the plane leaves."""
+
+
+def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.ndarray:
+    """Depth from shading without what can't be shape: a tilted plane, curved by what is left over the whole organ.
+
+    Args:
+        depth: of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
+        tissue: where tissue is, shape [h, w] bool.
+        camera: intrinsics of the grid.
+
+    Returns:
+        Depth of the same shape and kind, smooth wherever it is valid; tissue has the median that it had. Instruments
+        lie on that surface, too: how bright metal is says nothing of where it is. With too little tissue all is as it
+        was.
+    """
+    lit = depth > 0
+    valid = tissue & lit
+    kept = cv2.erode(valid.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8), borderValue=1) > 0
+    if kept.sum() < FEWEST:
+        kept = valid
+    if kept.sum() < FEWEST:
+        return depth
+    rays = back_project(np.ones_like(depth), camera)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    brightness = 3 * np.log(rays[..., 2]) - 2 * np.log(np.where(valid, depth, 1.0))
+    rows, columns = (at[::THINNED] for at in np.nonzero(kept))
+    normal = _plane_normal(rays[rows, columns], brightness[rows, columns])
+    facing = np.maximum(rays @ normal, GRAZING)
+    left = brightness - 3 * np.log(facing)
+    left = np.where(kept, np.clip(left - np.median(left[kept]), -1, 1), 0.0)
+    total, weight = (_averaged(values.astype(np.float32)) for values in (left, kept))
+    shape = rays[..., 2] / facing * np.exp(-0.5 * total / np.maximum(weight, 1e-3))
+    return np.where(lit, shape * np.median(depth[valid] / shape[valid]), 0).astype(np.float32)
+
+
+def _averaged(values: np.ndarray) -> np.ndarray:
+    """Means over an organ's width; zeros lie outside the grid."""
+    height, width = values.shape
+    coarse = cv2.resize(values, (max(width // COARSE, 1), max(height // COARSE, 1)), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(coarse, (0, 0), ORGAN * coarse.shape[1], borderType=cv2.BORDER_CONSTANT)
+    return cv2.resize(blurred, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
+    """Unit normal, away from the camera, of the plane whose brightness fits best.
+
+    Args:
+        rays: unit vectors, shape [N, 3].
+        brightness: log I up to a constant, shape [N].
+    """
+    tangents = np.zeros(2)
+    for _ in range(ROUNDS):
+        normal = np.append(tangents, 1.0)
+        facing = np.maximum(rays @ normal, GRAZING)
+        squared = normal @ normal
+        left = brightness - 3 * np.log(facing) + 1.5 * np.log(squared)
+        left -= np.median(left)
+        spread = 1.4826 * np.median(np.abs(left)) + 1e-6
+        prior = spread**2 / (INDEPENDENT * PLANE_TILT**2)
+        weights = 1 / (1 + (left / (TOUGH * spread)) ** 2)
+        slopes = 3 * (rays[:, :2] / facing[:, None] - tangents / squared)
+        slopes -= weights @ slopes / weights.sum()
+        information = (slopes * weights[:, None]).T @ slopes / len(rays) + prior * np.eye(2)
+        step = (slopes * weights[:, None]).T @ left / len(rays) - prior * tangents
+        tangents = np.clip(tangents + np.linalg.solve(information, step), -LARGEST_TANGENT, LARGEST_TANGENT)
+    normal = np.append(tangents, 1.0)
+    return normal / np.linalg.norm(normal)

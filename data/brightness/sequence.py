@@ -70,15 +70,15 @@ class BrightnessSequence:
         coded = None if self.coded is None else self.coded.chosen(frames)
         return dataclasses.replace(self, times=self.times[frames], light=self.light[frames], coded=coded)
 
-    def without_coding(self, expected: np.ndarray) -> BrightnessSequence:
+    def without_coding(self, change: np.ndarray) -> BrightnessSequence:
         """The same without what coding adds to the light.
 
         Args:
-            expected: logarithm of the light as a fit expects it, shape [N, L, L].
+            change: of the logarithm of light since rest, as a fit expects it, shape [N, L, L].
         """
         if self.coded is None:
             return self
-        error = coding_error(self.coded, expected - self.rest)
+        error = coding_error(self.coded, change)
         return dataclasses.replace(self, light=(self.light - error).astype(np.float32))
 
 

@@ -157,10 +157,15 @@ class BrightnessProblem:
         light = shown.rest + law
         return self._coded(light[..., None], logs[-1])[..., 0], law
 
-    def expected(self, logs: np.ndarray) -> np.ndarray:
-        """Logarithm of the light as it would be if it had not been coded, shape [N, L, L]."""
+    def expected_change(self, logs: np.ndarray) -> np.ndarray:
+        """Change of the logarithm of light as it would be if it had not been coded, shape [N, L, L].
+
+        Where the light at rest isn't known, it is what the law alone says.
+        """
         uncoded = np.append(logs[:-1], 0.0)
-        return self.predicted(uncoded, self.motion.quick(logs[:-OTHERS]))[0].reshape(self.sequence.light.shape)
+        light, law = self.predicted(uncoded, self.motion.quick(logs[:-OTHERS]))
+        change = light - self.sequence.rest.ravel()
+        return np.where(np.isfinite(change), change, law).reshape(self.sequence.light.shape)
 
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D]."""

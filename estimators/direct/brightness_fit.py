@@ -95,7 +95,7 @@ def fit_brightness(
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, tissue, MORE, ROUNDS[1])[1]
     # Only now is it known well enough what the light would be if it had not been coded.
-    contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected(logs)))
+    contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected_change(logs)))
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, tissue, MORE, ROUNDS[2])[1]
     if problem.skill < ENOUGH_SKILL:

@@ -59,8 +59,13 @@ def test_places_that_come_to_show_count_from_the_next_look_on(problem):
 def test_expected_light_is_that_which_is_predicted_without_a_lag(problem):
     logs = start(problem)
     logs[-1] = 1.5
-    expected = problem.expected(logs)
-    assert expected.shape == problem.sequence.light.shape
+    change = problem.expected_change(logs)
+    assert change.shape == problem.sequence.light.shape
     logs[-1] = 0.0
-    predicted, _ = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
-    np.testing.assert_array_equal(expected.reshape(predicted.shape), predicted)
+    predicted, law = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
+    known = np.isfinite(predicted)
+    expected = predicted - problem.sequence.rest.ravel()
+    np.testing.assert_array_equal(change.reshape(predicted.shape)[known], expected[known])
+    np.testing.assert_array_equal(change.reshape(predicted.shape)[~known], law[~known])
+    assert (~known).any()
+    assert np.isfinite(law).all()

@@ -66,18 +66,21 @@ def draw_summary(
 ) -> Figure:
     """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
 
+    Displacements are drawn where any is known; in plain video none is.
+
     Below them is what is known of grips: how the force at each changed, and where the tissue is stiffer; and fields of
     stiffness over time and on the picture.
 
     Args:
         estimates: one a frame, in order.
-        counts: of runs of contact by `state`; they are the heading where no frame has an estimate.
+        counts: of runs of contact by `state`; the heading begins with them.
         runs: those whose grips and fields are drawn.
         title: name of the clip.
         subtitle: what made the numbers.
     """
     estimated = any(estimate.estimate is not None for estimate in estimates)
-    heights = [1.1, 2.8, 2.8, 2.8, 3.0] if estimated else [2.2]
+    moved = any(np.isfinite(_column(estimates, f"{name}_displacement")).any() for name in ("observed", "simulated"))
+    heights = [1.1, 2.8, 2.8, 2.8, *[3.0] * moved] if estimated else [2.2]
     gripped = [
         (run, found)
         for run in runs
@@ -100,13 +103,14 @@ def draw_summary(
     interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
     edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
     _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_described(estimates, NO_RUNS if estimated else counts))
+    _head(strip, *_described(estimates, counts))
     if estimated:
         for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
             _draw_parameter(axes, times, estimates, name, color)
             _finish(axes, label, name)
-        _draw_displacements(panels[-1], times, estimates)
-        _finish(panels[-1], "Displacement of the contact", "displacement")
+        if moved:
+            _draw_displacements(panels[-1], times, estimates)
+            _finish(panels[-1], "Displacement of the contact", "displacement")
     rows[len(heights) - 1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
     return figure
 
@@ -240,8 +244,9 @@ def _described(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[
     among = f"{len(touching)} frames in contact" if touching else "no frame is in contact"
     heading = f"{found} of {among}" if found else among
     if runs:
-        found = ", ".join(f"{in_words(name)} on {runs[name]}" for name in COLORS if runs[name])
-        heading, counts = f"{found} of {runs.total()} runs of contact; {among}", runs
+        of_runs = ", ".join(f"{in_words(name)} on {runs[name]}" for name in COLORS if runs[name])
+        frames = heading if any(estimate.estimate is not None for estimate in estimates) else among
+        heading, counts = f"{of_runs} of {runs.total()} runs of contact; {frames}", runs
     far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
     sentences = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
     if remarks:

@@ -1,6 +1,7 @@
 """What the pictures of a clip and of its contacts hold."""
 
 import dataclasses
+import math
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -185,13 +186,23 @@ def test_where_only_whole_runs_are_estimated_no_frame_seems_to_have_a_verdict() 
         ),
     ],
 )
-def test_where_only_whole_runs_are_estimated_their_verdicts_are_the_heading(runs, told, color) -> None:
+def test_the_heading_begins_with_the_verdicts_of_whole_runs(runs, told, color) -> None:
     rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
     (strip,) = draw_summary(rows, Counter(runs), title="clip").axes
     assert heading(strip) == told
     assert to_rgb(strip.texts[0].get_color()) == pytest.approx(to_rgb(INK) if color is None else color_of(color))
-    # Frames' own verdicts come first where they have some.
-    assert heading(draw_summary(clip(), Counter(runs), title="clip").axes[0]).startswith("undetermined on 10 of 10")
+    # Frames' own verdicts follow where they have some.
+    strip = draw_summary(clip(), Counter(runs), title="clip").axes[0]
+    both = told.replace("6 frames in contact", "undetermined on 10 of 10 frames in contact")
+    assert heading(strip) == both
+
+
+def test_displacements_are_drawn_only_where_one_is_known() -> None:
+    unknown = {"observed_displacement": math.nan, "simulated_displacement": math.nan}
+    axes = draw_summary([dataclasses.replace(row, **unknown) for row in clip()], title="clip").axes
+    assert len(axes) == 4
+    assert axes[-1].get_title("left").startswith("Force")
+    assert axes[-1].get_xlabel() == "time [s]"
 
 
 def texts(figure: Figure) -> list[str]:

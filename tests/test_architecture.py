@@ -101,7 +101,8 @@ def imports(node: ast.AST, *, within_functions: bool = True) -> Iterator[ast.Imp
             yield from imports(child, within_functions=within_functions)
 
 
-def imported(path: Path, *, within_functions: bool = True) -> set[str]:
+@cache
+def imported(path: Path, *, within_functions: bool = True) -> frozenset[str]:
     """Dotted names that a file imports, as modules and as names in modules."""
     found: set[str] = set()
     for node in imports(tree_of(path), within_functions=within_functions):
@@ -109,7 +110,7 @@ def imported(path: Path, *, within_functions: bool = True) -> set[str]:
             found |= {alias.name for alias in node.names}
         else:
             found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def is_face(call: ast.Call) -> bool:
@@ -128,6 +129,7 @@ def faces() -> dict[str, dict[str, str]]:
     return found
 
 
+@cache
 def reached_at_once(module: str) -> set[str]:
     """Files of the project that a file imports, through the faces to the homes of the names that it takes from them."""
     homes = {f"{package}.{name}": home for package, names in faces().items() for name, home in names.items()}

@@ -258,7 +258,7 @@ def taught(make_told_batch):
     with torch.no_grad():
         before = module.generator_losses(batch)[0].physics.item()
     error = bound_error(module, batch)
-    return batch, module, before, error, fit(module, [batch], epochs=40).callback_metrics
+    return batch, module, before, error, fit(module, [batch], epochs=24).callback_metrics
 
 
 def bound_error(module: PhysicsInformedGAN, batch: dict) -> float:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import maximum_filter
 from scipy.spatial import Delaunay
 
 OCCLUDER_REACH = 2
@@ -153,7 +153,7 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
     rim[springs[counts == 1]] = True
     if occluder is not None and np.any(occluder):
         reach = 2 * math.ceil(OCCLUDER_REACH * spacing) + 1
-        hidden = binary_dilation(np.asarray(occluder, dtype=bool), np.ones((reach, reach), dtype=bool))
+        hidden = maximum_filter(np.asarray(occluder, dtype=bool).view(np.uint8), reach, mode="constant") > 0
         rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
     vertices = points.reshape(-1, 3)[used]
     return Mesh(vertices, triangles, springs.astype(np.int32), rim, pixels, grid_shape=(height, width))

@@ -55,9 +55,7 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
         Shape as of `lattice_size`; not a number where no tissue is seen, or only a highlight.
     """
     size = lattice_size(grid_shape)[::-1]
-    red, green, blue = (
-        cv2.resize(cv2.LUT(level, SRGB), size, interpolation=cv2.INTER_AREA) for level in cv2.split(picture)
-    )
+    red, green, blue = cv2.split(cv2.resize(cv2.LUT(picture, SRGB), size, interpolation=cv2.INTER_AREA))
     light = 0.5 * (red + green)
     unknown = cv2.resize(255 * not_tissue(labels, picture.shape[1]), size, interpolation=cv2.INTER_AREA) > 0
     unknown |= (light < DARKEST) | (red > BRIGHTEST)

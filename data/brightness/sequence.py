@@ -6,6 +6,7 @@ Gain and slow changes of the light over the picture are measured on tissue far f
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -162,18 +163,31 @@ def _median(frames: list[np.ndarray]) -> np.ndarray:
     for plane, hidden in zip(planes, unknown, strict=True):
         plane[hidden] = np.inf
     spare = np.empty_like(planes[0])
-    for end in range(len(planes) - 1, 0, -1):  # sorted place by place; what isn't known comes last
-        for index in range(end):
-            one, other = planes[index], planes[index + 1]
-            np.minimum(one, other, out=spare)
-            np.maximum(one, other, out=other)
-            planes[index], spare = spare, one
+    for low, high in _exchanges(len(planes)):  # sorted place by place; what isn't known comes last
+        one, other = planes[low], planes[high]
+        np.minimum(one, other, out=spare)
+        np.maximum(one, other, out=other)
+        planes[low], spare = spare, one
     known = len(frames) - np.sum(unknown, axis=0, dtype=np.int8)
     found = np.full_like(spare, np.nan)
     for count in range(1, len(frames) + 1):
         here = known == count
         if here.any():
             np.copyto(found, (planes[(count - 1) // 2] + planes[count // 2]) / 2, where=here)
+    return found
+
+
+@functools.cache
+def _exchanges(count: int) -> list[tuple[int, int]]:
+    """Pairs that sort so many values when each is brought into order, one after the other: Batcher's merge exchange."""
+    found, half = [], 1 << max((count - 1).bit_length() - 1, 0)
+    part = half
+    while part > 0:
+        step, offset, distance = half, 0, part
+        while distance > 0:
+            found += [(at, at + distance) for at in range(count - distance) if at & part == offset]
+            step, offset, distance = step // 2, part, step - part
+        part //= 2
     return found
 
 

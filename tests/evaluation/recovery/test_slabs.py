@@ -184,7 +184,7 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
 
 @pytest.mark.slow
 def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A short press by its point, a shorter pull in a quarter of the pixels, the truth by fewer elements."""
+    """A short press, a shorter pull in a quarter of the pixels, and the truth of both by fewer elements."""
     suite = SLAB_SUITES["fem"]
     monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
     for name, value in (("frames", 20), ("press_seconds", (0.16, 0.16))):
@@ -192,8 +192,7 @@ def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyP
     for name, size in (("width", 427), ("height", 240), ("frames", 16)):
         monkeypatch.setitem(suite.turns[0][2], name, size)
     options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
-    by_point = {"direct": dataclasses.replace(options["direct"], observation="contact")}  # sooner than by its dent
-    [pressed] = run_trial(Trial(0, 7, {"fem": by_point}))
+    [pressed] = run_trial(Trial(0, 7, {"fem": options}))
     assert pressed["status"] == "ok"
     assert pressed["true_force"] > 0
     low, high = suite.settings(0).slab_young

@@ -4,10 +4,11 @@
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
 to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
-instrument that passes over tissue and never touches) and `video-pull`. With
+instrument that passes over tissue and never touches), `video-pull`, and `video-depth` (the presses of `video` with
+depth as noisy as a network's and masks given, for --observation field, brightness or both). With
 `--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
 coarsely. `--estimator network` measures the network's posterior by light instead of the fit.
-Nothing but the video is given: masks are automatic, depth is guessed, and the light of the tissue is what is measured.
+Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
 clips determine it, the median error of its logarithm there, how often its 90 % interval holds the truth, and the median
@@ -67,8 +68,11 @@ SUITES: Mapping[str, Mapping[str, Any]] = {
     "video-patch": EVERY["patch"].truth,
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
     "video-pull": {"action": "grip"},
+    "video-depth": {**EVERY["noisy"].errors},
 }
 """Fields of SceneSettings that make each suite."""
+GIVEN = "video-depth"
+"""The one whose clips are folders with depth and masks."""
 HEIGHTS = {854: 480, 1280: 720}
 """Of pictures by their width [px]."""
 QUALITY = {"matte": 18, "endoscope": 23}
@@ -78,13 +82,15 @@ QUALITY = {"matte": 18, "endoscope": 23}
 DIRECT = EstimatorOptions("direct")
 
 
-def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT) -> Row:
-    """Measures of one drawn clip by an estimator."""
+def measured_video(
+    settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, *, given: bool = False
+) -> Row:
+    """Measures of one drawn clip by an estimator: of its video alone, or with depth and masks given."""
     estimator = open_by_options(options)
     scene, truth = draw_truth(settings, seed)
     with tempfile.TemporaryDirectory() as folder:
         clip = write_clip(Path(folder), 1, settings, seed)
-        stream = open_clip(clip.with_suffix(".mp4"), estimator)
+        stream = open_clip(clip if given else clip.with_suffix(".mp4"), estimator)
         found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
         facing = normal_error(stream, scene)
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
@@ -114,7 +120,7 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
 
 
 def normal_error(stream: ClipStream, scene: Scene) -> float:
-    """Angle between the normal at the contact by guessed depth of the first picture and the true one [deg]."""
+    """Angle between the normal at the contact by the first picture's depth and the true one [deg]."""
     first = stream.prepared(next(iter(stream.source)))
     row, column = (scene.mesh.pixels[scene.vertex] * first.depth.shape / scene.mesh.grid_shape).round().astype(int)
     geometry = stream.settings.geometry
@@ -136,7 +142,8 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
     assert estimate is not None
     assert contact is not None
     true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
-    information = light_information(contact, true, frame_seconds)
+    # Without light nothing can bound what it tells.
+    information = np.zeros((3, 3)) if contact.brightness is None else light_information(contact, true, frame_seconds)
     row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
@@ -154,7 +161,7 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
 class PlainVideo(Measurements):
     """What is drawn."""
 
-    suite: Literal["video", "video-moving", "video-oblique", "video-patch", "video-hover", "video-pull"] = "video"
+    suite: Literal[tuple(SUITES)] = "video"  # ty: ignore[invalid-type-form]
     """what the clips show"""
     look: Literal["matte", "endoscope"] = "matte"
     """by which law pictures are drawn"""
@@ -170,6 +177,8 @@ class PlainVideo(Measurements):
     """which"""
     model: Path | None = None
     """network's file (default: the one that comes along)"""
+    observation: Literal["field", "brightness", "both"] | None = None
+    """what is fitted (default: what there is)"""
 
     writes = ("table.csv", "summary.csv")
 
@@ -183,7 +192,9 @@ class PlainVideo(Measurements):
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Every clip by its number."""
         return {
-            str(index): functools.partial(measured_video, self.settings, clip_seed(self.seed, index), self.options)
+            str(index): functools.partial(
+                measured_video, self.settings, clip_seed(self.seed, index), self.options, given=self.suite == GIVEN
+            )
             for index in range(self.clips)
         }
 
@@ -197,12 +208,14 @@ class PlainVideo(Measurements):
     @property
     def options(self) -> EstimatorOptions:
         """What opens the estimator: the direct one takes light of itself, the network is asked to for whole runs."""
-        by_light = BRIGHTNESS if self.estimator == "network" else None
-        return EstimatorOptions(self.estimator, self.model, observation=by_light)
+        by_light = BRIGHTNESS if self.estimator == "network" and self.suite != GIVEN else None
+        return EstimatorOptions(self.estimator, self.model, observation=self.observation or by_light)
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
         drawn = {**dataclasses.asdict(self.settings), "seed": self.seed}
+        if self.observation is not None:
+            drawn["observation"] = self.observation
         if self.estimator == "network":
             drawn |= {"estimator": self.estimator, "model_sha256": file_sha256(self.model or SHIPPED)}
         return drawn

@@ -11,11 +11,13 @@ from palpate.evaluation.recovery.suites import suite_clip_seed
 
 def test_summary_counts_what_is_determined_and_held():
     frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
+    frames["normal_error_deg"] = 7.5
     known = {"force_determined": 1, "force_sd": 0.1, "force_bound": 0.02}
     rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)] + [frames]
     found = summarised(rows).set_index("measure")
     assert found.loc["pressed frames called contact", ["count", "of"]].tolist() == [32, 36]
     assert found.loc["other frames called contact", ["count", "of"]].tolist() == [4, 88]
+    assert found.loc["error of the normal [deg]", "median error"] == pytest.approx(7.5)
     assert found.loc["force", ["count", "of"]].tolist() == [3, 4]
     assert found.loc["force", "median error"] == pytest.approx(0.15)
     assert found.loc["force", "held"] == pytest.approx(2 / 3)
@@ -26,12 +28,24 @@ def test_summary_counts_what_is_determined_and_held():
 
 def test_every_suite_has_settings_of_its_own(tmp_path):
     found = {suite: PlainVideo(output=tmp_path, suite=suite, look="endoscope", width=1280).settings for suite in SUITES}
-    assert len(set(map(str, found.values()))) == len(SUITES) == 6
+    assert len(set(map(str, found.values()))) == len(SUITES) == 7
     assert {(each.width, each.height, each.look, each.video_quality) for each in found.values()} == {
         (1280, 720, "endoscope", 23)
     }
     assert found["video-moving"].turning_deg > 0
     assert found["video-oblique"].max_tilt_deg == 25
+
+
+@pytest.mark.slow
+def test_with_depth_given_light_and_depth_tell_no_less_than_depth_alone(tmp_path):
+    asked = [PlainVideo(tmp_path, "video-depth", frames=20, observation=each) for each in ("field", "both")]
+    by_depth, by_both = (measured_video(each.settings, clip_seed(1, 2), each.options, given=True) for each in asked)
+    assert by_depth["normal_error_deg"] < 5
+    assert by_both["force_over_stiffness_bound"] < by_depth["force_over_stiffness_bound"]
+    for name in ("damping_over_stiffness", "force_over_stiffness"):
+        assert by_both[f"{name}_sd"] < by_depth[f"{name}_sd"]
+        for found in (by_depth, by_both):
+            assert abs(found[f"{name}_error"]) < 1.645 * found[f"{name}_sd"] < 0.3
 
 
 @pytest.mark.slow

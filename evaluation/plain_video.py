@@ -142,14 +142,13 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
     assert estimate is not None
     assert contact is not None
     true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
-    # Without light nothing can bound what it tells.
-    information = np.zeros((3, 3)) if contact.brightness is None else light_information(contact, true, frame_seconds)
+    information = None if contact.brightness is None else light_information(contact, true, frame_seconds)
     row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
         off = powers @ np.log(np.abs(estimate.theta / true))
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
-        row[f"{name}_bound"] = float(combination_bounds(information, [powers])[0])
+        row[f"{name}_bound"] = math.nan if information is None else float(combination_bounds(information, [powers])[0])
         for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
             if covariance is None:
                 continue

@@ -37,14 +37,14 @@ def test_every_suite_has_settings_of_its_own(tmp_path):
 
 
 @pytest.mark.slow
-def test_given_depth_tells_the_normal_and_with_light_both_ratios(tmp_path):
-    asked = PlainVideo(tmp_path, "video-depth", frames=20, observation="both")
+def test_given_depth_tells_the_normal_and_all_quantities(tmp_path):
+    asked = PlainVideo(tmp_path, "video-depth", frames=20, estimator="network")  # without a fit's ten seconds
     found = measured_video(asked.settings, clip_seed(1, 2), asked.options, given=True)
     assert found["normal_error_deg"] < 5
-    for name in ("damping_over_stiffness", "force_over_stiffness"):
+    for name in ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness"):
         assert found[f"{name}_determined"]
-        assert 0 < found[f"{name}_bound"] < 0.1
-        assert abs(found[f"{name}_error"]) < 1.645 * found[f"{name}_sd"] < 0.15
+        assert math.isnan(found[f"{name}_bound"])  # no light was gathered
+        assert abs(found[f"{name}_error"]) < 3 * found[f"{name}_sd"] < 0.5
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ contact    where they touch, how the tissue moves, and the Interaction that the 
 tracks     hundreds of tissue points followed over a clip
 clip       ClipStream, the one path from pictures to prepared frames; settings: what decides it
 prepared   what a prepared frame holds; labels: what a pixel shows; windows: the network's input
+gaussian   means over wide areas of an image
 cache      prepared clips on disk
 synthetic  clips with known truth
 training   samples, splits and batches; cholecseg8k: the door that prepares a data set

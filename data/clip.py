@@ -112,7 +112,7 @@ class ClipStream:
             InputError: the segmentation model fails on the clip's pictures.
         """
         self._masks.reset()
-        motion = ContactMotion(self.camera, self.source.size, self.settings, measured=not self.guesses_depth)
+        motion = ContactMotion(self.camera, self.source.size, self.settings, from_shading=self._depth.from_shading)
         held: list[PreparedFrame] = []
         for prepared in self._judged():
             held.append(prepared)
@@ -180,24 +180,20 @@ class ClipStream:
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
             known = labels if labels is not None else np.zeros(depth.shape, np.uint8)
-            if self.settings.depth.rounded == "picture":
+            # What of shading is shape is found on the grid.
+            if self.settings.depth.rounded == "picture" and not self._depth.from_shading:
                 depth_error = depth_error or self._beyond_scale(depth)
                 depth = np.zeros_like(depth) if depth_error else self._rounded(depth)
-                z, grid_labels = self._on_grid(depth, known, shape)
+                z, grid_labels = resize_depth(depth, known, shape)
             else:
-                grid_depth, grid_labels = self._on_grid(depth, known, shape)
+                grid_depth, grid_labels = resize_depth(depth, known, shape)
+                if self._depth.from_shading:
+                    grid_depth = organ_shape(grid_depth, grid_labels == TISSUE, self.camera)
                 depth_error = depth_error or self._beyond_scale(grid_depth)
                 z = nothing if depth_error else self._rounded(grid_depth)
             if labels is None:
                 return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
             return self._judge(PreparedFrame(frame, "ok", "", z, grid_labels, labels), depth_error)
-
-    def _on_grid(self, depth: np.ndarray, labels: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Depth and labels on the grid; of depth from shading what of it is shape."""
-        depth, labels = resize_depth(depth, labels, shape)
-        if self._depth.from_shading:
-            depth = organ_shape(depth, labels == TISSUE, self.camera)
-        return depth, labels
 
     def _picture_depth(self, frame: Frame) -> tuple[np.ndarray, str]:
         """Depth at the picture's size [unit of the depth source], or zeros and why there is none."""

@@ -38,7 +38,7 @@ from palpate.common.files import file_sha256
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.clip import ClipStream
-from palpate.data.contact.geometry import dent_geometry
+from palpate.data.contact.geometry import GeometryStatus, dent_geometry
 from palpate.data.contact.interaction import BRIGHTNESS
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
@@ -91,8 +91,8 @@ def measured_video(
     with tempfile.TemporaryDirectory() as folder:
         clip = write_clip(Path(folder), 1, settings, seed)
         stream = open_clip(clip if given else clip.with_suffix(".mp4"), estimator)
-        found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
         facing = normal_error(stream, scene)
+        found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
     pressed = truth.in_contact
     # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
@@ -120,11 +120,14 @@ def measured_video(
 
 
 def normal_error(stream: ClipStream, scene: Scene) -> float:
-    """Angle between the normal at the contact by the first picture's depth and the true one [deg]."""
+    """Angle between the normal at the contact by the first picture's depth and the true one [degrees]."""
     first = stream.prepared(next(iter(stream.source)))
     row, column = (scene.mesh.pixels[scene.vertex] * first.depth.shape / scene.mesh.grid_shape).round().astype(int)
     geometry = stream.settings.geometry
-    found = dent_geometry(first.depth, first.labels, (column, row), stream.camera, geometry)
+    try:
+        found = dent_geometry(first.depth, first.labels, (column, row), stream.camera, geometry)
+    except GeometryStatus:
+        return math.nan
     cosine = found.normal @ contact_normal(scene.mesh, scene.vertex)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
@@ -233,7 +236,7 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
     angles = [row["normal_error_deg"] for row in rows]
-    lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": float(np.median(angles))})
+    lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": float(np.nanmedian(angles))})
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]

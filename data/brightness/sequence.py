@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.common.robust import median_sd
 from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
 from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.source.coding import Coding
@@ -33,8 +34,6 @@ SPARSE = 3
 """Every so many places along an axis tell the gain."""
 ASTRAY = 3.0
 """Far places that differ by more standard deviations are no still tissue."""
-SPREAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 LabelledPicture = tuple[np.ndarray, np.ndarray]
@@ -101,7 +100,7 @@ def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, flo
             return None
         gain = np.linalg.lstsq(terms[known], change[known], rcond=None)[0]
         left = change - terms @ gain
-        sd = SPREAD * float(np.median(np.abs(left[known])))
+        sd = median_sd(left[known])
         known = known & (np.abs(left) <= ASTRAY * sd + 1e-12)
     return gain, sd
 
@@ -178,9 +177,9 @@ def _median(frames: list[np.ndarray]) -> np.ndarray:
 
 
 @functools.cache
-def _exchanges(count: int) -> list[tuple[int, int]]:
+def _exchanges(count: int) -> tuple[tuple[int, int], ...]:
     """Pairs that sort so many values when each is brought into order, one after the other: Batcher's merge exchange."""
-    found, half = [], 1 << max((count - 1).bit_length() - 1, 0)
+    found, half = list[tuple[int, int]](), 1 << max((count - 1).bit_length() - 1, 0)
     part = half
     while part > 0:
         step, offset, distance = half, 0, part
@@ -188,7 +187,7 @@ def _exchanges(count: int) -> list[tuple[int, int]]:
             found += [(at, at + distance) for at in range(count - distance) if at & part == offset]
             step, offset, distance = step // 2, part, step - part
         part //= 2
-    return found
+    return tuple(found)
 
 
 class BrightnessRecorder:

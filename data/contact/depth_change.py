@@ -15,6 +15,7 @@ import numpy as np
 from palpate.common.robust import median_sd, trimmed_fit
 from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
+from palpate.data.gaussian import gaussian_sum
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import Background, background_motion
@@ -124,19 +125,9 @@ def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:
     """Gaussian mean over the known pixels, shape [h, w]; not a number where they are too few."""
     if scale == 0:
         return np.where(known, values, np.nan)
-    weight, total = (_blur(part.astype(np.float32), scale) for part in (known, np.where(known, values, 0)))
+    weight, total = (gaussian_sum(part.astype(np.float32), scale) for part in (known, np.where(known, values, 0)))
     least = COVERED if scale < WIDE else 0.0
     return np.where(known & (weight > least), total / np.maximum(weight, 1e-6), np.nan)
-
-
-def _blur(values: np.ndarray, scale: float) -> np.ndarray:
-    """Gaussian sum of an image that is 0 around; a wide one of a quarter of the pixels along each axis."""
-    if scale < WIDE:
-        return cv2.GaussianBlur(values, (0, 0), scale, borderType=cv2.BORDER_CONSTANT)
-    height, width = values.shape
-    small = cv2.resize(values, (-(-width // 4), -(-height // 4)), interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), scale / 4, borderType=cv2.BORDER_CONSTANT)
-    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def grid_motion(background: Background | None, shown: Shown, prepared: PreparedFrame) -> np.ndarray:

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from palpate.common.robust import median_sd
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.brightness.registration import Registration, View
-from palpate.data.brightness.sequence import SPREAD, RestingLight, change_of_light
+from palpate.data.brightness.sequence import RestingLight, change_of_light
 from palpate.data.contact.dents import RECOVERY_SECONDS
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
@@ -232,7 +233,7 @@ class LightContacts:
         )
         mean = np.where(weights >= LEAST_KNOWN, sums / np.maximum(weights, 1e-6), np.nan)
         far = mean[(lit.away > FAR) & np.isfinite(mean)]
-        noise = SPREAD * float(np.median(np.abs(far))) if far.size else math.inf
+        noise = median_sd(far) if far.size else math.inf
         if noise > NOISIEST:
             return
         lit.change = mean

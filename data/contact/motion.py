@@ -34,9 +34,9 @@ REST_SECONDS = 1.0
 """Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
 REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
-GUESSED_NOISE = 0.02
-"""Of depth that is guessed: surfaces are smooth, and change from one picture to the next [scene units].
-Where the camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
+SHADING_NOISE = 0.02
+"""Of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where the
+camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
 REST_SIGMA = 4.0
 """It hasn't where their mean lies farther from rest than this many of its standard deviations."""
 
@@ -45,16 +45,16 @@ class ContactMotion:
     """Links each frame of a clip with the next: observed displacement, run of contact and its tracked point."""
 
     def __init__(
-        self, camera: Camera, size: tuple[int, int], settings: PrepareSettings, *, measured: bool = True
+        self, camera: Camera, size: tuple[int, int], settings: PrepareSettings, *, from_shading: bool = False
     ) -> None:
         """
         Args:
             camera: intrinsics of the grid.
             size: (width, height) of the full picture [px].
             settings: geometry, `bridge_frames` and `track_seconds` count.
-            measured: whether depth is measured, not guessed from the pictures.
+            from_shading: whether depth is the shape that shading tells.
         """
-        self._least_noise = LEAST_NOISE if measured else GUESSED_NOISE
+        self._least_noise = SHADING_NOISE if from_shading else LEAST_NOISE
         self.camera, self.size, self.settings = camera, size, settings.geometry
         self.bridge_frames, self.track_seconds = settings.bridge_frames, settings.track_seconds
         self._tracker = TissueTracker()

@@ -59,7 +59,8 @@ class DepthSettings:
     bits: Literal[8, 16] = 16
     """Quantisation of normalised depth (the paper stores 8 bits, 0.4 % of the range)."""
     rounded: Literal["grid", "picture"] = "grid"
-    """The map that is rounded to `bits`: the grid's, or the picture's before it is resized (paper)."""
+    """The map that is rounded to `bits`: the grid's, or the picture's before it is resized (paper); always the grid's
+    where depth is from shading."""
     threads: int = 0
     """Threads of the depth model; 0 leaves it to onnxruntime."""
     device: Literal["cpu", "cuda"] = "cpu"

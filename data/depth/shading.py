@@ -9,6 +9,8 @@ distance (docs/reports/depth.md).
 import cv2
 import numpy as np
 
+from palpate.common.robust import median_sd
+from palpate.data.gaussian import gaussian_sum
 from palpate.data.source.camera import Camera, back_project
 
 EDGE = 6
@@ -19,8 +21,6 @@ THINNED = 5
 """One pixel in so many is enough for the plane."""
 ORGAN = 0.4
 """Standard deviation of the Gaussian that keeps an organ's curvature, as a share of the grid's width."""
-COARSE = 4
-"""Grid pixels along a side of one in which that curvature is averaged: it has no detail."""
 PLANE_TILT = 0.35
 """Standard deviation of a plane's tangents before anything is known of it."""
 INDEPENDENT = 50
@@ -63,17 +63,9 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     facing = np.maximum(rays @ normal, GRAZING)
     left = brightness - 3 * np.log(facing)
     left = np.where(kept, np.clip(left - np.median(left[kept]), -1, 1), 0.0)
-    total, weight = (_averaged(values.astype(np.float32)) for values in (left, kept))
+    total, weight = (gaussian_sum(part.astype(np.float32), ORGAN * depth.shape[1]) for part in (left, kept))
     shape = rays[..., 2] / facing * np.exp(-0.5 * total / np.maximum(weight, 1e-3))
     return np.where(lit, shape * np.median(depth[valid] / shape[valid]), 0).astype(np.float32)
-
-
-def _averaged(values: np.ndarray) -> np.ndarray:
-    """Means over an organ's width; zeros lie outside the grid."""
-    height, width = values.shape
-    coarse = cv2.resize(values, (max(width // COARSE, 1), max(height // COARSE, 1)), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(coarse, (0, 0), ORGAN * coarse.shape[1], borderType=cv2.BORDER_CONSTANT)
-    return cv2.resize(blurred, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
@@ -90,7 +82,7 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         squared = normal @ normal
         left = brightness - 3 * np.log(facing) + 1.5 * np.log(squared)
         left -= np.median(left)
-        spread = 1.4826 * np.median(np.abs(left)) + 1e-6
+        spread = median_sd(left) + 1e-6
         prior = spread**2 / (INDEPENDENT * PLANE_TILT**2)
         weights = 1 / (1 + (left / (TOUGH * spread)) ** 2)
         slopes = 3 * (rays[:, :2] / facing[:, None] - tangents / squared)

@@ -17,8 +17,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from palpate.common.robust import median_sd
 from palpate.data.brightness.light import FINE, level_of_light
-from palpate.data.brightness.sequence import SPREAD, BrightnessSequence
+from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.lit_sheet import LitSheet, Shown
 from palpate.estimators.direct.motion import PressMotion
@@ -220,7 +221,7 @@ class BrightnessProblem:
             warnings.simplefilter("ignore", RuntimeWarning)  # frames that show nothing
             residual = np.where(known, residual - np.nanmedian(residual, axis=1, keepdims=True), 0.0)
         law = np.where(known, law, 0.0)
-        self.noise = max(SPREAD * float(np.median(np.abs(residual[known]))), LEAST_NOISE)
+        self.noise = max(median_sd(residual[known]), LEAST_NOISE)
         inflated = 1 + np.square(RELATIVE * law / self.noise)
         squares = np.square(residual / self.noise) / inflated
         student = (FREEDOM + 1) / (FREEDOM + squares)

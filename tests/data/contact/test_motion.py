@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
-from palpate.data.contact.motion import DENTED, GUESSED_NOISE, LOST, ContactMotion
+from palpate.data.contact.motion import DENTED, LOST, SHADING_NOISE, ContactMotion
 from palpate.data.contact.refinement import REFINE_FRAMES, pressed_pixel
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -47,8 +47,8 @@ def frame(index: int, *, contact: bool, dent: tuple[int, int] | None = None) -> 
     return prepared
 
 
-def motion(settings: GeometrySettings = SETTINGS, *, measured: bool = True) -> ContactMotion:
-    return ContactMotion(CAMERA, (WIDTH, HEIGHT), PrepareSettings(geometry=settings), measured=measured)
+def motion(settings: GeometrySettings = SETTINGS, *, from_shading: bool = False) -> ContactMotion:
+    return ContactMotion(CAMERA, (WIDTH, HEIGHT), PrepareSettings(geometry=settings), from_shading=from_shading)
 
 
 def follow(linked: ContactMotion, pressed: int, *, dented: bool = True) -> tuple[list[PreparedFrame], tuple[int, int]]:
@@ -195,9 +195,9 @@ def test_noise_is_measured_away_from_the_outlines() -> None:
     assert onset.detail.startswith("The masks' outlines disagree with the depth: 100%")
 
 
-def test_guessed_depth_is_never_smooth_beyond_doubt() -> None:
-    frames, _ = follow(motion(measured=False), REFINE_FRAMES + 2)
-    assert frames[ONSET].geometry.noise == GUESSED_NOISE > 3 * NOISE
+def test_depth_from_shading_is_never_smooth_beyond_doubt() -> None:
+    frames, _ = follow(motion(from_shading=True), REFINE_FRAMES + 2)
+    assert frames[ONSET].geometry.noise == SHADING_NOISE > 3 * NOISE
     assert not any(prepared.detail for prepared in frames[ONSET:-1])
 
 

@@ -157,8 +157,7 @@ def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
             changes.append(float(np.abs(np.diff(came[FIRST:].astype(np.int16), axis=0))[:, tissue].mean()))
         elif coding is not None:
             quality = float(np.clip(quality + shown.coding.quantiser - coding.quantiser, LEAST_RATE, LARGEST_RATE))
-    # x264 codes very noisy pictures slightly differently from process to process: that is rounded off.
-    return quality, round(float(np.interp(flicker, np.maximum.accumulate(changes), NOISES)), 1)
+    return quality, float(np.interp(flicker, np.maximum.accumulate(changes), NOISES))
 
 
 def _noisy(light: np.ndarray, noise: float, generator: np.random.Generator) -> np.ndarray:

@@ -15,9 +15,10 @@ import numpy as np
 from av.sidedata.sidedata import Type
 from av.video.frame import PictureType
 
+from palpate.data.source.video import H264, OPTIONS
+
 LOOKED_AT = 32
 """First frames of a video that say how it is coded."""
-ENCODER = "libx264"
 H264_PARAMETERS = 1
 """FFmpeg's AV_VIDEO_ENC_PARAMS_H264."""
 RATE = Fraction(25)
@@ -40,7 +41,7 @@ class Coding(NamedTuple):
 
 def coding_of(path: Path) -> Coding | None:
     """How a video is coded; None where that isn't said (codecs other than H.264), or nothing can be coded like it."""
-    if ENCODER not in av.codecs_available:
+    if H264.encoder not in av.codecs_available:
         return None
     try:
         with av.open(str(path)) as container:
@@ -66,9 +67,9 @@ def recoded(pictures: Iterable[np.ndarray], quality: float, bidirectional: bool)
         for picture in pictures:
             if stream is None:
                 # One thread: several cut pictures into slices, as many as the machine has cores.
-                options = {"preset": "veryfast", "crf": f"{quality:.2f}", "threads": "1"}
+                options = {"crf": f"{quality:.2f}", "threads": "1"} | OPTIONS
                 options |= {} if bidirectional else {"bf": "0"}
-                stream = container.add_stream(ENCODER, rate=RATE, options=options)
+                stream = container.add_stream(H264.encoder, rate=RATE, options=options)
                 stream.height, stream.width = picture.shape[:2]
                 stream.pix_fmt = "yuv420p"
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))

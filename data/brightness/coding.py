@@ -111,7 +111,8 @@ def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
         change: of the logarithm of light as a fit expects it, shape [N, L, L].
     """
     still = _at_rest(shown)
-    quality, noise = _matched(shown, still)
+    levels = _levels(still)
+    quality, noise = _matched(shown, levels)
     generator, (height, width) = np.random.default_rng(0), shown.tissue[0].shape
     # The change between the lattice's places, and none beyond them.
     rows, columns = (
@@ -126,7 +127,8 @@ def coding_error(shown: CodedPictures, change: np.ndarray) -> np.ndarray:
     for _ in range(DRAWS):
         drawn = []
         for one, picture, tissue in zip(expected, shown.pictures, shown.tissue, strict=True):
-            found = _noisy(still * np.exp(one)[..., None], noise, generator)
+            darker = _levels(still * np.exp(one)[..., None]) if one.any() else levels
+            found = _noisy(darker, noise, generator)
             drawn.append(np.where(tissue[..., None], found, picture))
         came = recoded(drawn, quality, shown.coding.bidirectional)[0]
         pairs = zip(came, drawn, strict=True)
@@ -143,15 +145,15 @@ def _at_rest(shown: CodedPictures) -> np.ndarray:
     return np.where(counted.any(axis=0), light / np.maximum(counted.sum(axis=0), 1), SRGB[shown.pictures[0]])
 
 
-def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
-    """Constant rate factor that quantises as the video does, and noise that changes still tissue as much [levels]."""
+def _matched(shown: CodedPictures, levels: np.ndarray) -> tuple[float, float]:
+    """Constant rate factor that quantises as the video does, and noise that changes still tissue, of these levels, as much."""
     rest = np.stack(shown.pictures[: shown.rest]).astype(np.int16)
     tissue = np.all(shown.tissue[: shown.rest], axis=0)
     flicker = float(np.abs(np.diff(rest, axis=0))[:, tissue].mean()) if tissue.any() else 0.0
     quality, changes = shown.coding.quantiser, []
     for attempt, noise in enumerate((NOISES[1], *NOISES)):
         generator = np.random.default_rng(1)
-        drawn = [_noisy(still, noise, generator) for _ in range(SHORT if attempt else LONG)]
+        drawn = [_noisy(levels, noise, generator) for _ in range(SHORT if attempt else LONG)]
         came, coding = recoded(drawn, quality, shown.coding.bidirectional)
         if attempt:
             changes.append(float(np.abs(np.diff(came[FIRST:].astype(np.int16), axis=0))[:, tissue].mean()))
@@ -160,9 +162,13 @@ def _matched(shown: CodedPictures, still: np.ndarray) -> tuple[float, float]:
     return quality, float(np.interp(flicker, np.maximum.accumulate(changes), NOISES))
 
 
-def _noisy(light: np.ndarray, noise: float, generator: np.random.Generator) -> np.ndarray:
-    """A picture of light [H, W, 3], in sRGB and with a sensor's noise [levels], uint8."""
-    levels = np.interp(light, SRGB, np.arange(256.0))
+def _levels(light: np.ndarray) -> np.ndarray:
+    """Levels of 8 bits, not rounded, that stand for light in sRGB, shape [H, W, 3] each."""
+    return np.interp(light, SRGB, np.arange(256.0))
+
+
+def _noisy(levels: np.ndarray, noise: float, generator: np.random.Generator) -> np.ndarray:
+    """A picture of such levels with a sensor's noise [levels], uint8 [H, W, 3]."""
     return np.clip(np.rint(levels + generator.normal(0, noise, levels.shape)), 0, 255).astype(np.uint8)
 
 

@@ -14,16 +14,18 @@ from threadpoolctl import threadpool_limits
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
-from palpate.estimators.direct.motion import FITTED, PressMotion, about_tissue
+from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, find_optimum
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import PressShape
-from palpate.physics.mechanics import RECOMMENDED, damping_ratio
+from palpate.physics.mechanics import RECOMMENDED, Mechanics, damping_ratio
 from palpate.physics.msd.simulation import simulate
 
+MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
+"""Its error lies far below the light's noise: half its step changed no logarithm by more than 0.02."""
 CANDIDATES = 64
 """Points of a Sobol sequence over the box among which the starts are chosen."""
 DEPTHS = (0.03, 0.06, 0.1)
@@ -42,6 +44,8 @@ FEW, MORE = 5, 8
 """Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
 ROUNDS = 2, 1, 2
 """Rounds of a start, and of the best one on each of two meshes: of the plane that was found last."""
+FALL = 0.05
+"""A round ends where a step lowers χ²/2 by less."""
 CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
@@ -86,7 +90,7 @@ def fit_brightness(
     sequence = contact.brightness
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
-    mechanics, within = FITTED.matched(frame_seconds), WITHIN * frame_seconds
+    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
     thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
@@ -192,7 +196,7 @@ def _led(
     for _ in range(rounds):
         logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
         problem.look(logs)
-        logs = find_optimum(problem, logs, *box, evaluations).logs
+        logs = find_optimum(problem, logs, *box, evaluations, FALL).logs
     problem.look(logs)
     return -problem.skill, logs
 
@@ -204,7 +208,7 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [
         np.clip(np.concatenate([logs[:3] + step, logs[3:]]), box[0] + 1e-9, box[1] - 1e-9) for step in (0.0, *FIRMER)
     ]
-    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW), starts)
+    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     # What the law gets wrong shows in how far residuals belong together. Inertia determines the scale, and its part in
     # the motion is about 1/ζ².

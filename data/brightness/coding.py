@@ -146,7 +146,12 @@ def _at_rest(shown: CodedPictures) -> np.ndarray:
 
 
 def _matched(shown: CodedPictures, levels: np.ndarray) -> tuple[float, float]:
-    """Constant rate factor that quantises as the video does, and noise that changes still tissue, of these levels, as much."""
+    """Constant rate factor that quantises as the video does, and noise [levels] that changes still tissue as much.
+
+    Args:
+        shown: the video's pictures.
+        levels: of still tissue, shape [H, W, 3].
+    """
     rest = np.stack(shown.pictures[: shown.rest]).astype(np.int16)
     tissue = np.all(shown.tissue[: shown.rest], axis=0)
     flicker = float(np.abs(np.diff(rest, axis=0))[:, tissue].mean()) if tissue.any() else 0.0

@@ -8,6 +8,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from typing import Final
 
 import av
 import cv2
@@ -49,7 +50,7 @@ def _as_os_error() -> Generator[None]:
 class H264:
     """A video written by PyAV."""
 
-    encoder = "libx264"
+    encoder: Final = "libx264"
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int) -> None:
         self._container = av.open(str(path), "w", options={"movflags": "+faststart"})

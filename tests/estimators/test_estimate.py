@@ -29,26 +29,14 @@ def test_a_frames_values_are_its_estimates() -> None:
     assert {name: values[name] for name in found.numbers()} == found.numbers()
 
 
-def test_ninety_is_the_normal_distributions() -> None:
-    assert norm.cdf(NINETY) - norm.cdf(-NINETY) == pytest.approx(0.9, abs=1e-15)
-
-
 def test_uncertainty_is_the_log_normal_distributions() -> None:
-    found = Estimate(
-        theta=THETA,
-        covariance=np.diag([0.04, 0.25, 1.0]),
-        information=np.diag([100.0, 25.0, 4.0]),
-        noise=0.001,
-        misfit=1.0,
-    )
-    fields = found.numbers()
+    assert norm.cdf(NINETY) - norm.cdf(-NINETY) == pytest.approx(0.9, abs=1e-15)
+    fields = Estimate(THETA, np.diag([0.04, 0.25, 1.0])).numbers()
     # sd = median·exp(s²/2)·sqrt(exp(s²) - 1); for s = 1: 0.1·1.6487·1.3108.
     assert fields["force_sd"] == pytest.approx(0.1 * 1.6487212707 * 1.3108324957)
     assert fields["stiffness_sd"] == pytest.approx(0.5 * 1.0202013400 * np.sqrt(np.expm1(0.04)))
-    assert (fields["damping_low"], fields["damping_high"]) == pytest.approx(
-        (0.06 * 0.4393641, 0.06 * 2.2760167), rel=1e-6
-    )
-    assert [fields[f"{name}_bound"] for name in ("stiffness", "damping", "force")] == pytest.approx([0.1, 0.2, 0.5])
+    interval = fields["damping_low"], fields["damping_high"]
+    assert interval == pytest.approx((0.06 * 0.4393641, 0.06 * 2.2760167), rel=1e-6)
 
 
 def test_numbers_are_those_of_drawn_parameters() -> None:
@@ -56,13 +44,8 @@ def test_numbers_are_those_of_drawn_parameters() -> None:
     numbers = Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED)).numbers()
     logs = np.random.default_rng(0).multivariate_normal(np.log(np.abs(THETA)), CORRELATED, 400_000)
     stiffness, damping, force = np.exp(logs).T
-    drawn = {
-        "stiffness": stiffness,
-        "damping": damping,
-        "force": force,
-        "damping_over_stiffness": damping / stiffness,
-        "force_over_stiffness": force / stiffness,
-    }
+    drawn = dict(zip(PARAMETERS, (stiffness, damping, force), strict=True))
+    drawn |= {"damping_over_stiffness": damping / stiffness, "force_over_stiffness": force / stiffness}
     assert drawn.keys() == set(REPORTED)
     for name, values in drawn.items():
         low, median, high = np.quantile(values, (0.05, 0.5, 0.95))
@@ -141,9 +124,8 @@ def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
 def test_estimates_of_one_contact_are_one() -> None:
     """Mean and spread of their logarithms, for the verdict as well; the rest is that of the best explanation."""
     first = Estimate(np.array([0.2, 0.05, -0.1]), CORRELATED, noise=0.001, misfit=1.2)
-    best = Estimate(
-        np.array([0.4, 0.05, -0.2]), 2 * CORRELATED, misfit=0.9, noise=0.002, expected_information=4 * np.eye(3)
-    )
+    told = {"misfit": 0.9, "noise": 0.002, "expected_information": 4 * np.eye(3)}
+    best = Estimate(np.array([0.4, 0.05, -0.2]), 2 * CORRELATED, **told)
     assert mixture([first]) is first
     found = mixture([first, best])
     np.testing.assert_allclose(found.theta, [0.2 * np.sqrt(2), 0.05, -0.1 * np.sqrt(2)])
@@ -162,20 +144,16 @@ def test_widening_adds_covariances() -> None:
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), CORRELATED + 0.3 * np.eye(3))
 
 
-@pytest.fixture
-def by_depth() -> Estimate:
-    return Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
+BY_DEPTH = Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
 
 
-def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -> None:
+def test_depth_and_light_that_agree_are_the_mean_of_two_measurements() -> None:
     """Of normal distributions, as a least-squares fit of both gives it."""
     covariance, logs = np.diag([0.2, 0.1, 0.3]), np.log(np.abs(THETA)) + np.array([0.1, -0.2, 0.15])
     by_light = Estimate(-np.exp(logs), covariance, information=np.linalg.inv(covariance), by_light=True)
-    found = combined(by_depth, by_light)
+    found = combined(BY_DEPTH, by_light)
     design = np.vstack([np.linalg.cholesky(np.linalg.inv(part)).T for part in (CORRELATED, covariance)])
-    observed = design @ np.zeros(3)
-    observed[:3] = design[:3] @ np.log(np.abs(THETA))
-    observed[3:] = design[3:] @ logs
+    observed = np.concatenate([design[:3] @ np.log(np.abs(THETA)), design[3:] @ logs])
     np.testing.assert_allclose(np.log(np.abs(found.theta)), np.linalg.lstsq(design, observed, rcond=None)[0])
     np.testing.assert_allclose(found.covariance, np.linalg.inv(design.T @ design), atol=1e-12)
     np.testing.assert_allclose(found.verdict_information, np.linalg.inv(found.covariance))
@@ -183,15 +161,13 @@ def test_depth_and_light_that_agree_are_the_mean_of_two_measurements(by_depth) -
     assert (found.noise, found.by_light, found.refuted) == (0.001, False, "")
 
 
-def test_depth_and_light_that_contradict_each_other_determine_nothing(by_depth) -> None:
-    by_light = Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3))
-    found = combined(by_depth, by_light)
+def test_depth_and_light_that_contradict_each_other_determine_nothing() -> None:
+    found = combined(BY_DEPTH, Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3)))
     assert found.refuted == "The tissue's depth and its brightness contradict each other."
     assert found.verdict == "undetermined"
 
 
-def test_what_no_model_explains_does_not_count(by_depth) -> None:
-    wrong = dataclasses.replace(by_depth, refuted="A press leaves much.")
-    assert combined(by_depth, wrong) is by_depth
-    assert combined(wrong, by_depth) is by_depth
+def test_what_no_model_explains_does_not_count() -> None:
+    wrong = dataclasses.replace(BY_DEPTH, refuted="A press leaves much.")
+    assert combined(BY_DEPTH, wrong) is combined(wrong, BY_DEPTH) is BY_DEPTH
     assert combined(wrong, wrong) is wrong

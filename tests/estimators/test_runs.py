@@ -12,16 +12,8 @@ from hypothesis import strategies as some
 from palpate.data.brightness.light import FINE
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
 from palpate.data.source.coding import Coding
-from palpate.estimators.runs import (
-    NO_ONSET,
-    NOT_FOLLOWED,
-    OUTLINES_ALONE,
-    PASSED,
-    UNDECIDED,
-    Run,
-    RunTracker,
-    frame_estimate,
-)
+from palpate.estimators import runs as module
+from palpate.estimators.runs import Run, RunTracker, frame_estimate
 from palpate.physics.mechanics import Mechanics
 from tests.estimators.sessions import DEPTH, LABELS, State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
@@ -43,9 +35,8 @@ class Seen(NamedTuple):
 def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[Seen]:
     """Runs by their definition: contact of one tracked point that is missing on at most `bridge_frames` in a row."""
     runs: list[list[int]] = []
-    for index, frame in enumerate(frames):
-        if not frame.in_contact:
-            continue
+    for index in [index for index, frame in enumerate(frames) if frame.in_contact]:
+        frame = frames[index]
         begins = frame.track_start == index
         same = runs and frames[runs[-1][0]].track_start == frame.track_start
         if same and not begins and index - runs[-1][-1] - 1 <= bridge_frames:
@@ -91,10 +82,8 @@ def clip_of(words: str) -> list[State]:
 def test_runs_are_those_of_the_whole_clip(clip: list[State], bridge_frames: int) -> None:
     frames = linked(clip, CONTACT, bridge_frames)
     runs = tracked_runs(frames, bridge_frames)
-    found = [
-        Seen(run.index, run.last, run.builder is not None, None if run.builder is None else run.builder.load_seconds)
-        for run in runs
-    ]
+    loads = [None if run.builder is None else run.builder.load_seconds for run in runs]
+    found = [Seen(run.index, run.last, run.builder is not None, load) for run, load in zip(runs, loads, strict=True)]
     assert found == whole_clip_runs(frames, bridge_frames)
 
 
@@ -120,8 +109,8 @@ def test_small_clips(words: str, runs: list[Seen]) -> None:
 
 def test_why_nothing_is_known_of_a_run() -> None:
     unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
-    assert unseen.unobserved == NO_ONSET
-    assert unfollowed.unobserved == f"{unfollowed.detail} {NOT_FOLLOWED}".strip()
+    assert unseen.unobserved == module.NO_ONSET
+    assert unfollowed.unobserved == f"{unfollowed.detail} {module.NOT_FOLLOWED}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
 
 
@@ -134,10 +123,10 @@ def judged(*probabilities: float) -> list[PreparedFrame]:
 def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
     passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
     (run,) = tracked_runs(passing, 2)
-    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, PASSED, None)
+    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, module.PASSED, None)
     for frames in (released, unknown):
         (run,) = tracked_runs(frames, 2)
-        assert (run.passed, run.unobserved) == (False, NO_ONSET)
+        assert (run.passed, run.unobserved) == (False, module.NO_ONSET)
     # A tool that hovers long after another run says nothing of it.
     assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
 
@@ -148,11 +137,11 @@ def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
     stands, sunk = State("ok", probability=0.7, undecided=True), State("ok", probability=0.99)
     frames = linked([State("no_contact"), hovers, stands, stands, hovers], CONTACT)
     (run,) = tracked_runs(frames, 2)
-    assert (run.passed, run.unobserved) == (False, f"{UNDECIDED} {NO_ONSET}")
+    assert (run.passed, run.unobserved) == (False, f"{module.UNDECIDED} {module.NO_ONSET}")
     told = frame_estimate(frames[2], clip_info(), whole=True)
-    assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, UNDECIDED)
+    assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, module.UNDECIDED)
     (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
-    assert (run.passed, run.unobserved) == (False, NO_ONSET)
+    assert (run.passed, run.unobserved) == (False, module.NO_ONSET)
 
 
 def test_contact_after_hovering_has_no_onset() -> None:
@@ -168,18 +157,15 @@ def test_frames_say_how_contact_is_known() -> None:
     )
     assert [item.contact for item in (outlines, told, hovers, out)] == [True, True, False, False]
     assert [item.contact_probability for item in (outlines, told, hovers, out)] == [0.7, 0.95, 0.2, None]
-    assert (outlines.detail, told.detail) == (OUTLINES_ALONE, "")
+    assert (outlines.detail, told.detail) == (module.OUTLINES_ALONE, "")
 
 
 def test_a_run_keeps_what_was_seen_of_it() -> None:
     """Displacements from rest at the frames' times, up to the horizon; a lost point gives none."""
     moved = [(0.0, 0.0, 0.001 * index) for index in range(32)]
     moved[3] = None
-    clip = [
-        State("no_contact"),
-        *(State("ok" if index < 6 else "no_contact", moved=moved[index]) for index in range(32)),
-    ]
-    frames = linked(clip, CONTACT)
+    clip = [State("ok" if index < 6 else "no_contact", moved=place) for index, place in enumerate(moved)]
+    frames = linked([State("no_contact"), *clip], CONTACT)
     assert frames[-1].track_start == -1  # it is followed over 0.3 s
     (run,) = tracked_runs(frames, 2)
     seen = run.builder.build(Mechanics()).observation
@@ -194,11 +180,8 @@ def test_without_a_noise_level_rest_is_where_the_point_was_at_the_onset() -> Non
     """With one, it is the smoothed surface."""
     position = MESH.vertices[12] + np.array([0.0, 0.0, 0.01])
     for noise, rest in ((math.nan, position), (0.001, MESH.vertices[12])):
-        frame = prepared_frame(
-            0, "ok", touched(MESH, 12, CONTACT.normal, noise), track_start=0, track_position=position
-        )
-        tracker = RunTracker(clip_info(), SECONDS)
-        tracker.push(frame)
+        found, tracker = touched(MESH, 12, CONTACT.normal, noise), RunTracker(clip_info(), SECONDS)
+        tracker.push(prepared_frame(0, "ok", found, track_start=0, track_position=position))
         np.testing.assert_allclose(tracker.current.builder.rest, rest, rtol=1e-6)
 
 
@@ -209,9 +192,8 @@ def test_pictures_around_a_contact_are_kept_of_videos_whose_coding_is_known(codi
     light = np.random.default_rng(8).normal(-1, 0.2, (FINE * height, FINE * width)).astype(np.float32)
     tracker = RunTracker(dataclasses.replace(clip_info(), coding=coding), SECONDS)
     for index in range(10):
-        lit = {"light": light, "light_picture": (np.full((height, width, 3), 20 * index, np.uint8), LABELS)}
-        if index == 7:
-            lit = {}
+        picture = np.full((height, width, 3), 20 * index, np.uint8)
+        lit = {"light": light, "light_picture": (picture, LABELS)} if index != 7 else {}
         followed = {"track_start": 4, "track_position": MESH.vertices[12], "consecutive": True} if index >= 4 else {}
         tracker.push(prepared_frame(index, *(("ok", CONTACT) if index >= 4 else ("no_contact",)), **lit, **followed))
     brightness = tracker.finish().builder.build(Mechanics()).brightness
@@ -221,15 +203,5 @@ def test_pictures_around_a_contact_are_kept_of_videos_whose_coding_is_known(codi
     else:
         assert brightness.coded.rest == 4
         assert brightness.coded.frames.tolist() == [1, 2, 4, 5]
-        assert [int(each[0, 0, 0]) for each in brightness.coded.pictures] == [
-            0,
-            20,
-            40,
-            60,
-            80,
-            100,
-            120,
-            120,
-            160,
-            180,
-        ]
+        shown = [int(each[0, 0, 0]) for each in brightness.coded.pictures]
+        assert shown == [20 * index for index in (0, 1, 2, 3, 4, 5, 6, 6, 8, 9)]

@@ -36,8 +36,8 @@ def touched(mesh: Mesh, vertex: int, normal: np.ndarray, noise: float) -> FrameG
 
 
 def prepared_frame(index: int, status: str, geometry: FrameGeometry | None = None, **changes) -> PreparedFrame:
-    """A frame without a picture, at 25 frames a second; `changes` are further fields, `number` the frame's own."""
-    frame = Frame(index, changes.pop("number", index), index / 25, None)
+    """A frame at 25 frames a second; `changes` are further fields, `number` and `image` the frame's own."""
+    frame = Frame(index, changes.pop("number", index), index / 25, changes.pop("image", None))
     return PreparedFrame(frame, status, "", DEPTH, LABELS, geometry=geometry, **changes)
 
 

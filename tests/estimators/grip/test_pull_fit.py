@@ -38,17 +38,19 @@ def slab_of(cells: tuple[int, int, int] = (6, 6, 2)) -> Slab:
     return slab_beneath(mesh, contact, NORMAL, THICKNESS, cells, attached=False)
 
 
+def shown_at(slab: Slab, places: np.ndarray):
+    """Shares of the slab's nodes that show at places of the picture."""
+    return slab.between(((places + 0.5) / CELL - 0.5)[:, ::-1])
+
+
 def pull_motion(times: np.ndarray = INSTANTS) -> PullMotion:
     return PullMotion(slab_of(), CELL, PLACES, RADIUS, times)
 
 
 def way_of(numbers: np.ndarray, times: np.ndarray, end: float) -> np.ndarray:
     """Where a natural spline of numbers [KNOTS - 1, 2] is at some times, written out with SciPy's, shape [T, 2]."""
-    tied = np.vstack([numbers, 2 * numbers[-1] - numbers[-2]])
-    spline = BSpline(np.arange(KNOTS + 4.0), tied, 3, extrapolate=False)
-    padded = BSpline(np.arange(-3.0, KNOTS + 4), np.vstack([np.zeros((3, 2)), tied]), 3)
-    assert spline.k == padded.k
-    return padded(np.minimum(times / end * KNOTS, KNOTS - 1e-9))
+    tied = np.vstack([np.zeros((3, 2)), numbers, 2 * numbers[-1] - numbers[-2]])
+    return BSpline(np.arange(-3.0, KNOTS + 4), tied, 3)(np.minimum(times / end * KNOTS, KNOTS - 1e-9))
 
 
 def test_points_and_force_are_the_bodys_under_the_same_way() -> None:
@@ -62,7 +64,7 @@ def test_points_and_force_are_the_bodys_under_the_same_way() -> None:
     slab, inertia = motion.slab, Inertia(DENSITY, np.exp(LOGS[1]) / DENSITY)
     law = Material("linear", float(np.exp(LOGS[0])), POISSON)
     body = simulate(slab.solid, law, slab.held, grip, motion.step, inertia=inertia)
-    shown = slab.between(((PLACES + 0.5) / CELL - 0.5)[:, ::-1])
+    shown = shown_at(slab, PLACES)
     path = np.stack([shown @ nodes for nodes in body.displacement])
     rest = shown @ slab.solid.rest
     # First order of f x/z in pixels of four to a grid pixel.
@@ -90,14 +92,13 @@ def test_slow_stiff_tissue_is_held_as_at_rest() -> None:
     expected = rest.reaction[motion.gripped, :2].sum(axis=0)
     np.testing.assert_allclose(held[-1], expected, atol=0.01 * expected[0])
     assert expected[0] > 0
-    shown = slab.between(((PLACES + 0.5) / CELL - 0.5)[:, ::-1]) @ rest.displacement
+    shown = shown_at(slab, PLACES) @ rest.displacement
     np.testing.assert_allclose(moved[-1, :, 0] / 4 / FOCAL * 0.5, shown[:, 0], rtol=0.05, atol=2e-5)
 
 
 def test_the_contact_moves_with_the_instrument_however_small_the_grip() -> None:
-    slab = slab_of()
-    motion = PullMotion(slab, CELL, PLACES, 0.0, INSTANTS)
-    np.testing.assert_array_equal(motion.gripped, slab.top[3:4, 3])
+    motion = PullMotion(slab_of(), CELL, PLACES, 0.0, INSTANTS)
+    np.testing.assert_array_equal(motion.gripped, slab_of().top[3:4, 3])
 
 
 SPACING, FRAME, FRAMES, SUBSTEPS = 8, 0.04, 15, 2
@@ -116,9 +117,9 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     return places[distance > 5], distance[distance > 5]
 
 
-def point_grid() -> PointGrid:
-    """The grid, of which no place is hidden."""
-    points, distance = grid()
+def point_grid(lost: np.ndarray | slice = np.s_[:0]) -> PointGrid:
+    """The grid without the places that are lost; none is hidden."""
+    points, distance = (np.delete(part, lost, axis=0) for part in grid())
     return PointGrid(points, distance, points[:0], SPACING)
 
 
@@ -178,9 +179,9 @@ def test_force_over_young_is_found_again(cells: tuple[int, int, int], monkeypatc
     assert abs(found.logs[1] - found.logs[0] - math.log(DAMPING * DENSITY / YOUNG)) < 1
 
 
-def solved(frames: list[SeenFrame]) -> tuple[_Problem, np.ndarray]:
+def solved(frames: list[SeenFrame], points: PointGrid) -> tuple[_Problem, np.ndarray]:
     """The problem once points are weighted, and the force at the true φ."""
-    problem = _Problem(slab_of(), CELL, point_grid(), frames)
+    problem = _Problem(slab_of(), CELL, points, frames)
     motion, logs = PullMotion(slab_of(), CELL, problem.places, 10.0, TIMES), np.log([YOUNG, DAMPING * DENSITY])
     problem.look(motion, logs)
     return problem, problem.solve(motion, logs).force
@@ -188,14 +189,12 @@ def solved(frames: list[SeenFrame]) -> tuple[_Problem, np.ndarray]:
 
 def test_an_affine_background_changes_nothing_and_dragged_points_little() -> None:
     frames, (_, true) = seen(SAME), truth(SAME)
-    problem, force = solved(frames)
+    problem, force = solved(frames, point_grid())
     np.testing.assert_allclose(force[-1], true[-1], rtol=0.12)  # of another law
     places = grid()[0]
-    tilted = [
-        SeenFrame(frame.moved + number + places @ np.array([[0.01, 0.002], [-0.004, 0.02]]) * number, frame.noise)
-        for number, frame in enumerate(frames)
-    ]
-    other, again = solved(tilted)
+    tilt = 1 + places @ np.array([[0.01, 0.002], [-0.004, 0.02]])
+    tilted = [SeenFrame(frame.moved + number * tilt, frame.noise) for number, frame in enumerate(frames)]
+    other, again = solved(tilted, point_grid())
     np.testing.assert_allclose(again, force, atol=1e-3 * np.abs(force).max())
     assert other.scale == pytest.approx(problem.scale, rel=0.02)
 
@@ -204,14 +203,9 @@ def test_unseen_points_count_for_nothing() -> None:
     frames = seen(SAME)
     lost = np.random.default_rng(1).random(len(grid()[0])) < 0.2
     wild = [SeenFrame(np.where(lost[:, None], np.nan, frame.moved), frame.noise) for frame in frames]
-    _, force = solved(wild)
+    _, force = solved(wild, point_grid())
     kept = [SeenFrame(frame.moved[~lost], frame.noise[~lost]) for frame in frames]
-    points, distance = grid()
-    other = _Problem(slab_of(), CELL, PointGrid(points[~lost], distance[~lost], points[:0], SPACING), kept)
-    motion = PullMotion(slab_of(), CELL, other.places, 10.0, TIMES)
-    logs = np.log([YOUNG, DAMPING * DENSITY])
-    other.look(motion, logs)
-    np.testing.assert_allclose(other.solve(motion, logs).force, force, atol=1e-6 * np.abs(force).max())
+    np.testing.assert_allclose(solved(kept, point_grid(lost))[1], force, atol=1e-6 * np.abs(force).max())
     nothing = [SeenFrame(np.full_like(frame.moved, np.nan), frame.noise) for frame in frames]
     with pytest.raises(NoEstimate, match="No followed point lies on the slab"):
         _Problem(slab_of(), CELL, point_grid(), nothing)

@@ -1,7 +1,7 @@
 """A run of contact from pictures: what a pull tells, what a tool that only passes does not, and what is kept."""
 
+import dataclasses
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -10,17 +10,17 @@ import pytest
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.source.frames import Frame
 from palpate.data.tracks.background import without_background
 from palpate.estimators.estimate import LEAST_SKILL, NINETY, NoEstimate
 from palpate.estimators.grip import recorder as module
-from palpate.estimators.grip.grip_estimate import LEAST_LEAD
+from palpate.estimators.grip.grip_estimate import LEAST_LEAD, GripEstimate
 from palpate.estimators.grip.lattice import GripFrame, fit_sheet
 from palpate.estimators.grip.pull_fit import PullFit
 from palpate.estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
 from palpate.physics.mesh import Mesh, grid_mesh
+from tests.estimators.sessions import prepared_frame, touched
 
-WIDTH, HEIGHT, FPS = 320, 240, 25.0
+WIDTH, HEIGHT = 320, 240
 TIP = np.array([60.0, 120.0])
 """Middle of a tool of 40×40 px (column, row)."""
 DECAY = 40.0
@@ -57,46 +57,29 @@ def tool_at(place: np.ndarray) -> np.ndarray:
 
 
 def frame(index: int, picture: np.ndarray, labels: np.ndarray, contact: bool = True) -> PreparedFrame:
-    nothing, unlabelled = np.zeros((4, 4), np.float32), np.zeros((4, 4), np.uint8)
     middle = int(np.flatnonzero((DOME.pixels == SIDE // 2).all(axis=1))[0])
-    normal = np.array([0.0, 0.0, -1.0])
-    touching = SimpleNamespace(mesh=DOME, vertex=middle, normal=normal) if contact else None
-    return PreparedFrame(
-        Frame(index, index, index / FPS, picture),
-        "ok",
-        "",
-        nothing,
-        unlabelled,
-        labels,
-        geometry=touching,  # ty: ignore[invalid-argument-type]  only whether
-    )
+    touching = touched(DOME, middle, np.array([0.0, 0.0, -1.0]), math.nan) if contact else None
+    return prepared_frame(index, "ok", touching, image=picture, picture_labels=labels)
 
 
 def run(
-    count: int,
-    pull: float,
-    middle: np.ndarray = TIP,
-    follow: bool = True,
-    decay: float = DECAY,
-    thickness: float | None = None,
+    count: int, pull: float, middle: np.ndarray = TIP, decay: float = DECAY, thickness: float | None = None
 ) -> GripRecorder:
     """A tool that moves upwards by `pull` a frame, and tissue around `middle` that does, too.
 
     Args:
-        follow: whether the mask moves as well.
+        middle: elsewhere than at the tool's tip the mask doesn't move as well.
         decay: length over which the tissue's motion dies away [px].
         thickness: of a slab that is fitted, too.
     """
-    rest = texture()
+    rest, follow = texture(), middle is TIP
     rows, columns = np.indices((HEIGHT, WIDTH), np.float32)
     away = np.maximum(np.hypot(columns - middle[0], rows - middle[1]) - 20, 0)
     found = None
     for index in range(count):
         moved = index * pull
-        shift = moved * np.exp(-away / decay)
-        picture = cv2.remap(
-            rest, columns, (rows + shift).astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
-        )
+        places = columns, (rows + moved * np.exp(-away / decay)).astype(np.float32)
+        picture = cv2.remap(rest, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         seen = frame(index, picture, tool_at(TIP - (0, moved * follow)))
         if found is None:
             found = GripRecorder(seen, thickness)
@@ -106,18 +89,22 @@ def run(
     return found
 
 
-def test_a_pull_tells_how_its_motion_dies_away_and_how_the_force_grows() -> None:
-    found = run(12, 1.5).estimate()
-    assert found.skill > 0.6
-    assert (found.verdict, found.determined) == ("foundation", ("foundation_over_stiffness", "relative_force"))
-    assert found.foundation_over_stiffness_low < found.foundation_over_stiffness < found.foundation_over_stiffness_high
-    middle = math.sqrt(found.foundation_over_stiffness_low * found.foundation_over_stiffness_high)
-    assert middle == pytest.approx(found.foundation_over_stiffness)
+@pytest.fixture(scope="module")
+def pull() -> GripEstimate:
+    return run(12, 1.5).estimate()
+
+
+def test_a_pull_tells_how_its_motion_dies_away_and_how_the_force_grows(pull: GripEstimate) -> None:
+    assert pull.skill > 0.6
+    assert (pull.verdict, pull.determined) == ("foundation", ("foundation_over_stiffness", "relative_force"))
+    assert pull.foundation_over_stiffness_low < pull.foundation_over_stiffness < pull.foundation_over_stiffness_high
+    middle = math.sqrt(pull.foundation_over_stiffness_low * pull.foundation_over_stiffness_high)
+    assert middle == pytest.approx(pull.foundation_over_stiffness)
     # A sheet whose springs are worth three a node: √(3/ratio) nodes of 8 px.
-    assert 8 * math.sqrt(3 / found.foundation_over_stiffness) == pytest.approx(DECAY, rel=0.6)
+    assert 8 * math.sqrt(3 / pull.foundation_over_stiffness) == pytest.approx(DECAY, rel=0.6)
     # The grip moves evenly, and the sheet is linear.
-    np.testing.assert_allclose(found.force, found.times / found.times[-1], atol=0.08)
-    assert (found.force[-1], found.force_sd[-1]) == pytest.approx((1.0, 0.0))
+    np.testing.assert_allclose(pull.force, pull.times / pull.times[-1], atol=0.08)
+    assert (pull.force[-1], pull.force_sd[-1]) == pytest.approx((1.0, 0.0))
 
 
 def test_where_a_moving_background_would_explain_the_pull_only_relative_forces_are_known() -> None:
@@ -130,22 +117,19 @@ def test_where_a_moving_background_would_explain_the_pull_only_relative_forces_a
 
 
 def test_tissue_that_moves_elsewhere_is_not_explained_by_the_tool() -> None:
-    found = run(12, 1.5, middle=np.array([250.0, 120.0]), follow=False).estimate()
+    found = run(12, 1.5, middle=np.array([250.0, 120.0])).estimate()
     assert found.skill < LEAST_SKILL
     assert (found.explained, found.verdict, found.determined) == (False, "undetermined", ())
 
 
 def test_a_motion_that_spreads_from_elsewhere_is_explained_better_from_there() -> None:
     """A camera that moves over a dome: whatever is far moves less, and no affine background takes it off."""
-    column, row = np.meshgrid(np.arange(8.0, 640, 8), np.arange(8.0, 480, 8))
-    points = np.column_stack([column.ravel(), row.ravel()])
+    points = np.stack(np.meshgrid(np.arange(8.0, 640, 8), np.arange(8.0, 480, 8)), axis=-1).reshape(-1, 2)
     distance = np.linalg.norm(np.maximum(np.abs(points - [320, 400]) - [30, 80], 0), axis=1)
     points, distance = points[distance > 5], distance[distance > 5]
     dome = np.exp(-np.square(points - [320, 240]).sum(axis=1) / (2 * 150.0**2))
-    frames = []
-    for index in range(1, 13):
-        moved = without_background(points, np.outer(index * (1 + 0.5 * dome), [1.0, 0.0]), distance)
-        frames.append(GripFrame(moved, distance < 24))
+    ways = [np.outer(index * (1 + 0.5 * dome), [1.0, 0.0]) for index in range(1, 13)]
+    frames = [GripFrame(without_background(points, way, distance), distance < 24) for way in ways]
     frames = [frame for frame in frames if frame.tells]
     half = len(frames) // 2
     skill = _mean_skill(fit_sheet(points, 8, frames[:half]), frames[half:])
@@ -191,7 +175,7 @@ def test_memory_does_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> N
     times = [kept.time_s for kept in found._kept]
     assert len(times) <= 4
     assert np.ptp(np.diff(times)) == pytest.approx(0.0)
-    assert times[-1] > 0.6 * 23 / FPS
+    assert times[-1] > 0.6 * 23 / 25
 
 
 def test_frames_out_of_contact_and_without_a_picture_are_followed_through() -> None:
@@ -204,11 +188,10 @@ def test_frames_out_of_contact_and_without_a_picture_are_followed_through() -> N
     assert len(found._kept) == before
 
 
-def test_what_has_too_wide_an_interval_is_not_determined() -> None:
-    found = run(12, 1.5).estimate()
-    wide = found.foundation_over_stiffness * math.exp(NINETY)
-    vague = type(found)(**{**vars(found), "foundation_over_stiffness_high": wide * math.exp(NINETY)})
+def test_what_has_too_wide_an_interval_is_not_determined(pull: GripEstimate) -> None:
+    wide = pull.foundation_over_stiffness * math.exp(2 * NINETY)
+    vague = dataclasses.replace(pull, foundation_over_stiffness_high=wide)
     assert vague.explained
     assert (vague.verdict, vague.determined) == ("relative_force", ("relative_force",))
-    vaguer = type(found)(**{**vars(vague), "force_sd": np.full_like(found.force, 1.0)})
+    vaguer = dataclasses.replace(vague, force_sd=np.full_like(pull.force, 1.0))
     assert (vaguer.verdict, vaguer.determined) == ("undetermined", ())

@@ -29,48 +29,24 @@ NODES = lattice.continued(grid(), SPACING, lattice.BEYOND)
 SPRINGS = lattice.lattice_springs(NODES, SPACING)
 
 
-def beyond(values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Values of the points [N] carried on to all nodes, from the nearest one."""
-    cell = np.clip(nodes / SPACING - 1, 0, [COLUMNS - 1, ROWS - 1]).astype(int)
-    return values[cell[:, 1] * COLUMNS + cell[:, 0]]
-
-
-def pulled(stiffness: np.ndarray, anchor: np.ndarray, gripped: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Displacement of the points when some are held; stiffness of the springs, anchor of the nodes."""
+def pulled(anchor: float, gripped: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Displacement of the points when some are held, by springs of stiffness 1 and a foundation."""
     everywhere = np.append(gripped, np.zeros(len(NODES) - len(gripped), bool))
-    return equilibrium(SPRINGS, stiffness, anchor, everywhere, motion).displacement[: len(gripped)]
+    alike = np.ones(len(SPRINGS)), np.full(len(NODES), anchor)
+    return equilibrium(SPRINGS, *alike, everywhere, motion).displacement[: len(gripped)]
 
 
-def truth(
-    log_stiffness: np.ndarray,
-    log_anchor: np.ndarray,
-    pulls: np.ndarray,
-    noise: float = NOISE,
-    seed: int = 0,
-    goes_on: bool = False,
-) -> list[lattice.GripFrame]:
-    """A grip that pulls and turns a little, every point's motion off by noise, on tissue that may go on beyond them."""
+def even(log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0) -> list[lattice.GripFrame]:
+    """A grip that pulls and turns a little, every point's motion off by noise, on tissue that is alike everywhere."""
     points = grid()
-    nodes = NODES if goes_on else points
-    springs, gripped, log = lattice.lattice_springs(nodes, SPACING), held(points), beyond(log_stiffness, nodes)
-    stiffness = np.exp((log[springs[:, 0]] + log[springs[:, 1]]) / 2)
-    everywhere = np.append(gripped, np.zeros(len(nodes) - len(points), bool))
+    gripped = held(points)
     off = points[gripped] - points[gripped].mean(axis=0)
-    generator = np.random.default_rng(seed)
-    frames = []
+    generator, frames = np.random.default_rng(seed), []
     for pull in pulls:
         motion = pull * (np.array([1.0, 0.4]) + 0.01 * off @ np.array([[0, 1], [-1, 0]]))
-        sheet = equilibrium(springs, stiffness, np.exp(beyond(log_anchor, nodes)), everywhere, motion)
-        found = sheet.displacement[: len(points)]
+        found = pulled(np.exp(log_anchor), gripped, motion)
         frames.append(lattice.GripFrame(found + generator.normal(0, noise, found.shape), gripped))
     return frames
-
-
-def even(
-    log_anchor: float, pulls: np.ndarray, noise: float = NOISE, seed: int = 0, goes_on: bool = True
-) -> list[lattice.GripFrame]:
-    count = COLUMNS * ROWS
-    return truth(np.zeros(count), np.full(count, log_anchor), pulls, noise, seed, goes_on)
 
 
 def test_roots_of_mean_squares() -> None:
@@ -119,16 +95,13 @@ def test_forces_are_over_that_of_the_last_frame() -> None:
 
 def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
     """Only what is observed in all frames is held; where that is too little, nothing is said."""
-    points = grid()
-    whole = held(points)
+    whole = held(grid())
     fewer = whole & (np.cumsum(whole) <= 21)
 
     def frame(gripped: np.ndarray, pull: float) -> lattice.GripFrame:
-        motion = np.full((whole.sum(), 2), pull)
-        values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
-        return lattice.GripFrame(pulled(*values, whole, motion), gripped)
+        return lattice.GripFrame(pulled(0.05, whole, np.full((whole.sum(), 2), pull)), gripped)
 
-    fit = lattice.SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.3, 0.1)
+    fit = lattice.SheetFit(len(whole), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.3, 0.1)
     frames = [frame(whole, 5.0), frame(fewer, 10.0), frame(whole, 10.0)]
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0.5, 1, 1], rtol=1e-6)
@@ -138,14 +111,10 @@ def test_points_that_the_grip_loses_do_not_change_its_force() -> None:
 
 
 def test_a_force_across_the_last_one_is_uncertain() -> None:
-    points = grid()
-    gripped = held(points)
-    values = np.ones(len(SPRINGS)), np.full(len(NODES), 0.05)
-    frames = [
-        lattice.GripFrame(pulled(*values, gripped, np.tile(pull, (gripped.sum(), 1))), gripped)
-        for pull in ([6.0, 0.0], [0.0, 12.0])
-    ]
-    fit = lattice.SheetFit(len(points), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.0, 0.1)
+    gripped = held(grid())
+    ways = [np.tile(pull, (gripped.sum(), 1)) for pull in ([6.0, 0.0], [0.0, 12.0])]
+    frames = [lattice.GripFrame(pulled(0.05, gripped, way), gripped) for way in ways]
+    fit = lattice.SheetFit(len(gripped), len(NODES), SPRINGS, None, float(np.log(0.05)), 0.0, 0.1)
     force, sd = fit.relative_force(frames)
     np.testing.assert_allclose(force, [0, 1], atol=1e-9)
     np.testing.assert_allclose(sd, [0.1 * 0.5, 0], atol=1e-6)
@@ -197,26 +166,20 @@ def test_fitted_frames_are_few_evenly_spread_and_end_with_the_last(count: int) -
     used = lattice.evenly(count, lattice.MOST_FRAMES)
     assert used[-1] == count - 1
     assert min(count, 2) <= len(used) <= lattice.MOST_FRAMES
-    assert np.ptp(np.diff(used)) <= 1 if len(used) > 2 else True
+    assert len(used) <= 2 or np.ptp(np.diff(used)) <= 1
     assert len(used) == lattice.MOST_FRAMES or count <= lattice.MOST_FRAMES
 
 
-def test_too_few_frames_that_move_are_a_sentence() -> None:
-    frames = even(np.log(0.02), np.array([12.0, 24.0, 0.1, 0.1]))
-    told = (
-        "In 2 of 4 frames the tissue moves by more than 1 px, with 20 points seen at the instrument and 50 around it; "
-        "3 are needed"
-    )
-    with pytest.raises(lattice.NothingMoves, match=told):
-        lattice.fit_sheet(grid(), SPACING, frames)
-
-
-def test_too_few_points_at_the_instrument_are_a_sentence() -> None:
+@pytest.mark.parametrize(
+    ("pulls", "gripped", "telling"), [((12, 24, 0.1, 0.1), 100, 2), ((12, 18, 24), lattice.LEAST_GRIPPED - 1, 0)]
+)
+def test_too_few_frames_that_move_or_show_the_instrument_are_a_sentence(pulls, gripped: int, telling: int) -> None:
     frames = [
-        lattice.GripFrame(frame.moved, frame.gripped & (np.cumsum(frame.gripped) < lattice.LEAST_GRIPPED))
-        for frame in even(np.log(0.02), np.linspace(12, 24, 6))
+        lattice.GripFrame(frame.moved, frame.gripped & (np.cumsum(frame.gripped) <= gripped))
+        for frame in even(np.log(0.02), np.array(pulls))
     ]
-    with pytest.raises(lattice.NothingMoves, match="In 0 of 6 frames the tissue moves"):
+    told = f"In {telling} of {len(pulls)} frames the tissue moves by more than 1 px, with 20 points seen at the"
+    with pytest.raises(lattice.NothingMoves, match=f"{told} instrument and 50 around it; 3 are needed"):
         lattice.fit_sheet(grid(), SPACING, frames)
 
 
@@ -224,10 +187,8 @@ def test_a_background_that_moves_affinely_is_told_from_the_sheet() -> None:
     points = grid()
     still = even(np.log(0.05), np.linspace(6, 24, 7))
     terms = np.column_stack([points / 100, np.ones(len(points))])
-    generator = np.random.default_rng(4)
-    carried = [
-        lattice.GripFrame(frame.moved + terms @ generator.normal(0, 5, (3, 2)), frame.gripped) for frame in still
-    ]
+    ways = terms @ np.random.default_rng(4).normal(0, 5, (len(still), 3, 2))
+    carried = [lattice.GripFrame(frame.moved + way, frame.gripped) for frame, way in zip(still, ways, strict=True)]
     plain = lattice.fit_sheet(points, SPACING, still, background=True)
     fit = lattice.fit_sheet(points, SPACING, carried, background=True)
     # However the background moves, what is left is the same.

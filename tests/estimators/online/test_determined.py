@@ -15,7 +15,7 @@ from palpate.estimators.online.surface import Surface, make_surface
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import simulate
 from palpate.physics.pbd.stiffness import Stiffness
-from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, first_frame
+from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, driven, first_frame
 
 STEPPING = dataclasses.replace(SETTINGS.stepping, time_step=4.0, foundation=0.02)
 WAY = np.array([-32.0, 0.0])
@@ -50,8 +50,7 @@ def followed(sheet: Surface, frames: int = 40) -> np.ndarray:
 
 def taken(sheet: Surface, moved: np.ndarray, **settings) -> DrivenTissue:
     """The tissue once these frames are taken in."""
-    chosen = dataclasses.replace(SETTINGS, stepping=STEPPING, start=Start(distance=2.0), **settings)
-    tissue = DrivenTissue(sheet, POINTS, AWAY, chosen)
+    tissue = driven(sheet, stepping=STEPPING, start=Start(distance=2.0), **settings)
     for frame in moved:
         tissue.step(frame)
     return tissue
@@ -84,8 +83,7 @@ def test_nothing_is_known_where_the_instrument_does_not_explain_the_motion(sheet
     """The same motion with a path that is invented: tissue stretches in the simulation, by nothing that was
     observed."""
     moved, rest = followed(sheet, 8), sheet.body.rest[sheet.gripped, 2]
-    chosen = dataclasses.replace(SETTINGS, stepping=STEPPING, path="path.csv")
-    tissue = DrivenTissue(sheet, POINTS, AWAY, chosen)
+    tissue = driven(sheet, stepping=STEPPING, path="path.csv")
     for index, frame in enumerate(moved):
         tissue.step(frame, led=sheet.lift(sheet.pixels[sheet.gripped] - (index + 1) / 8 * WAY, rest))
     assert tissue.stretched.any()

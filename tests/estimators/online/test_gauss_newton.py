@@ -42,11 +42,8 @@ def test_roughness_counts_differences_of_knots_by_how_near_they_are():
     shares = bumps(rest, 5)
     knots, values = rest[shares.argmax(axis=0)], np.random.default_rng(0).normal(size=5)
     width = np.mean([sorted(np.linalg.norm(knots - knot, axis=1))[1] for knot in knots])
-    wanted = sum(
-        np.exp(-(np.linalg.norm(knots[i] - knots[j]) ** 2) / (2 * width**2)) * (values[i] - values[j]) ** 2
-        for i in range(5)
-        for j in range(i)
-    )
+    apart = [(np.linalg.norm(knots[i] - knots[j]) / width, values[i] - values[j]) for i in range(5) for j in range(i)]
+    wanted = sum(np.exp(-(far**2) / 2) * change**2 for far, change in apart)
     assert values @ roughness(rest, shares) @ values == pytest.approx(wanted, rel=1e-12)
 
 
@@ -96,8 +93,7 @@ def test_one_step_goes_to_the_minimum_of_gap_and_prior(monkeypatch: pytest.Monke
 @pytest.mark.slow
 @pytest.mark.parametrize("begun", [5.0, 0.2])
 def test_the_field_is_found_from_stiff_and_from_soft(begun: float):
-    """Where all particles are visible as they are, and the truth is the estimator's own simulation: few, so heavy
-    ones."""
+    """Where all particles are visible as they are, and the truth is the estimator's own: few, so heavy ones."""
     body, frames = sheet(9, 6, pinned_rows=1), 40
     objective, places = pulled(body, frames)
     objective = dataclasses.replace(objective, weights=Weights(gap=100.0))
@@ -106,10 +102,9 @@ def test_the_field_is_found_from_stiff_and_from_soft(begun: float):
     session = Session(objective, fields_of(body, begun), Method(optimizer="gauss-newton"))
     for place, state in zip(places, states, strict=True):
         session.step(place, [Tracks(eye_array(body.count).tocsr(), state)])
-    stiff, found = true > 1, session.fields.distance
-    free = ~body.pinned
-    assert np.median(found[free & stiff]) == pytest.approx(3.0, rel=0.35)
-    assert np.median(found[free & ~stiff]) == pytest.approx(1.0, rel=0.35)
+    for stiffness in (3.0, 1.0):
+        found = session.fields.distance[(true == stiffness) & ~body.pinned]
+        assert np.median(found) == pytest.approx(stiffness, rel=0.35)
 
 
 def test_a_frame_that_shows_nothing_leaves_the_field_and_is_carried_on():
@@ -124,8 +119,7 @@ def test_a_frame_that_shows_nothing_leaves_the_field_and_is_carried_on():
 
 def test_weights_count_the_gap_and_the_smoothness():
     body = BODIES["sheet"]
-    usual, heavy = (GaussNewton(Objective(body, np.array([3]), weights=w), fields_of(body, 1.0)) for w in (
-        Weights(), Weights(smoothness=2.0)
-    ))  # fmt: skip
+    objectives = (Objective(body, np.array([3]), weights=each) for each in (Weights(), Weights(smoothness=2.0)))
+    usual, heavy = (GaussNewton(objective, fields_of(body, 1.0)) for objective in objectives)
     anchor = session.ANCHOR * np.eye(len(usual._prior))
     np.testing.assert_allclose(heavy._prior - anchor, 2 * (usual._prior - anchor), atol=1e-15)

@@ -8,9 +8,9 @@ import pytest
 
 from palpate.data.labels import OTHER, TISSUE
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.online.given import GripperPath, Pins
+from palpate.estimators.online.given import Pins
 from palpate.estimators.online.surface import Surface, facing, make_surface, uncovered
-from tests.estimators.online.test_driven import CAMERA, DEPTH, GEOMETRY, HEIGHT, PER_PIXEL, WIDTH, first_frame
+from tests.estimators.online.test_driven import CAMERA, DEPTH, GEOMETRY, HEIGHT, PER_PIXEL, WIDTH, first_frame, path_at
 from tests.physics.pbd.particles import sheet
 
 THICKNESS, PARTICLES = 0.1, 300
@@ -71,26 +71,20 @@ def test_a_bent_surface_is_followed_along_smoothed_normals() -> None:
         assert inward[side].mean() > 0.01
 
 
-def test_white_is_pinned_with_all_below_and_nothing_else(volume: Surface) -> None:
-    pins = right_pins(200)
+def test_white_is_pinned_with_all_below_and_nothing_else() -> None:
     for thickness in (None, THICKNESS):
-        found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, thickness, pins)
+        found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, thickness, right_pins(200))
         upper = found.pixels[found.seen, 0] > 200.5
         assert upper.any()
         np.testing.assert_array_equal(found.body.pinned, np.tile(upper, len(found.body.rest) // len(found.seen)))
 
 
-def test_what_the_tool_holds_is_not_pinned() -> None:
-    everywhere = Pins(Path("pins.png"), np.ones((HEIGHT, WIDTH), bool))
-    found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, everywhere)
+def test_what_the_tool_holds_is_not_pinned_and_a_mask_that_pins_no_tissue_is_a_sentence() -> None:
+    found = make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, right_pins(-1))
     np.testing.assert_array_equal(np.flatnonzero(~found.body.pinned), found.gripped)
-
-
-def test_a_mask_that_pins_no_tissue_is_a_sentence() -> None:
-    nowhere = Pins(Path("pins.png"), np.zeros((HEIGHT, WIDTH), bool))
     sentence = r"pins\.png is white at none of the \d+ particles of free tissue in frame 7; paint wider areas there\."
     with pytest.raises(NoEstimate, match=sentence):
-        make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, nowhere)
+        make_surface(first_frame(), CAMERA, GEOMETRY, PARTICLES, None, right_pins(WIDTH))
 
 
 @pytest.mark.parametrize(("particles", "several"), [(PARTICLES, True), (30, False)])
@@ -99,17 +93,11 @@ def test_the_tissue_where_a_path_begins_is_gripped_and_the_rest_is_not(particles
     before = make_surface(first_frame(), CAMERA, GEOMETRY, particles, THICKNESS)
     face = before.pixels[before.faces[-1]]
     place = 0.52 * face[0] + 0.48 * face[np.linalg.norm(face - face[0], axis=1).argmax()]
-    path = GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[*place, 0.5]] * 2))
-    found = make_surface(first_frame(), CAMERA, GEOMETRY, particles, THICKNESS, path=path)
+    found = make_surface(first_frame(), CAMERA, GEOMETRY, particles, THICKNESS, path=path_at(*place))
     apart = np.linalg.norm(found.pixels[found.seen] - place, axis=1)
     assert (apart.min() < 24) == several
     np.testing.assert_array_equal(found.gripped, np.flatnonzero(apart < 24) if several else [apart.argmin()])
     assert not found.body.pinned[found.gripped].any()
-
-
-def path_at(column: float, row: float) -> GripperPath:
-    """A gripper that stays at a place of the picture [px]."""
-    return GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[column, row, DEPTH]] * 2))
 
 
 def test_with_a_path_the_instrument_may_be_far_from_the_tissue() -> None:
@@ -146,13 +134,8 @@ BODY = sheet(9, 8)
 REST = BODY.rest - BODY.rest.mean(axis=0) + [0, 0, 0.2]
 
 
-def folded() -> np.ndarray:
-    """The rows beyond the middle one laid back over the others, 3 mm nearer to the camera."""
-    points = REST.copy()
-    over = points[:, 1] > 1e-9
-    points[over, 1] *= -0.98  # not particle on particle
-    points[over, 2] -= 0.003
-    return points
+FOLDED = np.where(REST[:, 1:2] > 1e-9, REST * [1, -0.98, 1] - [0, 0, 0.003], REST)
+"""The rows beyond the middle one laid back over the others, 3 mm nearer to the camera; not particle on particle."""
 
 
 def hidden_by_brute_force(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -179,12 +162,11 @@ def test_a_sheet_is_seen_whole_wherever_it_lies_and_moves_a_little():
 
 
 def test_what_is_folded_over_faces_away_and_covers_what_lies_below():
-    points = folded()
     rows = REST[:, 1]
-    seen = facing(points, REST, BODY.faces)
+    seen = facing(FOLDED, REST, BODY.faces)
     assert seen[rows < 1e-9].all()
     assert not seen[rows > 1e-9].any()
-    hidden = ~uncovered(points, BODY.faces)
+    hidden = ~uncovered(FOLDED, BODY.faces)
     inner = np.abs(REST[:, 0]) < np.abs(REST[:, 0]).max() - 1e-9
     under = (rows < -1e-3) & (rows > rows.min() + 1e-3)
     assert hidden[under & inner].all()
@@ -193,7 +175,7 @@ def test_what_is_folded_over_faces_away_and_covers_what_lies_below():
 
 def test_it_is_that_of_brute_force():
     random = np.random.default_rng(1)
-    for points in (folded(), REST + random.normal(0, 0.01, REST.shape)):
+    for points in (FOLDED, REST + random.normal(0, 0.01, REST.shape)):
         expected = hidden_by_brute_force(points, BODY.faces)
         assert 0.1 < expected.mean() < 0.9
         np.testing.assert_array_equal(~uncovered(points, BODY.faces), expected)

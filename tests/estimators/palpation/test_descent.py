@@ -3,18 +3,24 @@
 import dataclasses
 import inspect
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from palpate.estimators.palpation import FitSettings, fit_material
+from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.descent import ASIDE, STEP, descend
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import NoEquilibrium
+from tests.conftest import CHECKOUT
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
+
+
+def slab(force: float, place: float) -> tuple[Skin, np.ndarray, Palpation]:
+    """A slab, what is held of it, and what is seen of a press on it."""
+    truth = press(BODY, 1e4, 0.42, force, (place, 0.5), 3, law="corotational")
+    return *BODY.skin(3, BODY.size / 12), observe(*truth, "stereo", 3, count=400)
 
 
 @pytest.mark.slow
@@ -24,8 +30,7 @@ def test_the_descent_arrives_from_a_start_far_off(start: float, begun: float) ->
 
     Ten times too soft, the slab turns inside out.
     """
-    skin, held = BODY.skin(3, BODY.size / 12)
-    seen = observe(*press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 3, law="corotational"), "stereo", 3, count=400)
+    skin, held, seen = slab(1.0, 0.1)
     exact = fit_material(skin, held, [seen], FitSettings(young=start))
     numeric = descend(skin, held, [seen], FitSettings(young=start))
     assert abs(np.log(numeric.young / exact.young)) < 2 * exact.young_sd
@@ -41,8 +46,7 @@ def test_the_descent_arrives_from_a_start_far_off(start: float, begun: float) ->
 
 def test_a_start_at_which_the_body_turns_inside_out_is_none() -> None:
     """Thirty times too soft the slab goes through its floor; there the descent would end."""
-    skin, held = BODY.skin(3, BODY.size / 12)
-    seen = observe(*press(BODY, 1e4, 0.42, 0.5, (0.6, 0.5), 3, law="corotational"), "stereo", 3, count=300)
+    skin, held, seen = slab(0.5, 0.6)
     bench = Bench(skin, held, [seen], "corotational")
     (below,) = bench.rest(1e4 / 30, 0.3, [None])
     assert np.linalg.det(skin.body.deformation(below.displacement)).min() < 0
@@ -55,8 +59,7 @@ def test_a_start_at_which_the_body_turns_inside_out_is_none() -> None:
 
 
 def test_no_start_is_looked_for_without_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    skin, held = BODY.skin(3, BODY.size / 12)
-    seen = observe(*press(BODY, 1e4, 0.42, 0.5, (0.6, 0.5), 3), "stereo", 3, count=300)
+    skin, held, seen = slab(0.5, 0.6)
     tried = []
 
     def unborne(bench: Bench, young: float, poisson: float, starts: object) -> None:
@@ -70,7 +73,7 @@ def test_no_start_is_looked_for_without_an_end(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_page_lists_what_differs_from_the_paper_s_algorithm_1() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "reports" / "palpation.md").read_text(encoding="utf-8")
+    page = (CHECKOUT / "docs" / "reports" / "palpation.md").read_text(encoding="utf-8")
     table = page[page.index("| what | algorithm 1 |") :].split("\n\n")[0]
     here = {row[0]: row[2] for row in re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)}
     assert here.keys() >= {"parameters", "step", "end", "gradient", "error", "palpations", "start"}

@@ -14,12 +14,14 @@ from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
+def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800) -> Palpation:
+    """A press by the fit's own mesh and law: what is left is the noise."""
+    return observe(*press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational"), sensor, seed, count=count)
+
+
 @pytest.fixture(scope="module")
 def slab() -> tuple[Skin, np.ndarray, Palpation]:
-    """A press by the fit's own mesh and law: what is left is the noise."""
-    skin, held = BODY.skin(4, BODY.size / 20)
-    truth = press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 4, law="corotational")
-    return skin, held, observe(*truth, "stereo", 3, count=800)
+    return *BODY.skin(4, BODY.size / 20), observed(1.0)
 
 
 @pytest.mark.parametrize("start", [30.0, 1 / 30])
@@ -41,7 +43,7 @@ def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulation
     assert one.solves == two.solves <= 6
 
 
-def test_the_next_simulation_begins_where_derivatives_say(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
     """What they are off by goes with the square of the change; from there fewer Newton steps lead to rest."""
     skin, held, seen = slab
     bench = Bench(skin, held, [seen], "corotational")
@@ -60,7 +62,7 @@ def test_the_next_simulation_begins_where_derivatives_say(slab: tuple[Skin, np.n
     assert off[0] / off[1] == pytest.approx(4, rel=0.2)
 
 
-def test_the_path_begins_at_the_linear_law_and_ends_at_the_answer(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_the_path_begins_at_the_linear_law_and_ends_at_the_answer(slab) -> None:
     skin, held, seen = slab
     found = fit_material(skin, held, [seen], FitSettings(young=1e3))
     assert (found.path[0].solves, found.path[0].systems) == (1, 2)  # and its derivatives
@@ -79,7 +81,7 @@ def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
     assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd
 
 
-def test_one_press_seen_twice_is_simulated_once(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_one_press_seen_twice_is_simulated_once(slab) -> None:
     skin, held, seen = slab
     bench = Bench(skin, held, [seen, seen], "corotational")
     one, two = bench.linear(1e4, 0.3)
@@ -87,29 +89,26 @@ def test_one_press_seen_twice_is_simulated_once(slab: tuple[Skin, np.ndarray, Pa
     assert bench.solves == 1
 
 
-def test_errors_of_the_model_widen_the_intervals(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_errors_of_the_model_widen_the_intervals(slab) -> None:
     skin, held, seen = slab
     sds = [fit_material(skin, held, [seen], FitSettings(model_error=error)).young_sd for error in (0.0, 0.1)]
     assert sds[1] > 1.2 * sds[0]
 
 
 @pytest.mark.slow
-def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab) -> None:
     """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
     skin, held, _ = slab
-    truth = press(BODY, 1e4, 0.42, 1.0, (0.1, 0.5), 4, law="corotational")
-    found = [fit_material(skin, held, [observe(*truth, "time of flight", i, count=4000)]) for i in range(5)]
+    found = [fit_material(skin, held, [observed(1.0, "time of flight", i, 4000)]) for i in range(5)]
     off = np.log([fit.young / 1e4 for fit in found])
     assert abs(off.mean()) < found[0].young_sd
     assert np.abs(off).max() < 3 * found[0].young_sd
 
 
-def test_a_reversed_force_is_refused_and_a_pull_is_none(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_a_reversed_force_is_refused_and_a_pull_is_none(slab) -> None:
     """Whether it presses or pulls: what counts is that the surface moved along it."""
     skin, held, seen = slab
-    truth = press(BODY, 1e4, 0.42, -1.0, (0.1, 0.5), 4, law="corotational")
-    pulled = observe(*truth, "stereo", 3, count=800)
-    for each in (seen, pulled):
+    for each in (seen, observed(-1.0)):
         turned = dataclasses.replace(each, force=-each.force)
         for number, palpations in ((1, [turned]), (2, [seen, turned])):
             with pytest.raises(ValueError, match=rf"moved against the force of palpation {number}; give what the tool"):
@@ -118,11 +117,10 @@ def test_a_reversed_force_is_refused_and_a_pull_is_none(slab: tuple[Skin, np.nda
         require_along(bench, 1e4, bench.linear(1e4, 0.3))
 
 
-def test_nothing_is_determined_by_a_press_that_moves_nothing(slab: tuple[Skin, np.ndarray, Palpation]) -> None:
+def test_nothing_is_determined_by_a_press_that_moves_nothing(slab) -> None:
     """A fiftieth of the force moves the surface by less than the noise, and either sign fits as well."""
     skin, held, seen = slab
-    truth = press(BODY, 1e4, 0.42, 0.02, (0.1, 0.5), 4, law="corotational")
-    faint = observe(*truth, "time of flight", 3, count=800)
+    faint = observed(0.02, "time of flight")
     for force in (faint.force, -faint.force):
         found = fit_material(skin, held, [dataclasses.replace(faint, force=force)])
         assert (found.young_sd > 0.5, found.verdict) == (True, NOTHING)

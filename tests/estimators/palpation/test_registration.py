@@ -18,6 +18,12 @@ def body() -> tuple[np.ndarray, np.ndarray]:
     return vertices * bump[:, None] * RADII, triangles
 
 
+def pose_of(turn: Rotation, shift) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix(), shift
+    return pose
+
+
 def seen_from(
     direction: np.ndarray, shift: np.ndarray, turn: np.ndarray, noise: float, seed: int
 ) -> tuple[View, np.ndarray]:
@@ -29,12 +35,9 @@ def seen_from(
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     facing = triangles[normals @ direction > 0.2 * np.linalg.norm(normals, axis=1)]
     used, which = np.unique(facing, return_inverse=True)
-    true = np.eye(4)
-    true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
-    true[:3, 3] = 0.3 * direction
+    true = pose_of(Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0], 0.3 * direction)
     points = vertices[used] + chance.normal(0, noise, len(used))[:, None] * direction
-    change = np.eye(4)
-    change[:3, :3], change[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    change = pose_of(Rotation.from_rotvec(turn), shift)
     # In either order: a sensor doesn't know how triangles are turned.
     return View((points - true[:3, 3]) @ true[:3, :3], which.reshape(-1, 3)[:, ::-1], change @ true), true
 
@@ -55,39 +58,30 @@ def views(noise: float) -> tuple[list[View], list[np.ndarray]]:
 def test_poses_are_found_and_the_surface_encloses_the_body(noise: float) -> None:
     given, true = views(noise)
     joined = join_views(given)
-    corners = np.array([view.vertices.mean(axis=0) for view in given])
-    believed = [
-        np.linalg.norm(placed(view.pose, at[None]) - placed(pose, at[None]))
-        for view, pose, at in zip(given, true, corners, strict=True)
-    ]
-    found = [
-        np.linalg.norm(placed(one, at[None]) - placed(pose, at[None]))
-        for one, pose, at in zip(joined.poses, true, corners, strict=True)
-    ]
+    believed, found = [], []
+    for view, pose, right in zip(given, joined.poses, true, strict=True):
+        middle = view.vertices.mean(axis=0)[None]
+        believed.append(np.linalg.norm(placed(view.pose, middle) - placed(right, middle)))
+        found.append(np.linalg.norm(placed(pose, middle) - placed(right, middle)))
     assert max(believed) > 0.002
     # Noise lets views slide on a body that is nearly round.
     assert max(found) < (1e-6 if noise == 0 else 0.002)
     assert joined.apart < 2 * noise + 2e-4
-    vertices, triangles = body()
-    whole, made = (
-        mesh_surface(*surface, cells=10) for surface in ((vertices, triangles), (joined.vertices, joined.triangles))
-    )
-    volumes = [make_solid(each.nodes, each.tetrahedra).volumes.sum() for each in (whole, made)]
+    meshes = [mesh_surface(*surface, cells=10) for surface in (body(), (joined.vertices, joined.triangles))]
+    volumes = [make_solid(each.nodes, each.tetrahedra).volumes.sum() for each in meshes]
     assert volumes[1] == pytest.approx(volumes[0], rel=0.03)
 
 
 def test_triangles_face_the_sensors_and_each_place_is_kept_once() -> None:
     joined = join_views(views(0.0)[0])
-    one, two, three = joined.vertices[joined.triangles].transpose(1, 0, 2)
-    outwards = (np.cross(two - one, three - one) * (one + two + three)).sum(axis=1)
-    assert (outwards > 0).mean() > 0.99
-    whole, triangles = body()
-    corners = whole[triangles]
-    area = [
-        np.linalg.norm(np.cross(a[:, 1] - a[:, 0], a[:, 2] - a[:, 0]), axis=1).sum()
-        for a in (corners, joined.vertices[joined.triangles])
-    ]
-    assert area[1] == pytest.approx(area[0], rel=0.06)
+    outwards, areas = [], []
+    for vertices, triangles in (body(), (joined.vertices, joined.triangles)):
+        one, two, three = vertices[triangles].transpose(1, 0, 2)
+        normals = np.cross(two - one, three - one)
+        outwards.append(((normals * (one + two + three)).sum(axis=1) > 0).mean())
+        areas.append(np.linalg.norm(normals, axis=1).sum())
+    assert outwards[1] > 0.99
+    assert areas[1] == pytest.approx(areas[0], rel=0.06)
 
 
 def test_one_view_stays_as_it_is_and_none_is_refused() -> None:
@@ -106,12 +100,8 @@ def test_a_pose_is_found_though_a_part_is_dented() -> None:
     points = vertices[triangles].mean(axis=1)
     points = points[points[:, 2] > -0.2]
     points[points[:, 2] > 0.45] -= [0, 0, 0.05]  # pressed in
-    true = np.eye(4)
-    true[:3, :3] = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
-    true[:3, 3] = [0.1, 0.2, -0.1]
-    off = np.eye(4)
-    off[:3, :3] = Rotation.from_rotvec([0.05, 0.04, -0.03]).as_matrix()
-    off[:3, 3] = [0.02, -0.02, 0.03]
+    true = pose_of(Rotation.from_rotvec([0.3, -0.2, 0.5]), [0.1, 0.2, -0.1])
+    off = pose_of(Rotation.from_rotvec([0.05, 0.04, -0.03]), [0.02, -0.02, 0.03])
     seen = placed(np.linalg.inv(true), points) + chance.normal(0, 1e-4, points.shape)
     found = register(seen, vertices, triangles, off @ true)
     np.testing.assert_allclose(found, true, atol=2e-3)

@@ -24,26 +24,24 @@ def write(folder: Path, **fields: object) -> Path:
     return folder / "scene.yaml"
 
 
+def write_surface(path: Path, nodes: np.ndarray, faces: np.ndarray) -> None:
+    rows = [f"v {x} {y} {z}" for x, y, z in nodes] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    path.write_text("\n".join(rows))
+
+
 def write_slab(folder: Path, unit: float = 1.0, **fields: object) -> Path:
     """Ten centimetres in length, in so many units a metre."""
     nodes = unit * np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.06) for z in (0, 0.03)])
-    faces = ConvexHull(nodes).simplices + 1
-    rows = [f"v {x} {y} {z}" for x, y, z in nodes] + [f"f {a} {b} {c}" for a, b, c in faces]
-    (folder / "slab.obj").write_text("\n".join(rows))
+    write_surface(folder / "slab.obj", nodes, ConvexHull(nodes).simplices)
     return write(folder, surface="slab.obj", **{"held_below": 0.001} | fields)
 
 
-def write_views(folder: Path) -> list[dict[str, object]]:
+def test_views_are_joined_and_the_body_is_held_at_its_floor(tmp_path: Path) -> None:
     told = []
     for number, view in enumerate(views(0.0)[0]):
-        rows = [f"v {x} {y} {z}" for x, y, z in view.vertices] + [f"f {a} {b} {c}" for a, b, c in view.triangles + 1]
-        (folder / f"view{number}.obj").write_text("\n".join(rows))
+        write_surface(tmp_path / f"view{number}.obj", view.vertices, view.triangles)
         told.append({"surface": f"view{number}.obj", "pose": view.pose.tolist()})
-    return told
-
-
-def test_views_are_joined_and_the_body_is_held_at_its_floor(tmp_path: Path) -> None:
-    found = read_scene(write(tmp_path, views=write_views(tmp_path)))
+    found = read_scene(write(tmp_path, views=told))
     np.testing.assert_allclose(np.ptp(found.skin.vertices, axis=0), 2 * RADII, rtol=0.1)
     assert found.notes[0].startswith("6 views were joined; where they overlap they lie")
     rest = found.skin.body.rest
@@ -91,10 +89,7 @@ ROW = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 300], [0, 0, 0, 1]]
     ],
 )
 def test_lengths_in_other_units_are_named_before_anything_is_meshed(unit, fields, told, tmp_path, monkeypatch) -> None:
-    def mesh(*_: object, **__: object) -> None:
-        raise AssertionError("meshed")
-
-    monkeypatch.setattr(scene, "mesh_surface", mesh)
+    monkeypatch.setattr(scene, "mesh_surface", lambda *_, **__: pytest.fail("meshed"))
     (tmp_path / "far.csv").write_text("\n".join(["x,y,z", *(f"{x},0,40" for x in range(-5, 105))]))
     with pytest.raises(InputError) as error:
         read_scene(write_slab(tmp_path, unit, **fields))

@@ -43,6 +43,20 @@ def motion_of(released: bool = True, times: np.ndarray = TIMES, **options) -> Sl
     return SlabMotion(contact_of(released), slab_of(), pixels, times, **options)
 
 
+def showing(contact: Interaction, change: np.ndarray | None = None) -> Interaction:
+    """The same with a depth-change sequence [10, SIDE, SIDE], or one of nothing."""
+    change = np.zeros((10, SIDE, SIDE)) if change is None else change
+    sequence = DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
+    return dataclasses.replace(contact, sequence=sequence)
+
+
+def problem_of(contact: Interaction, slab: Slab, **options) -> SequenceProblem[SlabMotion]:
+    def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
+        return SlabMotion(contact, slab, MESH.pixels[vertices], times, **options)
+
+    return SequenceProblem(contact, motion)
+
+
 def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: bool = False) -> Interaction:
     """A contact whose depth-change sequence shows a slab with these parameters, with noise."""
     contact = contact_of()
@@ -51,18 +65,12 @@ def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: boo
     moved = motion.at(logs)[0]
     assert np.abs(moved).max() > 5 * SIGMA
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    change = change + np.random.default_rng(seed).normal(0, SIGMA, change.shape)
-    return dataclasses.replace(
-        contact, sequence=DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
-    )
+    return showing(contact, change + np.random.default_rng(seed).normal(0, SIGMA, change.shape))
 
 
 def empty_problem(cells: tuple[int, int, int] = COARSE) -> SequenceProblem[SlabMotion]:
     """A depth-change sequence of nothing, which `shows` fills."""
-    sequence = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
-    contact = dataclasses.replace(contact_of(), sequence=sequence)
-    slab = slab_of(cells)
-    return SequenceProblem(contact, lambda vertices, times: SlabMotion(contact, slab, MESH.pixels[vertices], times))
+    return problem_of(showing(contact_of()), slab_of(cells))
 
 
 def shows(problem: SequenceProblem[SlabMotion], moved: np.ndarray, near: np.ndarray | None = None) -> None:

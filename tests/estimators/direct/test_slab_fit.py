@@ -7,32 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct import estimator, slab_fit, slab_motion
 from palpate.estimators.direct.contact_fit import LARGEST_MISFIT
 from palpate.estimators.direct.estimator import DirectEstimator
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_fit import BLIND, LOWER, UNLIKE, Valley, descend, fit_slab, settled
 from palpate.estimators.direct.slab_motion import SlabMotion
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.onset import BETWEEN
 from palpate.physics.fem.slab import slab_beneath
-from tests.estimators.direct.slabs import (
-    COARSE,
-    LOGS,
-    RELAXING,
-    THETA,
-    THICKNESS,
-    TIMES,
-    contact_of,
-    empty_problem,
-    seen,
-    shows,
-    slab_of,
-)
-from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
+from tests.estimators.direct import slabs
+from tests.estimators.direct.slabs import COARSE, LOGS, THETA, THICKNESS, TIMES, contact_of, seen, showing
+from tests.estimators.direct.test_field import SIDE
 from tests.estimators.sessions import clip_info
 
 
@@ -69,7 +56,7 @@ def test_a_fit_recovers_what_made_the_sequence(recovered: tuple[Interaction, Est
 @pytest.mark.slow
 def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slab_fit, "REFUTED", 1.0)  # its misfit is large as well
-    found = coarsely(monkeypatch, seen(RELAXING, 2, COARSE, relaxing=True), COARSE)
+    found = coarsely(monkeypatch, seen(slabs.RELAXING, 2, COARSE, relaxing=True), COARSE)
     assert found.misfit > LARGEST_MISFIT
     assert found.refuted.startswith("The motion relaxes: a standard linear solid")
     assert not found.explained
@@ -77,8 +64,8 @@ def test_a_slab_that_relaxes_is_no_slab_damped_by_mass(monkeypatch: pytest.Monke
 
 
 def test_a_fit_stays_where_a_better_one_cannot_be_followed(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem, followed = empty_problem(), SlabMotion._followed
-    shows(problem, problem.motion.at(LOGS)[0])
+    problem, followed = slabs.empty_problem(), SlabMotion._followed
+    slabs.shows(problem, problem.motion.at(LOGS)[0])
     far = LOGS + np.array([3.0, 3.0, 3.0])
     valley = Valley(LOGS, np.eye(3), far, 2 * LOWER)
 
@@ -99,13 +86,7 @@ def test_a_fit_stays_where_a_better_one_cannot_be_followed(monkeypatch: pytest.M
 
 
 def test_the_slabs_own_error_is_a_share_of_its_motion_in_rings_and_parts_of_the_time() -> None:
-    contact = dataclasses.replace(
-        contact_of(),
-        sequence=DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE),
-    )
-    problem = SequenceProblem(
-        contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times)
-    )
+    problem = slabs.empty_problem()
     sunk = np.random.default_rng(1).normal(size=(10, SIDE * SIDE))
     columns = problem.model_errors(sunk)
     assert columns.shape == (SIDE * SIDE, 10, 12)  # three rings, early, held, released and later
@@ -127,20 +108,18 @@ def test_tissue_under_the_tip_does_not_count(recovered, monkeypatch) -> None:
     contact, found = recovered
     rows, columns = np.mgrid[:SIDE, :SIDE] - SIDE // 2
     near = np.hypot(rows, columns) < BLIND
-    other = contact.sequence.change + np.where(near, np.float32(0.02), np.float32(0))
-    spoiled = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=other))
+    spoiled = showing(contact, contact.sequence.change + np.where(near, np.float32(0.02), np.float32(0)))
     np.testing.assert_array_equal(coarsely(monkeypatch, spoiled, COARSE).theta, found.theta)
 
 
 def test_the_estimator_fits_a_slab_where_a_thickness_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    sequence = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
-    contact, asked = dataclasses.replace(contact_of(), sequence=sequence), []
+    contact, asked = showing(contact_of()), []
     told = Estimate(np.array(THETA), np.eye(3)), (TIMES, TIMES)
     monkeypatch.setattr(estimator, "fit_slab", lambda *given: asked.append(given) or told)
     session = DirectEstimator(BETWEEN, noise=0.002, thickness=THICKNESS).start(clip_info(25.0))
     assert session.fit(contact) is told
     assert asked == [(contact, THICKNESS, 0.04, 0.002)]
-    for blind in (contact_of(), dataclasses.replace(contact, sequence=sequence.chosen(np.arange(2)))):
+    for blind in (contact_of(), dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(2)))):
         with pytest.raises(NoEstimate, match="A slab needs the depth around the contact"):
             session.fit(blind)
     for wrong in ({"thickness": 0.0}, {"thickness": math.inf}, {"thickness": 0.1, "observation": "contact"}):

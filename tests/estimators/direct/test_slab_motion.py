@@ -10,20 +10,8 @@ from palpate.estimators.direct.slab_motion import DENSITY, PATCH, FirmRegion, Sl
 from palpate.physics.fem import Inertia, Material, find_equilibrium, simulate
 from palpate.physics.fem.slab import slab_beneath
 from palpate.physics.load import Press, held
-from tests.estimators.direct.slabs import (
-    COARSE,
-    LOAD,
-    LOGS,
-    NORMAL,
-    RELAXING,
-    THETA,
-    THICKNESS,
-    TIMES,
-    VERTEX,
-    contact_of,
-    motion_of,
-    slab_of,
-)
+from tests.estimators.direct import slabs
+from tests.estimators.direct.slabs import LOGS, NORMAL, THETA, TIMES, VERTEX, contact_of, motion_of, slab_of
 from tests.estimators.direct.test_field import FRAME, MESH, SIGMA
 
 
@@ -32,12 +20,9 @@ def test_the_motion_is_the_bodys_at_the_places() -> None:
     found = motion.at(LOGS)[0]
     shares = slab.patch(PATCH)
     nodes = np.flatnonzero(shares)
-    load = Press(nodes, shares[nodes], NORMAL, held(LOAD / 0.02, 20))
-    inertia = Inertia(DENSITY, THETA[1] / DENSITY)
-    body = simulate(
-        slab.solid, Material("stable_neo_hookean", THETA[0], 0.45), slab.held, load, 0.02, inertia=inertia,
-        force=THETA[2],
-    )  # fmt: skip
+    load = Press(nodes, shares[nodes], NORMAL, held(slabs.LOAD / 0.02, 20))
+    known = {"inertia": Inertia(DENSITY, THETA[1] / DENSITY), "force": THETA[2]}
+    body = simulate(slab.solid, Material("stable_neo_hookean", THETA[0], 0.45), slab.held, load, 0.02, **known)
     middle = slab.top[2, 2]
     np.testing.assert_allclose(found[:, 0], body.displacement[2::2, middle], atol=1e-4 * np.abs(found).max())
     assert found[4, 0, 2] > 5 * SIGMA  # it is pressed away from the camera
@@ -46,7 +31,7 @@ def test_the_motion_is_the_bodys_at_the_places() -> None:
 @pytest.mark.parametrize(("released", "within", "relaxing"), [(True, FRAME, False), (False, 0.0, True)])
 def test_derivatives_equal_finite_differences(released, within, relaxing, monkeypatch) -> None:
     monkeypatch.setattr(slab_motion, "TOLERANCE", 1e-11)
-    logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37] if within else []])
+    logs = np.concatenate([slabs.RELAXING if relaxing else LOGS, [-0.21, 0.37] if within else []])
     motion = motion_of(released, TIMES[:7], within=within, relaxing=relaxing)
     assert motion.box.shape == (2, len(logs))
     slopes = motion.at(logs)[1]
@@ -58,8 +43,8 @@ def test_derivatives_equal_finite_differences(released, within, relaxing, monkey
 
 @pytest.mark.parametrize("relaxing", [False, True])
 def test_small_motions_are_those_of_the_fine_elements_and_so_are_their_derivatives(relaxing: bool) -> None:
-    fine = slab_beneath(MESH, VERTEX, NORMAL, THICKNESS, COARSE, order=2)
-    logs = np.concatenate([RELAXING if relaxing else LOGS, [-0.21, 0.37]])
+    fine = slab_beneath(MESH, VERTEX, NORMAL, slabs.THICKNESS, slabs.COARSE, order=2)
+    logs = np.concatenate([slabs.RELAXING if relaxing else LOGS, [-0.21, 0.37]])
     logs[2] -= 6.0
     motion = motion_of(times=TIMES[:7], within=FRAME, relaxing=relaxing, fine=fine)
     alone = SlabMotion(motion.contact, fine, MESH.pixels[[VERTEX, VERTEX + 3, VERTEX + 40]], TIMES[:7], FRAME, relaxing)
@@ -116,11 +101,8 @@ def test_a_firm_region_is_stiffer_within_its_radius() -> None:
 
 
 def test_a_region_that_holds_the_whole_body_is_another_stiffness() -> None:
-    motion = motion_of()
-    logs = LOGS + np.array([math.log(2.0), 0.0, 0.0])
+    motion, logs = motion_of(), LOGS + np.array([math.log(2.0), 0.0, 0.0])
     whole = FirmRegion(motion.slab.solid.rest.mean(axis=0), 1e3, math.log(2.0))
-    for found, expected in (
-        (motion.linear(LOGS, whole), motion.linear(logs)),
-        (motion_of(region=whole).at(LOGS)[0], motion.at(logs)[0]),
-    ):
+    small, large = motion.linear(LOGS, whole), motion_of(region=whole).at(LOGS)[0]
+    for found, expected in ((small, motion.linear(logs)), (large, motion.at(logs)[0])):
         np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())

@@ -6,53 +6,34 @@ import math
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
+from palpate.data.contact.depth_sequence import SequenceNoise
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.slab_fit import descend, find_tip, follow_valley, moved_by_mesh, slab_start
 from palpate.estimators.direct.slab_motion import SlabMotion
-from tests.estimators.direct.slabs import (
-    COARSE,
-    FINE,
-    LOGS,
-    TIMES,
-    VERTEX_PLACE,
-    VISCOUS,
-    contact_of,
-    empty_problem,
-    seen,
-    shows,
-    slab_of,
-)
-from tests.estimators.direct.test_field import MESH, SIDE, SIGMA, SIZE
+from tests.estimators.direct import slabs
+from tests.estimators.direct.slabs import COARSE, LOGS, TIMES, VERTEX_PLACE, empty_problem, problem_of, shows, slab_of
+from tests.estimators.direct.test_field import MESH, SIGMA
 
 
 def test_the_tips_middle_is_found() -> None:
     """The depth-change sequence of a tip that presses beside the contact's vertex."""
     place = (VERTEX_PLACE[0] + 1.3, VERTEX_PLACE[1] - 0.8)
-    contact, slab = contact_of(), slab_of()
-    empty = DepthSequence(TIMES, np.zeros((10, SIDE, SIDE), np.float32), SequenceNoise(SIGMA, 0.0), SIZE)
-    contact = dataclasses.replace(contact, sequence=empty)
+    contact, slab = slabs.showing(slabs.contact_of()), slab_of()
+    moved = problem_of(contact, slab, place=place).motion.at(LOGS)[0]
 
-    def problem_of(tried: tuple[float, float]) -> SequenceProblem[SlabMotion]:
-        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
-            return SlabMotion(contact, slab, MESH.pixels[vertices], times, place=tried)
-
-        found = SequenceProblem(contact, motion)
-        moved = SlabMotion(contact, slab, MESH.pixels[found.patches.vertices], TIMES, place=place).at(LOGS)[0]
-        found.observed = found.patches.shown(found.patches.sunk(moved), found.patches.covering(moved))
+    def tried(at: tuple[float, float]) -> SequenceProblem[SlabMotion]:
+        found = problem_of(contact, slab, place=at)
+        shows(found, moved)
         return found
 
-    found = find_tip(problem_of, VERTEX_PLACE)
+    found = find_tip(tried, VERTEX_PLACE)
     np.testing.assert_allclose(found, place, atol=0.4)
-    np.testing.assert_allclose(find_tip(problem_of, found), place, atol=0.15)
+    np.testing.assert_allclose(find_tip(tried, found), place, atol=0.15)
 
 
 @pytest.mark.slow
 def test_a_start_is_near_and_a_descent_goes_down() -> None:
-    contact = seen(LOGS, 1, COARSE)
-    problem = SequenceProblem(
-        contact, lambda vertices, times: SlabMotion(contact, slab_of(), MESH.pixels[vertices], times)
-    )
+    problem = problem_of(slabs.seen(LOGS, 1, COARSE), slab_of())
     start = slab_start(problem)
     assert np.abs(start - LOGS).max() < 1.0
     far = LOGS + 0.5 * np.eye(3)[0]
@@ -63,7 +44,7 @@ def test_a_start_is_near_and_a_descent_goes_down() -> None:
 
 def test_the_valley_is_as_long_as_inertia_leaves_it() -> None:
     problem = empty_problem()
-    for logs, telling in ((VISCOUS, False), (LOGS, True)):
+    for logs, telling in ((slabs.VISCOUS, False), (LOGS, True)):
         shows(problem, problem.motion.at(logs)[0])
         problem.look(logs)
         found = follow_valley(problem, logs, problem.motion.box, 1.0)
@@ -93,7 +74,7 @@ def test_where_chi_square_is_nearly_quadratic_the_valley_is_the_normal_distribut
 
 
 def test_a_finer_mesh_changes_a_fit_by_what_it_shows() -> None:
-    problem = empty_problem(FINE)
+    problem = empty_problem(slabs.FINE)
     small = LOGS - np.array([0.0, 0.0, 4.0])
     problem.sequence = dataclasses.replace(problem.sequence, noise=SequenceNoise(SIGMA / 50, 0.0))
     shows(problem, problem.motion.at(small)[0])

@@ -6,20 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from palpate.estimators.direct import slab_fit
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.slab_fit import (
-    WAYS,
-    Firm,
-    averaged,
-    descend,
-    fall,
-    firm_regions,
-    relaxation,
-    with_firm_regions,
-)
+from palpate.estimators.direct.slab_fit import Firm, averaged, firm_regions, with_firm_regions
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.physics.fem import NoEquilibrium
-from tests.estimators.direct.slabs import FINE, LOGS, THICKNESS, TIMES, empty_problem, shows
+from tests.estimators.direct.slabs import FINE, LOGS, THICKNESS, TIMES, empty_problem, problem_of, shows
 from tests.estimators.direct.test_field import MESH
 
 
@@ -30,15 +22,11 @@ def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None
     shows(problem, moved)
     problem.look(LOGS)
     regions = [region for region, _ in firm_regions(problem, LOGS, THICKNESS, 1.0)]
-    assert len({tuple(region.centre) for region in regions}) == 2 * WAYS
+    assert len({tuple(region.centre) for region in regions}) == 2 * slab_fit.WAYS
 
     def with_regions(beginnings: list[tuple[FirmRegion, np.ndarray]], alike: np.ndarray) -> list[Firm]:
-        contact, slab, pixels = problem.contact, problem.motion.slab, MESH.pixels
-
         def problem_with(region: FirmRegion) -> SequenceProblem[SlabMotion]:
-            found = SequenceProblem(
-                contact, lambda v, times: SlabMotion(contact, slab, pixels[v], times, region=region)
-            )
+            found = problem_of(problem.contact, problem.motion.slab, region=region)
             found.observed = problem.observed
             return found
 
@@ -49,7 +37,7 @@ def test_a_firm_region_is_noticed_where_it_lies_and_taken_into_account() -> None
     firm = SlabMotion(problem.contact, problem.motion.slab, MESH.pixels[problem.patches.vertices], TIMES, region=true)
     shows(problem, firm.at(LOGS)[0], moved)
     problem.look(LOGS)
-    alike = descend(problem, LOGS, problem.motion.box, 0.01)
+    alike = slab_fit.descend(problem, LOGS, problem.motion.box, 0.01)
     problem.look(alike)
     found = firm_regions(problem, alike, THICKNESS, 1.0)
     beside = np.linalg.norm(found[0][0].centre - true.centre)
@@ -67,7 +55,6 @@ def test_regions_that_cannot_be_followed_are_left_out(monkeypatch: pytest.Monkey
     problem, followed = empty_problem(), SlabMotion._followed
     shows(problem, problem.motion.at(LOGS)[0])
     problem.look(LOGS)
-    slab, pixels = problem.motion.slab, MESH.pixels
 
     def fails(self: SlabMotion, logs: np.ndarray, *told: Any) -> Any:
         if self.region is not None or self.relaxing:
@@ -75,16 +62,13 @@ def test_regions_that_cannot_be_followed_are_left_out(monkeypatch: pytest.Monkey
         return followed(self, logs, *told)
 
     def problem_with(region: FirmRegion | None, relaxing: bool = False) -> SequenceProblem[SlabMotion]:
-        def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
-            return SlabMotion(problem.contact, slab, pixels[vertices], times, relaxing=relaxing, region=region)
-
-        return SequenceProblem(problem.contact, motion)
+        return problem_of(problem.contact, problem.motion.slab, relaxing=relaxing, region=region)
 
     regions = firm_regions(problem, LOGS, THICKNESS, 1.0)
     monkeypatch.setattr(SlabMotion, "_followed", fails)
     fits = with_firm_regions(problem, LOGS, regions, problem_with, 1.0)
     assert fits == []
-    assert relaxation(problem, LOGS, problem_with(None, relaxing=True), fits, 1.0) == ""
+    assert slab_fit.relaxation(problem, LOGS, problem_with(None, relaxing=True), fits, 1.0) == ""
 
 
 def test_pixels_that_show_nothing_in_one_fit_count_in_neither() -> None:
@@ -94,7 +78,7 @@ def test_pixels_that_show_nothing_in_one_fit_count_in_neither() -> None:
     problem.look(LOGS)
     beside = LOGS + np.array([0.1, 0.0, 0.0])
     other.look(beside)
-    whole = fall(problem, LOGS, other, beside)
+    whole = slab_fit.fall(problem, LOGS, other, beside)
     assert whole < -1  # it explains less
     hidden, change = problem.seen.shape[1] // 2, other.change
 
@@ -104,7 +88,7 @@ def test_pixels_that_show_nothing_in_one_fit_count_in_neither() -> None:
         return found
 
     other.change = partly  # ty: ignore[invalid-assignment]
-    part = fall(problem, LOGS, other, beside)
+    part = slab_fit.fall(problem, LOGS, other, beside)
     assert 2 * whole < part < -1
 
 

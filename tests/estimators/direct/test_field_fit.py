@@ -7,43 +7,26 @@ import pytest
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import (
-    ENOUGH,
-    FITS,
-    NARROW,
-    ROUND,
-    field_starts,
-    first_draws,
-    fit_field,
-    raced,
-)
+from palpate.estimators.direct import contact_fit
+from palpate.estimators.direct.contact_fit import field_starts, first_draws, fit_field, raced
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import APART, Optimum
 from palpate.estimators.direct.sampling import sample_posterior
 from palpate.estimators.estimate import Estimate
 from palpate.physics.identifiability import box_information, covariance
 from palpate.physics.mechanics import RECOMMENDED, Bounds
-from tests.estimators.direct.test_field import (
-    LARGER,
-    MECHANICS,
-    REGIMES,
-    SIGMA,
-    SIZE,
-    WITHIN,
-    contact_of,
-    curved_mesh,
-    errors_of,
-    logs_of,
-    noisy,
-    problem_of,
-    with_change,
-)
+from tests.estimators.direct import test_field as dents
+from tests.estimators.direct.test_field import MECHANICS, REGIMES, WITHIN, contact_of, errors_of, logs_of, noisy
 
 BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)).log_box
 
 
 def fit(contact: Interaction, within: float = 0.0) -> Estimate:
     return fit_field(SequenceProblem.of_press(contact, MECHANICS, within), BOX)
+
+
+def starts_of(contact: Interaction) -> np.ndarray:
+    return field_starts(SequenceProblem.of_press(contact, MECHANICS), BOX)
 
 
 def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
@@ -53,8 +36,7 @@ def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
 
 def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     theta = REGIMES["critical"]
-    problem = SequenceProblem.of_press(contact_of(theta), MECHANICS)
-    starts = field_starts(problem, BOX)
+    problem, starts = SequenceProblem.of_press(contact_of(theta), MECHANICS), starts_of(contact_of(theta))
     assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
     for index, start in enumerate(starts):
@@ -78,25 +60,16 @@ def test_starts_have_the_delay_that_suits_them() -> None:
     assert np.abs(starts[:, 3] - delay).min() < 0.3
 
 
-def test_a_hidden_pixel_does_not_change_the_starts() -> None:
-    contact = contact_of()
+def test_hidden_pixels_and_a_hole_in_the_tissue_do_not_change_the_starts() -> None:
+    """A depth-change sequence shows all pixels that tissue was known in at rest, up to the hole."""
+    contact, usual = contact_of(), starts_of(contact_of())
     spoiled = errors_of(0, 0.0)
     spoiled[:, 0, :2] = np.nan
-    starts, others = (
-        field_starts(SequenceProblem.of_press(each, MECHANICS), BOX) for each in (contact, noisy(contact, spoiled))
-    )
-    np.testing.assert_allclose(starts, others, atol=0.02)
-
-
-def test_starts_are_as_good_beside_a_hole_in_the_tissue() -> None:
-    """A depth-change sequence shows all pixels that tissue was known in at rest, up to the hole."""
-    contact = contact_of(mesh=curved_mesh((12, 13)))
-    change = contact_of().sequence.change.copy()
+    np.testing.assert_allclose(starts_of(noisy(contact, spoiled)), usual, atol=0.02)
+    change = contact.sequence.change.copy()
     change[:, REACH - 4, REACH - 4] = np.nan
-    starts = field_starts(SequenceProblem.of_press(with_change(contact, change), MECHANICS), BOX)
-    np.testing.assert_allclose(
-        starts[0], field_starts(SequenceProblem.of_press(contact_of(), MECHANICS), BOX)[0], atol=0.1
-    )
+    holed = dents.with_change(contact_of(mesh=dents.curved_mesh((12, 13))), change)
+    np.testing.assert_allclose(starts_of(holed)[0], usual[0], atol=0.1)
 
 
 class Basins:
@@ -127,7 +100,7 @@ def test_of_many_starts_the_better_half_is_led_on() -> None:
 
 
 def test_a_few_starts_stay_where_they_are() -> None:
-    starts, problem = np.linspace(0.1, 0.4, FITS)[:, None], Basins()
+    starts, problem = np.linspace(0.1, 0.4, contact_fit.FITS)[:, None], Basins()
     np.testing.assert_array_equal(raced(problem, starts, np.array([[-1.0], [1.0]])), starts)
     assert not problem.looks
 
@@ -141,21 +114,20 @@ def test_an_exact_sequence_gives_the_parameters_back() -> None:
     assert estimate.misfit < 0.3
     assert estimate.outliers == 0
     assert not estimate.at_bound.any()
-    assert estimate.noise == SIGMA
-    expected = problem_of(contact_of(theta)).information(logs_of(theta))
+    assert estimate.noise == dents.SIGMA
+    expected = dents.problem_of(contact_of(theta)).information(logs_of(theta))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance(expected))), estimate.log_sd, rtol=0.15)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [SIZE, LARGER])
+@pytest.mark.parametrize("size", [dents.SIZE, dents.LARGER])
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 def test_exact_sequences_made_with_fine_steps_give_the_parameters_back(theta, size) -> None:
     """The steps' own error is taken off, so that even small noise finds the truth."""
-    fine = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
-    contact = contact_of(theta, size=size, mechanics=fine)
+    contact = contact_of(theta, size=size, mechanics=dents.FINER)
     estimate = fit(dataclasses.replace(contact, load=contact_of(theta).load, time_step=MECHANICS.time_step))
     # A posterior that is not narrow has its mean next to its mode.
-    assert (np.abs(errors(estimate, theta)) < (0.1 if estimate.log_sd.max() < NARROW else 0.35)).all()
+    assert (np.abs(errors(estimate, theta)) < (0.1 if estimate.log_sd.max() < contact_fit.NARROW else 0.35)).all()
     assert estimate.misfit < 0.05
 
 
@@ -194,7 +166,7 @@ def test_the_first_draws_reach_a_long_tail_towards_firm_tissue(seen: float, know
     slopes = np.vstack([[-seen / known, 0.0, 0.0], mix])
     start = first_draws([Optimum(best, 0.0, slopes.T @ slopes)], 1.0, prior)
     none = np.empty((0, 3))
-    draws = sample_posterior(likelihoods, box, start, (none, likelihoods(none)), ROUND, ENOUGH)
+    draws = sample_posterior(likelihoods, box, start, (none, likelihoods(none)), contact_fit.ROUND, contact_fit.ENOUGH)
     half = 0.5 * (box[1] - box[0]).min()
     scales = np.linspace(-half, half, 20_001)
     weights = np.exp(-0.5 * np.square((np.exp(-scales) - seen) / known))
@@ -221,8 +193,7 @@ def test_errors_are_as_large_as_the_estimate_says() -> None:
 @pytest.mark.slow
 def test_what_the_model_does_not_explain_widens_the_estimate() -> None:
     """One half of the dent sinks by half more, the other by half less."""
-    theta = REGIMES["critical"]
-    contact = contact_of(theta)
+    contact = contact_of(REGIMES["critical"])
     more = 0.5 * contact.sequence.change * np.sign(np.arange(-REACH, REACH + 1))
     plain, spoiled = fit(contact), fit(noisy(contact, more))
     assert spoiled.misfit > 1.5

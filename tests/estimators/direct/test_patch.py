@@ -15,21 +15,8 @@ from palpate.estimators.direct.patch import PatchMotion
 from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.msd.simulation import simulate
-from tests.estimators.direct.test_field import (
-    FRAME,
-    LARGER,
-    LOAD,
-    MECHANICS,
-    MESH,
-    REGIMES,
-    SIDE,
-    SIGMA,
-    THETA,
-    TIMES,
-    WITHIN,
-    contact_of,
-    logs_of,
-)
+from tests.estimators.direct import test_field as dents
+from tests.estimators.direct.test_field import MECHANICS, MESH, SIDE, THETA, TIMES, WITHIN, contact_of, logs_of
 
 SHAPE = PressShape(2.7, (0.6, -0.4), 0.05, 0.07, (0.1, -0.2))
 CONTACT = contact_of()
@@ -40,21 +27,20 @@ def motion_of(within: float = 0.0, contact: Interaction = CONTACT) -> PatchMotio
     return PatchMotion(contact, MECHANICS, vertices, TIMES, within)
 
 
-def pressed(shape: PressShape, seconds: float = LOAD, theta=THETA, watch: np.ndarray | None = None) -> np.ndarray:
-    """Motion at TIMES under a load of a shape, shape [N, M, 3]."""
-    motion = motion_of()
-    load = shape.press(MESH, CONTACT.vertex, CONTACT.direction, seconds, MECHANICS.time_step, MECHANICS.steps)
-    watch = motion.vertices if watch is None else watch
+def pressed(shape: PressShape, theta=THETA, watch: np.ndarray | None = None, late: float = 0.0) -> np.ndarray:
+    """Motion at TIMES under a load of a shape that begins so late [s], shape [N, M, 3]."""
+    load = shape.press(MESH, CONTACT.vertex, CONTACT.direction, dents.LOAD, MECHANICS.time_step, MECHANICS.steps)
+    watch = motion_of().vertices if watch is None else watch
     path = simulate(np.array(theta), MESH, load, MECHANICS, watch=watch, dtype=np.float64)
-    return path[np.rint(TIMES / MECHANICS.time_step).astype(int) - 1]
+    return path[np.rint((TIMES - late) / MECHANICS.time_step).astype(int) - 1]
 
 
-def sequence_of(shape: PressShape, theta=THETA, size: tuple[int, int] = LARGER) -> Interaction:
+def sequence_of(shape: PressShape, theta=THETA, size: tuple[int, int] = dents.LARGER) -> Interaction:
     """A contact whose depth-change sequence is exactly that of a press of a shape."""
     patches = Patches(MESH, CONTACT.vertex, size)
     moved = pressed(shape, theta=theta, watch=patches.vertices)
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
-    sequence = DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(SIGMA, 0.0), size)
+    sequence = DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(dents.SIGMA, 0.0), size)
     return dataclasses.replace(CONTACT, sequence=sequence)
 
 
@@ -63,11 +49,9 @@ def test_a_shape_survives_its_parameters(delays: tuple[float, ...]) -> None:
     motion = motion_of(WITHIN if delays else 0.0)
     logs = motion.parameters(logs_of(THETA, *delays), SHAPE)
     assert motion.box(RECOMMENDED.log_box).shape == (2, len(logs))
-    found = motion.shape(logs)
-    np.testing.assert_allclose(
-        np.hstack([*dataclasses.astuple(found)]), np.hstack([*dataclasses.astuple(SHAPE)]), rtol=1e-12
-    )
-    seconds = LOAD + WITHIN * (delays[1] - delays[0]) if delays else LOAD
+    found, wanted = (np.hstack(dataclasses.astuple(shape)) for shape in (motion.shape(logs), SHAPE))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    seconds = dents.LOAD + WITHIN * (delays[1] - delays[0]) if delays else dents.LOAD
     assert motion.loaded(logs) == pytest.approx(seconds)
 
 
@@ -79,19 +63,12 @@ def test_the_smallest_shape_moves_as_a_step_on_a_vertex() -> None:
     np.testing.assert_allclose(motion.at(values)[1][..., :3], plain.at(logs_of())[1], atol=1e-12)
 
 
-def test_the_motion_is_that_of_the_shapes_load() -> None:
-    motion = motion_of()
-    np.testing.assert_allclose(motion.at(motion.parameters(logs_of(), SHAPE))[0], pressed(SHAPE), atol=1e-9)
-
-
-def test_a_delayed_press_of_a_shape_is_the_same_later() -> None:
+@pytest.mark.parametrize(("delays", "late", "off"), [((), 0.0, 1e-9), ((0.5, 0.5), 0.5 * dents.FRAME, 1e-7)])
+def test_the_motion_is_that_of_the_shapes_load_and_delayed_the_same_later(delays, late: float, off: float) -> None:
     """Both delays of half a frame, which is a whole number of steps."""
-    motion, delay = motion_of(WITHIN), 0.5
-    found = motion.at(motion.parameters(logs_of(THETA, delay, delay), SHAPE))[0]
-    load = SHAPE.press(MESH, CONTACT.vertex, CONTACT.direction, LOAD, MECHANICS.time_step, MECHANICS.steps)
-    path = simulate(np.array(THETA), MESH, load, MECHANICS, watch=motion.vertices, dtype=np.float64)
-    since = np.rint((TIMES - delay * FRAME) / MECHANICS.time_step).astype(int) - 1
-    np.testing.assert_allclose(found, path[since], atol=1e-7)
+    motion = motion_of(WITHIN if delays else 0.0)
+    found = motion.at(motion.parameters(logs_of(THETA, *delays), SHAPE))[0]
+    np.testing.assert_allclose(found, pressed(SHAPE, late=late), atol=off)
 
 
 @pytest.mark.parametrize("delays", [(), (0.31, -0.22)])
@@ -119,7 +96,7 @@ def test_without_a_release_there_is_no_fall() -> None:
 
 
 def test_a_step_is_fitted_as_one() -> None:
-    found = fit_press(contact_of(REGIMES["under-damped"]), MECHANICS, 0.0, None, RECOMMENDED.log_box)
+    found = fit_press(contact_of(dents.REGIMES["under-damped"]), MECHANICS, 0.0, None, RECOMMENDED.log_box)
     assert found.shape is None
     assert "press_radius" not in found.numbers()
 
@@ -127,7 +104,7 @@ def test_a_step_is_fitted_as_one() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["under-damped", "over-damped"])
 def test_a_press_of_any_shape_is_found_with_its_tissue(name: str) -> None:
-    theta = REGIMES[name]
+    theta = dents.REGIMES[name]
     found = fit_press(sequence_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
     assert found.misfit < 0.3
     assert (np.abs(np.log(found.theta / theta)) < 0.5 * found.log_sd).all()
@@ -167,8 +144,6 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = SequenceProblem.of_press(
-        sequence_of(SHAPE, size=(MESH.grid_shape[1], MESH.grid_shape[0])), MECHANICS, kind=PatchMotion
-    )
+    coarse = SequenceProblem.of_press(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
     assert coarse.model_errors(sunk.reshape(frames, -1)).shape[2] == 0
     assert SequenceProblem.of_press(sequence_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0

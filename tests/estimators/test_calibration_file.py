@@ -17,14 +17,12 @@ from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
 
 
+STIFF = {"stiffness": 3.0}
+
+
 def read(folder: Path, **fields: Any) -> Calibration:
     (folder / "known.yaml").write_text(yaml.safe_dump(fields))
     return read_calibration(folder / "known.yaml")
-
-
-def write_forces(folder: Path) -> None:
-    rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 3, 0.1)]
-    (folder / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
 
 
 def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> None:
@@ -38,7 +36,8 @@ def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> Non
 
 
 def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> None:
-    write_forces(tmp_path)
+    rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 3, 0.1)]
+    (tmp_path / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
     calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2], homogeneous="stiffness")
     scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
     assert (scale.homogeneous, scale.source) == (STIFFNESS, "forces measured at frame 10")
@@ -73,6 +72,10 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
     whole = read_calibration(tmp_path / "sheet.json").scale([], METRIC)
     assert (whole.log, whole.variance) == pytest.approx((scale.log, 0.01))
     with pytest.raises(InputError, match="holds no thickness_m"):
+        read_calibration(tmp_path / "calibration.json")
+    # The numeric descent's file knows no interval.
+    (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4, "thickness_m": 0.004}))
+    with pytest.raises(InputError, match="holds no E with an interval"):
         read_calibration(tmp_path / "calibration.json")
 
 
@@ -110,10 +113,7 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
         ({"measured": "forces.csv", "rest_s": [0, 1]}, "rest_s needs known_s, whose dents tell the scale."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
-        (
-            {"stiffness": 3.0, "homogeneous": "stiffness"},
-            "homogeneous is for a known force; leave it out next to stiffness.",
-        ),
+        (STIFF | {"homogeneous": "stiffness"}, "homogeneous is for a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
@@ -127,9 +127,3 @@ def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, fields: dict[str, A
         read(tmp_path, **fields)
     assert told in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_the_numeric_descent_s_file_knows_no_interval(tmp_path: Path) -> None:
-    (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4, "thickness_m": 0.004}))
-    with pytest.raises(InputError, match="holds no E with an interval"):
-        read_calibration(tmp_path / "calibration.json")

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,11 +16,15 @@ from palpate.models.onnx_session import ModelFileError, ParameterModel
 from tests.inference_inputs import GRID, metadata, write_model
 
 
+def model_of(folder: Path, **changes: Any) -> ParameterModel:
+    """A network whose metadata is changed so."""
+    return ParameterModel(write_model(folder / "model.onnx", metadata() | changes))
+
+
 def test_settings_come_from_the_model_unless_chosen(tmp_path: Path) -> None:
     geometry = GeometrySettings(height=GRID[0], width=GRID[1], contact_pixels=3.0)
     depth = DepthSettings(near=0.05, bits=8)
-    document = metadata(geometry=dataclasses.asdict(geometry), depth=dataclasses.asdict(depth))
-    model = ParameterModel(write_model(tmp_path / "model.onnx", document))
+    model = model_of(tmp_path, geometry=dataclasses.asdict(geometry), depth=dataclasses.asdict(depth))
     assert preparation_settings(model, Chosen()).geometry == geometry
     assert preparation_settings(model, Chosen()).depth == depth
     assert preparation_settings(model, Chosen()).masks == "auto"
@@ -28,12 +33,9 @@ def test_settings_come_from_the_model_unless_chosen(tmp_path: Path) -> None:
     assert chosen.masks == "automatic"
 
 
-@pytest.mark.parametrize(
-    ("trained", "expected"), [("auto", "auto"), ("annotation", "auto"), ("automatic", "automatic")]
-)
+@pytest.mark.parametrize(("trained", "expected"), [("annotation", "auto"), ("automatic", "automatic")])
 def test_masks_are_the_models_where_a_clip_without_annotation_has_them(tmp_path, trained, expected) -> None:
-    document = metadata(masks=trained, bridge_frames=5, track_seconds=2.0)
-    model = ParameterModel(write_model(tmp_path / "model.onnx", document))
+    model = model_of(tmp_path, masks=trained, bridge_frames=5, track_seconds=2.0)
     settings = preparation_settings(model, Chosen())
     assert (settings.masks, settings.bridge_frames, settings.track_seconds) == (expected, 5, 2.0)
     assert preparation_settings(model, Chosen(masks="annotation")).masks == "annotation"
@@ -41,7 +43,7 @@ def test_masks_are_the_models_where_a_clip_without_annotation_has_them(tmp_path,
 
 def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     depth = {"source": "net.onnx", "preset": "midas-small"}
-    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(depth=depth, masks="seg.onnx")))
+    model = model_of(tmp_path, depth=depth, masks="seg.onnx")
     with pytest.raises(ModelFileError, match=r"trained with depth from net\.onnx; give that file's path as --depth"):
         preparation_settings(model, Chosen())
     with pytest.raises(ModelFileError, match=r"trained with masks from seg\.onnx; give that file's path as --masks"):
@@ -49,8 +51,7 @@ def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     same = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/net.onnx"}))
     other = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/other.onnx"}))
     assert (same.depth.preset, other.depth.preset) == ("midas-small", None)
-    depth = {"source": "depthpro", "model": "net.onnx"}
-    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(depth=depth)))
+    model = model_of(tmp_path, depth={"source": "depthpro", "model": "net.onnx"})
     assert preparation_settings(model, Chosen(depth={"source": "stored"})).depth.model is None
 
 
@@ -81,10 +82,11 @@ GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
         ({"bounds": {"stiffness": 1.0}}, r"gives stiffness 1\.0"),
         ({"bounds": {"initial": [0.5, 0.5]}}, r"gives initial \[0\.5, 0\.5\]"),
         ({"bounds": {"force": [-1.0, "0"]}}, r"gives force \[-1\.0, '0'\]"),
+        ({"geometry": {"height": 50, "width": 80}}, r"takes \(48, 80\) but its geometry gives \(50, 80\)"),
     ],
 )
 def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, words: str) -> None:
-    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(**changes)))
+    model = model_of(tmp_path, **changes)
 
     def use() -> None:
         preparation_settings(model, Chosen())
@@ -95,14 +97,8 @@ def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, wo
     assert "model.onnx" in str(caught.value)
 
 
-def test_geometry_that_contradicts_the_input_is_refused(tmp_path: Path) -> None:
-    document = metadata() | {"geometry": dataclasses.asdict(GeometrySettings(height=50, width=80))}
-    with pytest.raises(ModelFileError, match=r"takes \(48, 80\) but its geometry gives \(50, 80\)"):
-        preparation_settings(ParameterModel(write_model(tmp_path / "model.onnx", document)), Chosen())
-
-
 def test_sources_are_checked_before_any_work(tmp_path: Path) -> None:
-    model = ParameterModel(write_model(tmp_path / "model.onnx"))
+    model = model_of(tmp_path)
     check_sources(preparation_settings(model, Chosen()))
     with pytest.raises(InputError, match="masks 'wishful' is unknown"):
         check_sources(preparation_settings(model, Chosen(masks="wishful")))

@@ -50,10 +50,8 @@ def test_the_estimate_is_the_files_own(network: NetworkEstimator) -> None:
 
 
 def test_a_deeper_dent_takes_a_larger_force_for_its_stiffness(network: NetworkEstimator) -> None:
-    ratios = [
-        abs(found.theta[2] / found.theta[0]) for found in (network.lit(lit_contact(TIMES, dent(d))) for d in (0.1, 0.5))
-    ]
-    assert ratios[1] > 1.3 * ratios[0]
+    shallow, deep = (network.lit(lit_contact(TIMES, dent(depth))).theta for depth in (0.1, 0.5))
+    assert abs(deep[2] / deep[0]) > 1.3 * abs(shallow[2] / shallow[0])
 
 
 def test_what_rings_do_not_explain_is_no_press(network: NetworkEstimator) -> None:
@@ -81,17 +79,14 @@ def watched() -> list[PreparedFrame]:
     normal = np.array([0.0, 0.0, -1.0])
     rest = np.random.default_rng(3).normal(-1, 0.1, (FINE * SIZE[1], FINE * SIZE[0])).astype(np.float32)
     first = FINE * (mesh.pixels[vertex] - REACH - MARGIN)
-    change, frames = np.nan_to_num(dent(0.3)), []
-    for index in range(16):
-        light, since = rest.copy(), index - 6
-        if since < 0:
-            frames.append(prepared_frame(index, "no_contact", light=light))
-            continue
-        rows, columns = (slice(max(begin, 0), begin + change.shape[1]) for begin in first)
-        shown = change[since - 1, -first[0] if first[0] < 0 else 0 :, -first[1] if first[1] < 0 else 0 :]
-        light[rows, columns] += shown * (since > 0)
-        found = touched(mesh, vertex, normal, 0.001)
-        known = {"track_start": 6, "track_position": mesh.vertices[vertex], "consecutive": True}
+    frames = [prepared_frame(index, "no_contact", light=rest) for index in range(6)]
+    shown = np.nan_to_num(dent(0.3))
+    rows, columns = (slice(max(begin, 0), begin + shown.shape[1]) for begin in first)
+    found = touched(mesh, vertex, normal, 0.001)
+    known = {"track_start": 6, "track_position": mesh.vertices[vertex], "consecutive": True}
+    for index, change in enumerate([0 * shown[0], *shown[:9]], start=6):
+        light = rest.copy()
+        light[rows, columns] += change[max(-first[0], 0) :, max(-first[1], 0) :]
         frames.append(prepared_frame(index, "ok", found, light=light, **known))
     return frames
 

@@ -6,24 +6,11 @@ import pytest
 from palpate.data.contact.depth_sequence import REACH, smooth_errors
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.sequence_features import SHAPES, dent_shapes, motion_in_sequence, shape_amounts
-from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts, hidden_by_tool
+from palpate.data.synthetic.contacts import draw_contacts, hidden_by_tool
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.network.fits import (
-    DELAY_RANGE,
-    FRAME_S,
-    LEVEL,
-    MECHANICS,
-    NOMINAL_NOISE,
-    PARAMETERS,
-    ROUNDING_NOISE,
-    DepthSequences,
-    draw_sequence_errors,
-    fit_sequence,
-    sequence_information,
-    smooth_share,
-    without_delays,
-)
+from palpate.estimators.network import fits
+from palpate.estimators.network.fits import FRAME_S, MECHANICS, PARAMETERS, DepthSequences, draw_sequence_errors
 
 PIXELS = (2 * REACH + 1) ** 2
 
@@ -36,14 +23,9 @@ def random_sequences(count: int = 3) -> DepthSequences:
     hidden[:, SLOTS // 2 :] = 0
     change = change + hidden
     amounts, factors = shape_amounts(change.reshape(-1, PIXELS))
+    amounts, factors = amounts.reshape(count, SLOTS, SHAPES), factors.reshape(count, SLOTS, SHAPES, SHAPES)
     slopes = 0.01 * generator.normal(size=(count, SLOTS, SHAPES, PARAMETERS))
-    return DepthSequences(
-        change.astype(np.float16),
-        amounts.reshape(count, SLOTS, SHAPES),
-        slopes,
-        factors.reshape(count, SLOTS, SHAPES, SHAPES),
-        -change[..., PIXELS // 2],
-    )
+    return DepthSequences(change.astype(np.float16), amounts, slopes, factors, -change[..., PIXELS // 2])
 
 
 def test_sequence_information_is_that_of_the_whole_covariance() -> None:
@@ -52,7 +34,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
     noise = np.array([1e-3, 5e-4, 3e-3])
     errors = 1e-3 * generator.normal(size=sequences.amounts.shape)
     known = (np.arange(SLOTS) < np.array([[SLOTS], [7], [2]])).astype(float)
-    information, pull = sequence_information(sequences.amount_slopes, sequences.factors, errors, noise, known)
+    information, pull = fits.sequence_information(sequences.amount_slopes, sequences.factors, errors, noise, known)
     smooth = dent_shapes().T @ smooth_errors(1.0)
     for index, seen in enumerate(known.sum(axis=1).astype(int)):
         covariance = np.kron(np.ones((seen, seen)), smooth @ smooth.T)
@@ -69,7 +51,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
 
 def test_the_rest_surfaces_share_is_that_of_its_columns() -> None:
     smooth = dent_shapes().T @ smooth_errors(1.0)
-    np.testing.assert_allclose(smooth_share() @ smooth_share().T, smooth @ smooth.T, atol=1e-11)
+    np.testing.assert_allclose(fits.smooth_share() @ fits.smooth_share().T, smooth @ smooth.T, atol=1e-11)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -80,8 +62,8 @@ def test_without_delays_is_the_schur_complement(count: int) -> None:
     errors, delays = generator.normal(size=(4, 30)), generator.uniform(-0.5, 0.5, (4, count))
     information = np.einsum("bkp,bkq->bpq", slopes, slopes)
     pull = np.einsum("bkp,bk->bp", slopes, errors)
-    found, pulled = without_delays(information, pull, delays)
-    prior = 12 / DELAY_RANGE**2
+    found, pulled = fits.without_delays(information, pull, delays)
+    prior = 12 / fits.DELAY_RANGE**2
     for index in range(4):
         weighed = information[index] + np.diag([0.0] * 3 + [prior] * count)
         np.testing.assert_allclose(np.linalg.inv(found[index]), np.linalg.inv(weighed)[:3, :3], rtol=1e-9)
@@ -95,7 +77,7 @@ def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
     sequences, count, sigma = random_sequences(1), 3000, 2e-3
     drawn = draw_sequence_errors(sequences, np.zeros(count, int), np.full(count, sigma), np.random.default_rng(3))
     shapes = dent_shapes()
-    middle, still = shapes[PIXELS // 2], smooth_share() @ smooth_share().T
+    middle, still = shapes[PIXELS // 2], fits.smooth_share() @ fits.smooth_share().T
     for slot in (0, SLOTS - 1):
         spread = sequences.factors[0, slot] @ sequences.factors[0, slot].T
         values = np.column_stack([drawn.amounts[:, slot], drawn.middle[:, slot]]) / sigma
@@ -104,10 +86,8 @@ def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
         # A pixel's error is as large as the noise, and goes with the amounts that it is a part of.
         expected[:SHAPES, -1] = expected[-1, :SHAPES] = (spread + still) @ middle
         expected[-1, -1] = 1 + middle @ still @ middle
-        sizes = np.sqrt(np.diag(expected))
-        np.testing.assert_allclose(
-            np.cov(values.T) / np.outer(sizes, sizes), expected / np.outer(sizes, sizes), atol=0.1
-        )
+        sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        np.testing.assert_allclose(np.cov(values.T) / sizes, expected / sizes, atol=0.1)
     # The rest surface's is the same in all frames.
     first, last = drawn.amounts[:, 0] / sigma, drawn.amounts[:, -1] / sigma
     np.testing.assert_allclose(first.T @ last / count, still, atol=0.1)
@@ -117,31 +97,21 @@ def test_drawn_rounding_is_that_of_the_pixels() -> None:
     """No error is larger than half a step; amounts hold no more of it than noise of its size would bring."""
     sequences, count = random_sequences(2), 60
     index = np.arange(count) % 2
-    drawn = draw_sequence_errors(sequences, index, np.full(count, ROUNDING_NOISE), np.random.default_rng(4))
-    rest = 0.5 * ROUNDING_NOISE
-    assert np.abs(drawn.middle).max() < LEVEL / 2 + rest
-    assert np.abs(drawn.middle).max() > 0.9 * LEVEL / 2
-    assert drawn.middle.std() == pytest.approx(ROUNDING_NOISE, rel=0.1)
-    assert np.sqrt(np.square(drawn.amounts[..., 0]).mean()) == pytest.approx(ROUNDING_NOISE, rel=0.15)
-
-
-@pytest.fixture(scope="module")
-def pressed() -> SimulatedContact:
-    """A contact of one scene with its depth-change sequence; what draws its press is known to a frame."""
-    settings = SceneSettings(width=214, height=120, regime="critical")
-    return draw_contacts(settings, 5, 1, MECHANICS.time_step, FRAME_S, sequence=True)[0]
+    drawn = draw_sequence_errors(sequences, index, np.full(count, fits.ROUNDING_NOISE), np.random.default_rng(4))
+    rest = 0.5 * fits.ROUNDING_NOISE
+    assert np.abs(drawn.middle).max() < fits.LEVEL / 2 + rest
+    assert np.abs(drawn.middle).max() > 0.9 * fits.LEVEL / 2
+    assert drawn.middle.std() == pytest.approx(fits.ROUNDING_NOISE, rel=0.1)
+    assert np.sqrt(np.square(drawn.amounts[..., 0]).mean()) == pytest.approx(fits.ROUNDING_NOISE, rel=0.15)
 
 
 @pytest.mark.parametrize("within", [FRAME_S, 0.0])
-def test_an_exact_sequence_is_explained(pressed: SimulatedContact, within: float) -> None:
-    contact = pressed.interaction
-    start = np.log(np.abs(pressed.theta))
-    if not within:
-        contact = draw_contacts(
-            SceneSettings(width=214, height=120, regime="critical"), 5, 1, MECHANICS.time_step, 0.0, sequence=True
-        )[0]
-        start, contact = np.log(np.abs(contact.theta)), contact.interaction
-    logs, slopes, rms, change, amounts, tangents, factors, middle = fit_sequence((contact, start, within))
+def test_an_exact_sequence_is_explained(within: float) -> None:
+    """Of a contact of one scene, the instants of whose press are known to a frame, or exactly."""
+    settings = SceneSettings(width=214, height=120, regime="critical")
+    (drawn,) = draw_contacts(settings, 5, 1, MECHANICS.time_step, within, sequence=True)
+    start, contact = np.log(np.abs(drawn.theta)), drawn.interaction
+    logs, slopes, rms, change, amounts, tangents, factors, middle = fits.fit_sequence((contact, start, within))
     np.testing.assert_allclose(logs[:3], start, atol=0.05)
     assert rms < 2e-4
     assert (logs.shape, slopes.shape) == ((PARAMETERS,), (SLOTS, PARAMETERS))
@@ -157,13 +127,11 @@ def test_an_exact_sequence_is_explained(pressed: SimulatedContact, within: float
         assert not slopes[:, 3:].any()
         assert not tangents[..., 3:].any()
     # Of the amounts, derivatives are those of what the pixels show.
-    field = SequenceProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
+    field = SequenceProblem.of_press(contact, MECHANICS, within, fits.NOMINAL_NOISE)
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):
-        ends = [
-            np.where(field.seen, field.change(field.motion.at(own + sign * step)[0], own + sign * step), np.nan)
-            for sign in (1, -1)
-        ]
-        found = (shape_amounts(ends[0])[0] - shape_amounts(ends[1])[0]) / 2e-4
+        ends = (field.change(field.motion.at(at)[0], at) for at in (own + step, own - step))
+        up, down = (shape_amounts(np.where(field.seen, end, np.nan))[0] for end in ends)
+        found = (up - down) / 2e-4
         np.testing.assert_allclose(tangents[..., column], found, atol=2e-5 * np.abs(found).max())

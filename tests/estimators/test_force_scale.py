@@ -6,17 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from palpate.estimators.calibration_file import (
-    MASS,
-    SHEET_FACTOR,
-    STIFFNESS,
-    ClipLength,
-    ForceScale,
-    PressedRun,
-    measured_presses,
-    scale_by_force,
-    scale_by_stiffness,
-)
+from palpate.estimators import calibration_file as module
+from palpate.estimators.calibration_file import MASS, ClipLength, PressedRun, scale_by_force, scale_by_stiffness
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
 from tests.estimators.estimates import GOOD, NONE
@@ -27,10 +18,9 @@ SPREAD = np.array([[0.04, 0.01, 0.02], [0.01, 0.02, 0.0], [0.02, 0.0, 0.03]])
 
 
 def run(frame: int, theta: tuple[float, float, float], spread: np.ndarray | None = SPREAD, **changes) -> PressedRun:
-    logs = np.log(np.abs(theta))
-    return dataclasses.replace(
-        PressedRun(frame, 0.04 * frame, 0.04 * frame + 0.4, logs, spread, spread, True), **changes
-    )
+    begin = 0.04 * frame
+    pressed = PressedRun(frame, begin, begin + 0.4, np.log(np.abs(theta)), spread, spread, True)
+    return dataclasses.replace(pressed, **changes)
 
 
 KNOWN, OTHER = run(10, (0.5, 0.1, -0.2)), run(40, (0.8, 0.05, -0.05))
@@ -68,7 +58,7 @@ def test_a_shared_stiffness_tells_forces_where_only_ratios_are_known() -> None:
     known, other = (dataclasses.replace(each, covariance=loose, expected=loose) for each in (KNOWN, OTHER))
     with pytest.raises(NoEstimate, match="force of the run at frame 10, whose force is known, is not determined"):
         scale_by_force([known, other], [(10, 4.0, 0.0)], MASS, "a force")
-    told = scale_by_force([known, other], [(10, 4.0, 0.0)], STIFFNESS, "a force").of(other, UNKNOWN)
+    told = scale_by_force([known, other], [(10, 4.0, 0.0)], module.STIFFNESS, "a force").of(other, UNKNOWN)
     assert np.exp(told.logs[:1]) == pytest.approx(4.0 * 0.5 / 0.2)  # N per scene unit, as at the known contact
     assert np.exp(told.logs[2]) == pytest.approx(4.0 * (0.05 / 0.8) / (0.2 / 0.5))
     assert told.covariance[2, 2] == pytest.approx(0.02)
@@ -98,7 +88,7 @@ def test_a_stiffness_in_newtons_a_metre_needs_a_length_and_carries_its_error_onc
 
 
 def test_another_clip_s_scene_unit_may_be_longer() -> None:
-    scale = ForceScale(math.log(3.0), 0.01, MASS, "a force", {10: 1.0})
+    scale = module.ForceScale(math.log(3.0), 0.01, MASS, "a force", {10: 1.0})
     assert math.exp(scale.elsewhere(METRIC, ClipLength(1.0, 0.6)).log) == pytest.approx(9.0)
     stored = ClipLength(2.0, stored=True), ClipLength(1.0, stored=True)
     assert math.exp(scale.elsewhere(*stored).log) == pytest.approx(1.5)
@@ -124,15 +114,14 @@ def test_an_estimator_without_uncertainty_gives_numbers_alone() -> None:
 def test_measured_forces_of_a_run_are_its_mean_within_what_is_known() -> None:
     times = np.arange(0, 2, 0.05)
     force = np.where(times < 1, -3.0, -5.0) + 0.1 * (-1.0) ** np.arange(len(times))
-    (found,) = measured_presses([KNOWN, OTHER], KnownForce(times, force), (0.0, 1.5))
+    (found,) = module.measured_presses([KNOWN, OTHER], KnownForce(times, force), (0.0, 1.5))
     assert found[:2] == (10, pytest.approx(3.0, abs=0.03))
     assert 0 < found[2] < 0.03
-    assert measured_presses([KNOWN], KnownForce(times, force), (0.7, 1.5)) == []  # two forces are too few
+    assert module.measured_presses([KNOWN], KnownForce(times, force), (0.7, 1.5)) == []  # two forces are too few
 
 
 def test_intervals_of_forces_hold_as_often_as_they_say() -> None:
-    chance = np.random.default_rng(3)
-    inside = 0
+    chance, inside = np.random.default_rng(3), 0
     for _ in range(400):
         off = chance.multivariate_normal(np.zeros(3), SPREAD, 2)
         known = dataclasses.replace(KNOWN, logs=KNOWN.logs + off[0])
@@ -154,4 +143,4 @@ def test_a_sheet_of_the_mesh_s_springs_is_four_thirds_of_their_stiffness_stiff()
     turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
     area = energy(np.eye(2)) / 2  # W = 2K e² of e·1
     shear = np.mean([energy(turn @ np.diag([1.0, -1.0]) @ turn.T) for turn in turns]) / 2  # W = 2μ e²
-    assert pytest.approx(4 * area * shear / (area + shear)) == 1 / SHEET_FACTOR
+    assert pytest.approx(4 * area * shear / (area + shear)) == 1 / module.SHEET_FACTOR

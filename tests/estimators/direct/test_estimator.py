@@ -32,12 +32,12 @@ MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")
 STEPS = 16 * np.arange(1, 16) - 1
 """Frames at 25 Hz for 0.6 s."""
 LOAD = 128
-VERTEX = 6 * 13 + 6
+VERTEX = 4 * 9 + 4
 
 
 def facing_sheet() -> tuple[Mesh, np.ndarray]:
     """A sheet that lies so that its normal at the contact is the line of sight, and that normal."""
-    mesh = sheet(13, 13)
+    mesh = sheet(9, 9)
     normal = contact_normal(mesh, VERTEX)
     vertices = (mesh.vertices - mesh.vertices[VERTEX] - 0.5 * normal).astype(np.float32)
     return dataclasses.replace(mesh, vertices=vertices), normal
@@ -211,13 +211,6 @@ def test_mean_and_covariance_are_those_of_the_posterior_on_a_grid() -> None:
     assert sd[0] < 0.8 * fit(contact).log_sd[0]  # cut off indeed
 
 
-def test_the_same_contact_gives_the_same_estimate() -> None:
-    first, second = (fit(contact_of(REGIMES["critical"], 1e-3, seed=1)) for _ in range(2))
-    np.testing.assert_array_equal(first.theta, second.theta)
-    np.testing.assert_array_equal(first.covariance, second.covariance)
-    np.testing.assert_array_equal(first.information, second.information)
-
-
 def lone(logs: np.ndarray, likeliest: np.ndarray) -> Draws:
     """A sample of which one point has all the weight."""
     return Draws(np.array([logs, logs + 1]), np.array([1.0, 0.0]), likeliest)
@@ -269,14 +262,11 @@ def test_parameters_outside_the_ranges_are_said_to_be_at_their_end() -> None:
     assert estimate.misfit > 1.5
 
 
-def test_no_estimate_says_why() -> None:
-    contact = contact_of(REGIMES["critical"])
-    unknown = told(contact, float("nan"))
+def test_without_a_noise_there_is_no_estimate_and_it_says_why() -> None:
+    unknown = told(contact_of(REGIMES["critical"]), float("nan"))
     with pytest.raises(NoEstimate, match="noise isn't known; set geometry"):
         fit(unknown)
     assert fit(unknown, noise=NOISE).misfit == pytest.approx(0, abs=0.01)
-    with pytest.raises(NoEstimate, match="followed over 2 frames after its onset; 3 are needed"):
-        fit(contact.observed(np.arange(2)))
 
 
 @pytest.mark.parametrize(
@@ -299,36 +289,28 @@ def frames_of(contact: Interaction, followed: int) -> list[PreparedFrame]:
     rest = contact.mesh.vertices[contact.vertex]
     positions = rest + np.concatenate([np.zeros((1, 3)), contact.moved])
     positions[followed + 1 :] = np.nan
-    geometry = touched(contact.mesh, contact.vertex, contact.direction, contact.noise)
-    return [
-        prepared_frame(
-            index,
-            "ok" if index < 8 else "no_contact",
-            geometry if index < 8 else None,
-            consecutive=index < len(positions) - 1,
-            track_start=0,
-            track_position=position,
-        )
-        for index, position in enumerate(positions)
-    ]
+    found = "ok", touched(contact.mesh, contact.vertex, contact.direction, contact.noise)
+    frames = []
+    for index, position in enumerate(positions):
+        known = {"consecutive": index < len(positions) - 1, "track_start": 0, "track_position": position}
+        frames.append(prepared_frame(index, *(found if index < 8 else ("no_contact",)), **known))
+    return frames
 
 
-@pytest.mark.parametrize(
-    ("followed", "status", "words"),
-    [(len(STEPS), "ok", ""), (2, "no_estimate", "over 2 frames after its onset"), (0, "no_estimate", NOT_FOLLOWED)],
-)
-def test_a_clips_contacts_are_fitted_when_they_have_ended(followed: int, status: str, words: str) -> None:
+FEW = "followed over 2 frames after its onset; 3 are needed"
+
+
+@pytest.mark.parametrize(("followed", "words"), [(len(STEPS), ""), (2, FEW), (0, NOT_FOLLOWED)])
+def test_a_clips_contacts_are_fitted_when_they_have_ended(followed: int, words: str) -> None:
     contact = contact_of(REGIMES["critical"])
-    frames, (found,) = follow(
-        DirectEstimator(STAMP, mechanics=MECHANICS).start(clip_info()), frames_of(contact, followed)
-    )
+    session = DirectEstimator(STAMP, mechanics=MECHANICS).start(clip_info())
+    frames, (found,) = follow(session, frames_of(contact, followed))
     assert (found.onset, found.onset_frame, found.load_s) == (0, 0, pytest.approx(0.32))
     assert [frame.detail for frame in frames] == [WHOLE] * 8 + [""] * (len(frames) - 8)
     assert words in found.detail
-    if status == "ok":
+    if not words:
         np.testing.assert_allclose(found.estimate.theta, REGIMES["critical"], rtol=0.01)
-        times, along = found.simulated
-        seen = np.interp(contact.observation.times, times, along)
+        seen = np.interp(contact.observation.times, *found.simulated)
         np.testing.assert_allclose(seen, contact.along, atol=NOISE)
     else:
         assert found.estimate is None

@@ -1,6 +1,7 @@
 """A sheet whose grip is not visible well: foundation and force are found again all the same, or it is said why not."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,38 +13,38 @@ from palpate.physics.sheet import response
 SPACING, NOISE = 8, 0.1
 ANCHOR = 0.05
 PULLS = np.linspace(10.0, 40.0, 4)
+Measure = Callable[[int, np.ndarray, np.ndarray], sheet.SeenFrame]
 
 
-def grid() -> tuple[np.ndarray, np.ndarray]:
-    """Places of a grid [px] and their distances from a tool that comes from above."""
-    row, column = np.mgrid[1:41, 1:61]
-    places = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-    outside = np.maximum(np.abs(places - [240, 80]) - [12, 80], 0)
-    return places, np.linalg.norm(outside, axis=1)
+PLACES = SPACING * np.stack(np.meshgrid(np.arange(1.0, 61), np.arange(1.0, 41)), axis=-1).reshape(-1, 2)
+"""Of a grid [px]."""
+DISTANCE = np.linalg.norm(np.maximum(np.abs(PLACES - [240, 80]) - [12, 80], 0), axis=1)
+"""Theirs from a tool that comes from above."""
+HIDDEN = DISTANCE <= 5
+POINTS, AWAY = PLACES[~HIDDEN], DISTANCE[~HIDDEN]
+GRID = sheet.PointGrid(POINTS, AWAY, PLACES[HIDDEN], SPACING)
 
 
 def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: float = ANCHOR) -> list[sheet.SeenFrame]:
     """Two nodes at the tool's tip are pulled; points within 12 px of the tool are off, as told."""
-    places, distance = grid()
-    points, away = places[distance > 5], distance[distance > 5]
     answer, generator = response(anchor, sheet.SIZE), np.random.default_rng(seed)
     frames = []
     for pull in PULLS:
-        moved = np.zeros_like(points)
+        moved = np.zeros_like(POINTS)
         for node in ((30, 20), (31, 20)):
-            apart = np.rint(points / SPACING).astype(int) - node
+            apart = np.rint(POINTS / SPACING).astype(int) - node
             moved += np.outer(answer[tuple(apart.T)] / answer[0, 0], [0.3 * pull, 0.5 * pull])
-        moved += background * pull * (points / 400 - 0.5)
-        near = (away < 12)[:, None]
+        moved += background * pull * (POINTS / 400 - 0.5)
+        near = (AWAY < 12)[:, None]
         moved += NOISE * generator.normal(size=moved.shape) + np.where(near, [0.0, dragged * pull], 0.0)
         frames.append(sheet.SeenFrame(moved, np.where(near[:, 0] & (dragged > 0), dragged * pull, NOISE)))
     return frames
 
 
-def fitted(frames: list[sheet.SeenFrame]) -> sheet.FoundationFit:
-    places, distance = grid()
-    hidden = distance <= 5
-    return sheet.fit_foundation(sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), frames)
+def fitted(frames: list[sheet.SeenFrame], measure: Measure | None = None) -> sheet.FoundationFit:
+    """The fit, to points that are measured again, if told how."""
+    again = () if measure is None else (sheet.Measuring(PLACES.reshape(40, 60, 2), measure),)
+    return sheet.fit_foundation(GRID, frames, *again)
 
 
 def true_log_force() -> float:
@@ -64,20 +65,15 @@ def test_a_grip_whose_points_err_does_not_bias_what_is_told(dragged: float, back
 
 def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> None:
     """Followed points go too little where they move most, as filtered ones do; measured again they don't."""
-    places, distance = grid()
-    hidden = distance <= 5
-    exact, asked = seen(), []
-    near = (distance[~hidden] < 60)[:, None]
+    exact, asked, near = seen(), [], (AWAY < 60)[:, None]
     biased = [sheet.SeenFrame(frame.moved * np.where(near, 0.97, 1.0), frame.noise) for frame in exact]
 
     def measure(number: int, motion: np.ndarray, which: np.ndarray) -> sheet.SeenFrame:
-        assert {*np.flatnonzero(distance[~hidden] < sheet.DENSE)} < {*which}
-        asked.append((number, motion.reshape(-1, 2)[~hidden]))
+        assert {*np.flatnonzero(AWAY < sheet.DENSE)} < {*which}
+        asked.append((number, motion.reshape(-1, 2)[~HIDDEN]))
         return exact[number]
 
-    parts = sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), biased
-    without = sheet.fit_foundation(*parts)
-    found = sheet.fit_foundation(*parts, sheet.Measuring(places.reshape(40, 60, 2), measure))
+    without, found = fitted(biased), fitted(biased, measure)
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01 < abs(without.log_anchor - math.log(ANCHOR))
     assert [number for number, _ in asked] == sheet.LOOKS * [0, 1, 2, 3]
     for number, motion in asked[-4:]:
@@ -87,8 +83,6 @@ def test_points_measured_again_where_the_sheet_says_they_are_undo_a_bias() -> No
 @pytest.mark.parametrize("lost", [1, 3])
 def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_followed(lost: int) -> None:
     """Four frames, of which one or three can't be measured again."""
-    places, distance = grid()
-    hidden = distance <= 5
     exact, asked = seen(), []
 
     def measure(number: int, motion: np.ndarray, which: np.ndarray) -> sheet.SeenFrame:
@@ -96,16 +90,14 @@ def test_frames_that_show_too_few_points_are_left_out_and_most_leave_points_as_f
         gone = np.full_like(exact[number].moved, np.nan)
         return sheet.SeenFrame(gone, exact[number].noise) if number < lost else exact[number]
 
-    parts = sheet.PointGrid(places[~hidden], distance[~hidden], places[hidden], SPACING), exact
-    found = sheet.fit_foundation(*parts, sheet.Measuring(places.reshape(40, 60, 2), measure))
+    plain, found = fitted(exact), fitted(exact, measure)
     assert abs(found.log_anchor - math.log(ANCHOR)) < 0.01
     if lost == 1:
         assert asked == [0, 1, 2, 3, *(sheet.LOOKS - 1) * [1, 2, 3]]
-        assert found.log_anchor_sd < sheet.fit_foundation(*parts).log_anchor_sd
+        assert found.log_anchor_sd < plain.log_anchor_sd
     else:
         assert asked == [0, 1, 2, 3]
-        assert found.log_anchor_sd >= MODEL_ERRORS.foundation_followed
-        assert found.log_anchor_sd == sheet.fit_foundation(*parts).log_anchor_sd
+        assert found.log_anchor_sd == plain.log_anchor_sd >= MODEL_ERRORS.foundation_followed
 
 
 def test_frames_that_share_no_point_are_taken_to_err_alike() -> None:
@@ -115,34 +107,26 @@ def test_frames_that_share_no_point_are_taken_to_err_alike() -> None:
 
 
 def test_motion_that_is_no_sheets_is_refused() -> None:
-    places, distance = grid()
-    points = places[distance > 5]
-    wave = np.sin(points / 30)
-    frames = [
-        sheet.SeenFrame(frame.moved + pull / 20 * wave, frame.noise) for frame, pull in zip(seen(), PULLS, strict=True)
-    ]
+    waves = PULLS[:, None, None] / 20 * np.sin(POINTS / 30)
+    frames = [sheet.SeenFrame(frame.moved + wave, frame.noise) for frame, wave in zip(seen(), waves, strict=True)]
     with pytest.raises(sheet.NoSheet, match="px off besides their noise"):
         fitted(frames)
 
 
 def test_a_tool_that_hides_too_much_is_refused() -> None:
-    places, distance = grid()
-    hidden = distance <= 140
-    frames = [sheet.SeenFrame(np.ones((int((~hidden).sum()), 2)), np.full(int((~hidden).sum()), NOISE))]
+    hidden = DISTANCE <= 140
+    points = PLACES[~hidden]
+    frames = [sheet.SeenFrame(np.ones_like(points), np.full(len(points), NOISE))]
     with pytest.raises(sheet.NoSheet, match=r"from 1 to 400"):
-        sheet.fit_foundation(sheet.PointGrid(places[~hidden], distance[~hidden] - 140, places[hidden], SPACING), frames)
+        sheet.fit_foundation(sheet.PointGrid(points, DISTANCE[~hidden] - 140, PLACES[hidden], SPACING), frames)
 
 
 def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -> None:
     """A wave within a given noise that is three times too large."""
-    places, distance = grid()
-    wave = 0.15 * np.sin(places[distance > 5] / 25)
-    plain, waved = (
-        fitted([sheet.SeenFrame(frame.moved + added, 3 * frame.noise) for frame in seen()]) for added in (0.0, wave)
-    )
-    assert (
-        plain.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < waved.log_anchor_sd
-    )  # less the prior's share
+    waves, frames = (0.0, 0.15 * np.sin(POINTS / 25)), seen()
+    plain, waved = (fitted([sheet.SeenFrame(one.moved + wave, 3 * one.noise) for one in frames]) for wave in waves)
+    # Less the prior's share.
+    assert plain.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < waved.log_anchor_sd
     assert plain.log_force_sd < MODEL_ERRORS.force_uneven <= waved.log_force_sd
 
 

@@ -12,30 +12,28 @@ from palpate.common.files import file_sha256
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.light_features import LIGHT_FEATURES
 from palpate.estimators.network import light_training
-from palpate.estimators.network.fits import BOUNDS
 from palpate.estimators.network.light_calibration import QUANTITIES, main
 from palpate.estimators.network.light_draws import LightDraws, draw_light
 from palpate.estimators.network.light_training import DRAWN, WEIGHTS, Disturbed, light_loss, new_light_posterior
 from palpate.estimators.network.training import descend
 from palpate.models.calibration import LightCalibration
 from palpate.models.calibration_fit import fit_light
-from palpate.models.onnx_export import calibrate_light, export
+from palpate.models.onnx_export import calibrate_light
 from palpate.models.onnx_session import PosteriorModel
-from palpate.models.posterior import ContactPosterior
 
-METADATA = {"input": {"window": 1, "height": 120, "width": 214}}
 SMALL = ["--light.sheets", "2", "--light.steps", "4", "--light.workers", "0"]
+FIT = ["fit", "-c", "configs/light.yaml", *SMALL, "--light.output"]
 
 
 @pytest.fixture(scope="module")
 def draws() -> LightDraws:
-    return LightDraws.joined([part for part in map(draw_light, range(8)) if part is not None])
+    return LightDraws.joined([part for part in map(draw_light, range(4)) if part is not None])
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("light")
-    assert train.main(["fit", "-c", "configs/light.yaml", *SMALL, "--light.output", str(folder)]) == 0
+    assert train.main([*FIT, str(folder)]) == 0
     return folder
 
 
@@ -57,15 +55,13 @@ def test_training_lowers_the_loss_of_what_it_saw(draws: LightDraws) -> None:
     assert np.mean(losses[-5:]) < np.mean(losses[:5]) - 1
 
 
-def test_training_keeps_its_sequences_until_it_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trained
-) -> None:
+def test_training_keeps_its_sequences_until_it_is_done(tmp_path: Path, monkeypatch, trained: Path) -> None:
     assert {WEIGHTS, DRAWN} & {path.name for path in trained.iterdir()} == {WEIGHTS}
 
     def broken(*_):
         raise KeyboardInterrupt
 
-    command = ["fit", "-c", "configs/light.yaml", *SMALL, "--light.output", str(tmp_path)]
+    command = [*FIT, str(tmp_path)]
     with monkeypatch.context() as patch:
         patch.setattr(light_training, "light_loss", broken)
         assert train.main(command) == 130
@@ -77,9 +73,8 @@ def test_training_keeps_its_sequences_until_it_is_done(
     assert train.main(command) == 2  # a finished training isn't replaced
 
 
-def test_the_posterior_by_light_is_added_and_calibrated_within_the_file(tmp_path: Path, trained: Path, capsys) -> None:
-    bare, plain, output = (tmp_path / f"{name}.onnx" for name in ("bare", "plain", "calibrated"))
-    export(ContactPosterior(FEATURES, torch.tensor(BOUNDS.log_box)), bare, METADATA)
+def test_the_posterior_by_light_is_added_and_calibrated_within_the_file(tmp_path, posterior, trained, capsys) -> None:
+    bare, plain, output = posterior.path, tmp_path / "plain.onnx", tmp_path / "calibrated.onnx"
     assert main(["--model", str(bare), "--light", str(trained / WEIGHTS), "--output", str(plain)]) == 0
     contact = np.random.default_rng(0).normal(size=(2, FEATURES)).astype(np.float32)
     for one, other in zip(PosteriorModel(bare)(contact), PosteriorModel(plain)(contact), strict=True):
@@ -89,11 +84,9 @@ def test_the_posterior_by_light_is_added_and_calibrated_within_the_file(tmp_path
     results = tmp_path / "results"
     results.mkdir()
     (results / "run.json").write_text(json.dumps({"model_sha256": file_sha256(plain)}))
-    rows = [
-        {"explained": 1} | {f"{name}_{end}": value for name, error in zip(QUANTITIES, row, strict=True)
-                            for end, value in (("error", error), ("sd", 0.3))}
-        for row in errors.tolist()
-    ]  # fmt: skip
+    rows = [{"explained": 1} | {f"{name}_sd": 0.3 for name in QUANTITIES} for _ in errors]
+    for row, found in zip(rows, errors.tolist(), strict=True):
+        row |= {f"{name}_error": error for name, error in zip(QUANTITIES, found, strict=True)}
     (results / "results.jsonl").write_text("\n".join(map(json.dumps, rows)))
     assert main(["--model", str(plain), "--results", str(results), "--output", str(output)]) == 0
     light = np.zeros((1, LIGHT_FEATURES), np.float32)

@@ -15,13 +15,8 @@ from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)
 BOX = np.log([[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
-ESTIMATE = Estimate(
-    theta=np.array([0.3, 0.03, -0.05]),
-    covariance=0.01 * np.eye(3),
-    information=100 * np.eye(3),
-    noise=0.001,
-    misfit=1.0,
-)
+KNOWN = {"information": 100 * np.eye(3), "noise": 0.001, "misfit": 1.0}
+ESTIMATE = Estimate(np.array([0.3, 0.03, -0.05]), 0.01 * np.eye(3), **KNOWN)
 
 
 def seen_at(angle: float) -> Estimate:
@@ -38,12 +33,8 @@ def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, si
     vertices = MESH.vertices.astype(np.float64)
     mesh = dataclasses.replace(MESH, vertices=vertices - vertices[12] + 0.5 * ray)
     direction = sign * (math.cos(turn) * ray + math.sin(turn) * across)
-    contact = Interaction(
-        mesh,
-        Press.at(12, direction, np.ones(8)),
-        Observation.of_point(12, np.array([0.04]), np.zeros((1, 3)), 0.001),
-        0.005,
-    )
+    seen = Observation.of_point(12, np.array([0.04]), np.zeros((1, 3)), 0.001)
+    contact = Interaction(mesh, Press.at(12, direction, np.ones(8)), seen, 0.005)
     assert oblique.view_angle(contact) == pytest.approx(angle, abs=1e-9)
 
 
@@ -70,13 +61,11 @@ def test_widening_adds_the_covariance_of_the_larger_noise_within_the_box() -> No
     np.testing.assert_allclose(found.covariance, np.diag(0.01 + added))
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), np.diag(0.01 + added))
     assert (ESTIMATE.verdict, found.verdict) == ("determined", "undetermined")
-    unsure = dataclasses.replace(ESTIMATE, expected_information=4 * np.eye(3))
-    np.testing.assert_allclose(
-        np.linalg.inv(oblique.widened(unsure, 10.0, BOX).expected_information), np.diag(0.25 + added)
-    )
+    unsure = oblique.widened(dataclasses.replace(ESTIMATE, expected_information=4 * np.eye(3)), 10.0, BOX)
+    np.testing.assert_allclose(np.linalg.inv(unsure.expected_information), np.diag(0.25 + added))
     # However large the misfit, never wider than the prior besides; and where nothing was known, still finite.
     prior = np.diag((BOX[1] - BOX[0]) ** 2 / 12)
     np.testing.assert_allclose(oblique.widened(ESTIMATE, 1e9, BOX).covariance, ESTIMATE.covariance + prior)
-    blind = dataclasses.replace(ESTIMATE, expected_information=np.zeros((3, 3)))
-    assert np.isfinite(oblique.widened(blind, 10.0, BOX).expected_information).all()
-    assert oblique.widened(blind, 10.0, BOX).verdict == "undetermined"
+    blind = oblique.widened(dataclasses.replace(ESTIMATE, expected_information=np.zeros((3, 3))), 10.0, BOX)
+    assert np.isfinite(blind.expected_information).all()
+    assert blind.verdict == "undetermined"

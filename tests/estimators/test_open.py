@@ -12,17 +12,9 @@ from tests.inference_inputs import write_model
 def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> None:
     usual = open_estimator(EstimatorOptions(name)).described
     assert (usual["name"], usual["onset"], usual["horizon"]) == (name, "between", None)
-    assert open_estimator(EstimatorOptions(name, horizon=3)).described == usual | {"horizon": 3}
-    assert open_estimator(EstimatorOptions(name, onset="stamp")).described == usual | {"onset": "stamp"}
-
-
-@pytest.mark.parametrize("name", ["direct", "network"])
-def test_what_is_looked_at_can_be_chosen(name: str) -> None:
-    usual = open_estimator(EstimatorOptions(name))
-    point = open_estimator(EstimatorOptions(name, observation="contact"))
-    assert usual.described["observation"] == "auto"  # depth where it is given, else light
-    assert point.observation == "contact"
-    assert point.described == usual.described | {"observation": "contact"}
+    assert usual["observation"] == "auto"  # depth where it is given, else light
+    for chosen in ({"horizon": 3}, {"onset": "stamp"}, {"observation": "contact"}):
+        assert open_estimator(EstimatorOptions(name, **chosen)).described == usual | chosen
 
 
 def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -> None:

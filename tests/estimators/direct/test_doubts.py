@@ -7,6 +7,7 @@ import pytest
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import doubts, simulated_motion
+from palpate.estimators.oblique import OBLIQUE
 from palpate.physics.load import held
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.msd.simulation import simulate
@@ -33,11 +34,10 @@ def test_a_press_that_began_earlier_has_moved_for_longer() -> None:
     (times, plain), (_, early), (_, late) = motion(), motion(CONTACT, -SHIFT, -SHIFT), motion(CONTACT, SHIFT, SHIFT)
     # The same motion, shifted; before a press begins the tissue is at rest.
     assert len(early) == len(plain) + 8
-    early_times = np.linspace(0, times[-1], len(early))
-    inside = early_times <= times[-1] - SHIFT
-    np.testing.assert_allclose(
-        early[inside], np.interp(early_times[inside] + SHIFT, times, plain), atol=1e-3 * np.abs(plain).max()
-    )
+    since = np.linspace(0, times[-1], len(early))
+    inside = since <= times[-1] - SHIFT
+    expected = np.interp(since[inside] + SHIFT, times, plain)
+    np.testing.assert_allclose(early[inside], expected, atol=1e-3 * np.abs(plain).max())
     np.testing.assert_array_equal(late[times < SHIFT], 0.0)
     np.testing.assert_allclose(late[8:], plain[:-8], atol=1e-4 * np.abs(plain).max())
 
@@ -53,40 +53,30 @@ def test_a_release_that_came_later_holds_the_force_for_longer() -> None:
     assert (held_on[LOAD_STEPS + 2 :] < plain[LOAD_STEPS + 2 :]).all()
 
 
+def doubted(**changes) -> str:
+    """What is doubted of an estimate with these changes."""
+    return doubts(dataclasses.replace(ESTIMATE, **changes), RECOMMENDED)
+
+
 def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
-    assert doubts(ESTIMATE, RECOMMENDED) == ""
-    assert doubts(dataclasses.replace(ESTIMATE, misfit=1.5), RECOMMENDED) == ""
-    poor = dataclasses.replace(ESTIMATE, misfit=2.34, at_bound=np.array([False, False, True]))
-    told = doubts(poor, RECOMMENDED)
+    assert doubted() == doubted(misfit=1.5) == ""
+    told = doubted(misfit=2.34, at_bound=np.array([False, False, True]))
     assert told.startswith("The model does not explain the data: they lie 2.3 times the noise from it")
     assert told.endswith("The best fit lies at the end of the force's admissible range, 0.01 to 0.3.")
 
 
-def test_doubts_name_a_model_that_explains_more() -> None:
+def test_doubts_name_a_model_that_explains_more_several_modes_and_delays_at_the_end_of_their_range() -> None:
+    assert doubted(refuted="Another explains it better.") == "Another explains it better."
     refuted = dataclasses.replace(ESTIMATE, refuted="Another explains it better.")
-    assert doubts(refuted, RECOMMENDED) == "Another explains it better."
-    assert not refuted.explained
-    assert (refuted.verdict, refuted.determined) == ("undetermined", ())
+    assert (refuted.explained, refuted.verdict, refuted.determined) == (False, "undetermined", ())
     assert ESTIMATE.explained
+    assert doubted(modes=2) == "2 kinds of tissue far apart explain the motion; the intervals span them all."
+    assert "begun or ended a whole frame" in doubted(delays=(0.04,), delays_at_end=True)
+    assert "begun" not in doubted(delays=(0.01,))
 
 
 def test_doubts_name_a_press_aslant_to_the_line_of_sight_whose_uncertainties_were_widened() -> None:
-    facing, aslant = (dataclasses.replace(ESTIMATE, misfit=7.0, view_angle=angle) for angle in (3.0, 12.0))
-    misfit = "The model does not explain the data: they lie 7 times the noise from it"
-    assert doubts(facing, RECOMMENDED) == f"{misfit}, so the uncertainties are too small."
-    angle = (
-        "The tissue is pressed at 12° to the line of sight, so its dent may hide its own bottom; intervals are widened."
-    )
-    assert doubts(aslant, RECOMMENDED) == f"{angle} {misfit}."
-    assert doubts(dataclasses.replace(aslant, misfit=1.0), RECOMMENDED) == angle
-
-
-def test_delays_are_doubted_at_the_end_of_their_range() -> None:
-    stuck = dataclasses.replace(ESTIMATE, delays=(0.04,), delays_at_end=True)
-    assert "begun or ended a whole frame" in doubts(stuck, RECOMMENDED)
-    assert "begun" not in doubts(dataclasses.replace(ESTIMATE, delays=(0.01,)), RECOMMENDED)
-
-
-def test_doubts_name_several_modes() -> None:
-    told = doubts(dataclasses.replace(ESTIMATE, modes=2), RECOMMENDED)
-    assert told == "2 kinds of tissue far apart explain the motion; the intervals span them all."
+    misfit, angle = "The model does not explain the data: they lie 7 times the noise from it", OBLIQUE.format(12.0)
+    assert doubted(misfit=7.0, view_angle=3.0) == f"{misfit}, so the uncertainties are too small."
+    assert doubted(misfit=7.0, view_angle=12.0) == f"{angle} {misfit}."
+    assert doubted(misfit=1.0, view_angle=12.0) == angle

@@ -17,8 +17,8 @@ ROWS, COLUMNS, BEYOND = 36, 44, 16
 PICTURE = np.zeros((ROWS * SPACING, COLUMNS * SPACING, 3), np.uint8)
 
 
-def scene(pull: float, seed: int = 0, factor: float = FACTOR) -> tuple[np.ndarray, ...]:
-    """Points, distances, hidden places, and a frame's motion: a tool from above pulls what is under its tip."""
+def scene(pull: float = 40.0, factor: float = FACTOR) -> tuple[PointGrid, SeenFrame]:
+    """Points and what a frame shows of them: a tool from above pulls what is under its tip."""
     row, column = np.mgrid[: ROWS + 2 * BEYOND, : COLUMNS + 2 * BEYOND] - BEYOND
     places = SPACING * np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
     log = np.where(places[:, 0] > 190, math.log(factor), 0.0)
@@ -31,14 +31,14 @@ def scene(pull: float, seed: int = 0, factor: float = FACTOR) -> tuple[np.ndarra
     inside = ((places >= 0) & (places < [COLUMNS * SPACING, ROWS * SPACING])).all(axis=1)
     apart = np.linalg.norm(np.maximum(np.abs(places - [176, 60]) - [12, 60], 0), axis=1)
     shown, under = inside & (apart > 5), inside & (apart <= 5)
-    noise = NOISE * np.random.default_rng(seed).standard_normal((int(shown.sum()), 2))
-    return places[shown], apart[shown], places[under], moved[shown] + noise
+    noise = NOISE * np.random.default_rng(0).standard_normal((int(shown.sum()), 2))
+    seen = SeenFrame(moved[shown] + noise, np.full(len(noise), NOISE))
+    return PointGrid(places[shown], apart[shown], places[under], SPACING), seen
 
 
-def fitted(pull: float = 40.0, **changes) -> tuple[StiffnessField, np.ndarray, np.ndarray]:
-    points, distance, hidden, moved = scene(pull, **changes)
-    frame = SeenFrame(moved, np.full(len(points), NOISE))
-    return fit_stiffness(PointGrid(points, distance, hidden, SPACING), frame, PICTURE), points, moved
+def fitted(**changes) -> tuple[StiffnessField, np.ndarray, np.ndarray]:
+    points, frame = scene(**changes)
+    return fit_stiffness(points, frame, PICTURE), points.points, frame.moved
 
 
 def test_a_stiffer_side_is_found_with_intervals_that_hold(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,8 +87,7 @@ def test_a_field_is_bilinear_between_its_knots_and_less_sure_there() -> None:
 
 
 def test_the_slopes_are_those_of_the_residual() -> None:
-    points, distance, hidden, moved = scene(40.0)
-    problem = _Problem(PointGrid(points, distance, hidden, SPACING), SeenFrame(moved, np.full(len(points), NOISE)))
+    problem = _Problem(*scene())
     numbers = problem.mean + 0.1 * np.random.default_rng(1).standard_normal(len(problem.mean))
     problem.look(numbers)
     way = np.random.default_rng(2).standard_normal(len(numbers))
@@ -99,11 +98,12 @@ def test_the_slopes_are_those_of_the_residual() -> None:
 
 
 def test_what_tells_nothing_is_refused() -> None:
-    points, distance, hidden, moved = scene(40.0)
-    still = SeenFrame(0.01 * moved, np.full(len(points), NOISE))
-    with pytest.raises(NoSheet, match="50 are needed"):
-        fit_stiffness(PointGrid(points, distance, hidden, SPACING), still, PICTURE)
-    with pytest.raises(NoSheet, match="moves by more than 5 px"):
-        fit_stiffness(PointGrid(points, distance, hidden, SPACING), SeenFrame(0.1 * moved, still.noise), PICTURE)
-    with pytest.raises(NoSheet, match="may act on 0 places"):
-        fit_stiffness(PointGrid(points, distance + 100, hidden[:0], SPACING), SeenFrame(moved, still.noise), PICTURE)
+    points, frame = scene()
+    far = points._replace(distance=points.distance + 100, hidden=points.hidden[:0])
+    for grid, share, words in (
+        (points, 0.01, "50 are needed"),
+        (points, 0.1, "moves by more than 5 px"),
+        (far, 1.0, "may act on 0 places"),
+    ):
+        with pytest.raises(NoSheet, match=words):
+            fit_stiffness(grid, SeenFrame(share * frame.moved, frame.noise), PICTURE)

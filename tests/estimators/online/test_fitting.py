@@ -21,18 +21,20 @@ def shown(states: np.ndarray) -> np.ndarray:
     return PER_METRE * (states - BODY.rest)[:, 5:20, :2]
 
 
-def grip(size: float = 0.006) -> Grip:
-    ramp = np.array([0.2, 0.5, 1.0, 1.0])[:, None, None]
-    return Grip(np.array([27, 28]), ramp * np.array([[size, 0.5 * size, 0.2 * size]] * 2))
+GRIP = Grip(np.array([27, 28]), np.multiply.outer([0.2, 0.5, 1.0, 1.0], [[0.006, 0.003, 0.0012]] * 2))
+
+
+def motion_of(fit: Fit) -> np.ndarray:
+    fields = Stiffness(np.full(BODY.count, STIFFNESS), np.full(BODY.count, fit.bending * STIFFNESS))
+    return shown(simulate(BODY, fields, GRIP, fit.stepping(STEPPING, STIFFNESS)).positions[0, 1:])
 
 
 @pytest.mark.parametrize(("time_step", "foundation", "bending"), [(1.0, 0.1, 0.3), (4.0, 0.03, 1.0), (8.0, 0.3, 0.3)])
 def test_what_made_the_motion_is_found(time_step: float, foundation: float, bending: float) -> None:
     made = Fit(time_step, foundation, bending, np.nan)
-    fields = Stiffness(np.full(BODY.count, STIFFNESS), np.full(BODY.count, bending * STIFFNESS))
-    seen = shown(simulate(BODY, fields, grip(), made.stepping(STEPPING, STIFFNESS)).positions[0, 1:])
+    seen = motion_of(made)
     seen[1, 3] = np.nan
-    found = fit_motion(BODY, grip(), seen, shown, STEPPING, STIFFNESS)
+    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS)
     assert found[:3] == made[:3]
     assert found.error < 1e-9
 
@@ -40,17 +42,15 @@ def test_what_made_the_motion_is_found(time_step: float, foundation: float, bend
 def test_the_error_is_a_share_of_the_motion() -> None:
     """Points that run ahead of their grip: no sheet makes them, and none is closer than this."""
     seen = np.tile([300.0, 0.0], (4, 15, 1))
-    found = fit_motion(BODY, grip(), seen, shown, STEPPING, STIFFNESS)
-    fields = Stiffness(np.full(BODY.count, STIFFNESS), np.full(BODY.count, found.bending * STIFFNESS))
-    states = simulate(BODY, fields, grip(), found.stepping(STEPPING, STIFFNESS)).positions[0, 1:]
-    off = np.sqrt(np.square(shown(states) - seen).sum(axis=2).mean(axis=1)) / 300
+    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS)
+    off = np.sqrt(np.square(motion_of(found) - seen).sum(axis=2).mean(axis=1)) / 300
     assert found.error == pytest.approx(off.mean())
     assert found.foundation == FOUNDATIONS[0]
 
 
 def test_nothing_is_fitted_where_nothing_moves() -> None:
-    assert fit_motion(BODY, grip(), np.zeros((4, 15, 2)), shown, STEPPING, STIFFNESS) is None
-    assert fit_motion(BODY, grip(), np.full((4, 15, 2), np.nan), shown, STEPPING, STIFFNESS) is None
+    for seen in (np.zeros((4, 15, 2)), np.full((4, 15, 2), np.nan)):
+        assert fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS) is None
 
 
 def test_a_volume_moves_alike_in_any_unit() -> None:

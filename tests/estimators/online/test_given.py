@@ -39,8 +39,7 @@ def test_a_path_is_linear_between_its_rows_and_ends_with_them(tmp_path: Path) ->
     path = read_path(tmp_path / "path.csv")
     for time, place in ((1.0, [10, 20, 0.5]), (1.5, [20, 20, 0.45]), (3.0, [30, 40, 0.4]), (4.0, [30, 60, 0.4])):
         np.testing.assert_allclose(path.at(time), place)
-    assert path.at(0.99) is None
-    assert path.at(4.01) is None
+    assert path.at(0.99) is path.at(4.01) is None
 
 
 def test_rows_of_rounded_times_reach_their_frames(tmp_path: Path) -> None:
@@ -48,18 +47,13 @@ def test_rows_of_rounded_times_reach_their_frames(tmp_path: Path) -> None:
     path = read_path(tmp_path / "path.csv")
     np.testing.assert_allclose(path.at(2 / 30), [10, 20, 0.5])
     np.testing.assert_allclose(path.at(4 / 30), [30, 40, 0.4])
-    assert path.at(0.0667 - 0.0011) is None
-    assert path.at(0.1333 + 0.0011) is None
+    assert path.at(0.0667 - 0.0011) is path.at(0.1333 + 0.0011) is None
 
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
         ("time_s,x_px,y_px\n0,1,2\n1,1,2\n", r"path\.csv is no path of a gripper \(there is no 'z'\); give a CSV file"),
-        (
-            "time_s,x_px,y_px,z\n0,1,2,1\n",
-            r"path\.csv has 1 rows; give a CSV file with the columns time_s, x_px, y_px, z",
-        ),
         ("time_s,x_px,y_px,z\n0,1,2,1\n1,1,nan,1\n", r"path\.csv holds a value that is not finite"),
         ("time_s,x_px,y_px,z\n1,1,2,1\n1,1,2,1\n", r"path\.csv holds a time that is not after the one before"),
         ("time_s,x_px,y_px,z\n0,1,2,far\n1,1,2,1\n", r"path\.csv is no path of a gripper"),

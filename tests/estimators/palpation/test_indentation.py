@@ -43,11 +43,8 @@ def test_intervals_hold_as_often_as_they_say(indenter: Indenter | None) -> None:
 
 
 def test_bad_indenters_and_curves_are_said() -> None:
-    with pytest.raises(ValueError, match="no indenter"):
-        Indenter("ball", 1.0)  # ty: ignore[invalid-argument-type]
-    with pytest.raises(ValueError, match="size is"):
-        Indenter("cone", 90.0)
-    with pytest.raises(ValueError, match="Poisson"):
-        Indenter("flat", 1.0, 0.6)
+    for wrong, says in ((("ball", 1.0), "no indenter"), (("cone", 90.0), "size is"), (("flat", 1.0, 0.6), "Poisson")):
+        with pytest.raises(ValueError, match=says):
+            Indenter(*wrong)
     with pytest.raises(ValueError, match="says nothing"):
         fit_indentation(np.ones(9), np.ones(9))

@@ -50,12 +50,8 @@ def sequence_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorMod
 def _exported(folder: Path, features: int) -> PosteriorModel:
     torch.manual_seed(0)
     path = folder / "contact.onnx"
-    document = metadata(
-        geometry=dataclasses.asdict(clip_info().geometry),
-        mechanics=dataclasses.asdict(MECHANICS),
-        bounds=dataclasses.asdict(BOUNDS),
-        observation="trajectory",
-        contact={"press_seconds": (0.24, 0.48)},
-    )
+    sections = {"geometry": clip_info().geometry, "mechanics": MECHANICS, "bounds": BOUNDS}
+    told = {name: dataclasses.asdict(section) for name, section in sections.items()}
+    document = metadata(**told, observation="trajectory", contact={"press_seconds": (0.24, 0.48)})
     export(ContactPosterior(features, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
     return PosteriorModel(path)

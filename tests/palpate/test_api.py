@@ -26,22 +26,18 @@ def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path
     assert [run.onset_frame for run in found] == [int(row["onset_frame"]) for row in rows]
     assert [run.verdict for run in found] == [row["verdict"] for row in rows]
     for run, row in zip(found, rows, strict=True):
-        assert isinstance(run, palpate.InteractionEstimate)
-        assert isinstance(run.interaction, palpate.Interaction)
-        assert isinstance(run.estimate, palpate.Estimate)
+        kinds = type(run), type(run.interaction), type(run.estimate)
+        assert kinds == (palpate.InteractionEstimate, palpate.Interaction, palpate.Estimate)
         written = [float(row[column]) for column in ("stiffness", "damping", "force")]
         np.testing.assert_allclose(np.abs(run.estimate.theta), written, rtol=1e-5)
 
 
 def test_an_opened_estimator_serves_many_clips_and_an_opened_clip_is_taken_as_it_is(clip: Path) -> None:
-    estimator = palpate.open_estimator("network")
-    first = palpate.estimate(clip, estimator)
-    again = palpate.estimate(palpate.open_clip(clip, estimator), estimator)
-    np.testing.assert_array_equal(first[0].estimate.theta, again[0].estimate.theta)
-
-
-def test_the_simulator_is_one_call_away(clip: Path) -> None:
-    run = palpate.estimate(clip, palpate.open_estimator("direct", onset="stamp"))[0]
+    """And the simulator is one call away from what is told of it."""
+    estimator = palpate.open_estimator("network", onset="stamp")
+    (run,) = palpate.estimate(clip, estimator)
+    (again,) = palpate.estimate(palpate.open_clip(clip, estimator), estimator)
+    np.testing.assert_array_equal(run.estimate.theta, again.estimate.theta)
     contact, mechanics = run.interaction, palpate.Mechanics()
     path = palpate.simulate(run.estimate.theta, contact.mesh, contact.load, mechanics)
     assert path.shape == (contact.load.steps, 3)
@@ -62,12 +58,9 @@ def test_a_choice_that_cannot_be_used_is_a_sentence(clip, choices, error, senten
         palpate.estimate(clip, **choices)
 
 
-def test_an_open_clip_takes_no_choices(clip: Path) -> None:
+def test_choices_of_an_open_clip_a_missing_one_and_an_unknown_estimator_are_sentences(clip, tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="the clip is open already; give masks to open_clip"):
         palpate.estimate(palpate.open_clip(clip), masks="automatic")
-
-
-def test_a_missing_clip_and_an_unknown_estimator_are_sentences(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nothing\.mp4"):
         palpate.estimate(tmp_path / "nothing.mp4")
     with pytest.raises(ValueError, match="there is no estimator nonsense; choose network, gan, direct, online"):

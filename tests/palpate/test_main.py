@@ -8,20 +8,14 @@ import pytest
 from palpate.__main__ import COMMANDS, main
 
 
-def test_help_names_every_command(capsys: pytest.CaptureFixture) -> None:
+def test_help_names_every_command_which_is_a_program_and_another_is_a_sentence(capsys) -> None:
     assert main([]) == main(["--help"]) == 0
     told = capsys.readouterr().out
-    assert all(name in told for name in COMMANDS)
-
-
-def test_an_unknown_command_is_a_sentence(capsys: pytest.CaptureFixture) -> None:
+    for name, module in COMMANDS.items():
+        assert name in told
+        assert callable(importlib.import_module(module).main)
     assert main(["nonsense"]) == 2
     assert "there is no command 'nonsense'; choose infer, train," in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_is_a_program(name: str) -> None:
-    assert callable(importlib.import_module(COMMANDS[name]).main)
 
 
 def test_a_command_gets_the_arguments_behind_its_name(capsys, monkeypatch) -> None:

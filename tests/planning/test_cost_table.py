@@ -23,17 +23,17 @@ def smooth_press(kind: SoftObject, radius: float, place: np.ndarray, angle: floa
     return dataclasses.replace(known, work=known.work * middle * (1 + np.sin(angle) ** 2))
 
 
-def test_a_quarter_of_the_presses_tells_all_of_a_block_that_is_held_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def works(places: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    return np.array([smooth_press(CURTAIN, 0.005, *each).work for each in zip(places, angles, strict=True)])
+
+
+def test_a_quarter_of_the_presses_tells_all_of_a_block_that_is_held_alike() -> None:
     whole = PLACES * len(ANGLES) + 2 * len(ANGLES)
     places, angles = grid_of(CURTAIN)
     assert len(places) == 46  # of the front half, and half of what is in the middle or at an end
-    work = np.array(
-        [smooth_press(CURTAIN, 0.005, place, angle).work for place, angle in zip(places, angles, strict=True)]
-    )
-    there, ways, each = completed(CURTAIN, places, angles, work)
+    there, ways, each = completed(CURTAIN, places, angles, works(places, angles))
     assert len(there) == whole
-    direct = [smooth_press(CURTAIN, 0.005, place, way).work for place, way in zip(there, ways, strict=True)]
-    np.testing.assert_allclose(each, direct, rtol=1e-9)
+    np.testing.assert_allclose(each, works(there, ways), rtol=1e-9)
     leaning = dataclasses.replace(CURTAIN, held=("top", "left"))
     assert len(grid_of(leaning)[0]) == PLACES * len(ANGLES) + 2 * 5  # seen from behind alone
 
@@ -67,9 +67,8 @@ def test_a_smooth_cost_is_met_between_the_presses(tmp_path: Path, monkeypatch: p
     chance = np.random.default_rng(0)
     x, angles = chance.uniform(-0.018, 0.018, 50), np.pi / 2 + chance.uniform(-0.9, 0.9, 50)
     places = np.column_stack([x, np.full(50, -0.003)])
-    lengths = np.full(50, 0.008)
-    true = [smooth_press(CURTAIN, 0.005, place, way).work[-1] * 0.8 for place, way in zip(places, angles, strict=True)]
-    np.testing.assert_allclose(table.cost(places, angles, lengths), true, rtol=0.08)
+    found = table.cost(places, angles, np.full(50, 0.008))
+    np.testing.assert_allclose(found, 0.8 * works(places, angles)[:, -1], rtol=0.08)
 
 
 def test_a_second_scene_with_the_same_block_finds_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,6 +76,7 @@ def test_a_second_scene_with_the_same_block_finds_the_table(tmp_path: Path, monk
     first, _ = open_table(CURTAIN, 0.005, tmp_path)
     again, simulated = open_table(CURTAIN, 0.005, tmp_path)
     assert simulated == 0
+    assert open_table(CURTAIN, 0.006, tmp_path)[1] > 0
     np.testing.assert_array_equal(first.work, again.work)
     assert digest(dataclasses.replace(CURTAIN, young=3e4), 0.005) != digest(CURTAIN, 0.005) != digest(CURTAIN, 0.006)
     path = tmp_path / f"presses-{digest(CURTAIN, 0.005)}.npz"

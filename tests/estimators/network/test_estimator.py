@@ -20,7 +20,6 @@ from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
-from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import contact_frame
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of
@@ -49,25 +48,25 @@ def with_sequence(pressed, frames: list[PreparedFrame]) -> Interaction:
 
 def built(pressed: SyntheticClip, frames: list[PreparedFrame], size: tuple[int, int] | None) -> Interaction:
     onset, *after = frames[pressed.motion.onset_frame :]
-    found = onset.geometry
-    settings = clip_info().geometry
-    run = InteractionBuilder(
-        found.mesh, found.vertex, found.normal, found.noise, contact_frame(onset), settings, MECHANICS.seconds, size
-    )
+    found, seen = onset.geometry, (contact_frame(onset), clip_info().geometry)
+    run = InteractionBuilder(found.mesh, found.vertex, found.normal, found.noise, *seen, MECHANICS.seconds, size)
     for frame in after:
         assert frame.track_start == onset.frame.index
         run.add(contact_frame(frame))
     return run.build(MECHANICS)
 
 
-def frame_estimates(network: NetworkEstimator, frames: list[PreparedFrame]) -> list[FrameEstimate]:
-    """Of the whole clip."""
-    return follow(network.start(clip_info()), frames)[0]
-
-
 def estimated(network: NetworkEstimator, contact: Interaction) -> Estimate:
     """Of a contact at 25 frames a second."""
     return network.start(clip_info()).estimate(contact, None)
+
+
+WIDTHS = BOUNDS.log_box[1] - BOUNDS.log_box[0]
+
+
+def added_by(misfit: float, information: np.ndarray) -> np.ndarray:
+    """Covariance by which an estimate that explains its motion so badly is widened, in the box."""
+    return np.linalg.inv(information / misfit**2 + np.diag(12 / WIDTHS**2))
 
 
 def moved(contact: Interaction, displacement: np.ndarray, noise: float | None = None) -> Interaction:
@@ -84,7 +83,7 @@ def prepared_roughly(network: NetworkEstimator, clip: SyntheticClip) -> list[Pre
 
 
 def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: list[PreparedFrame]) -> None:
-    results = frame_estimates(network, frames)
+    results, _ = follow(network.start(clip_info()), frames)
     assert [item.frame for item in results] == list(range(28))
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     for item in results:
@@ -92,11 +91,10 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
         if item.status != "ok":
             assert (item.estimate, item.verdict, "stiffness_sd" in values) == (None, "", False)
             continue
-        if item.frame < onset + 2:  # too little motion was observed
-            assert (item.estimate, item.verdict) == (None, "undetermined")
-            assert item.detail == TOO_EARLY
-            continue
         assert onset <= item.frame < release
+        if item.frame < onset + 2:  # too little motion was observed
+            assert (item.estimate, item.verdict, item.detail) == (None, "undetermined", TOO_EARLY)
+            continue
         assert item.verdict in ("determined", "ratios", "undetermined")
         low, high = values["stiffness_low"], values["stiffness_high"]
         assert low < values["stiffness"] < high
@@ -109,7 +107,7 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
 def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, contact) -> None:
     """The last frame in contact is told exactly what a clip cut off there is told."""
     onset, last = pressed.motion.onset_frame, pressed.motion.release_frame - 1
-    streamed = frame_estimates(network, frames)[last].estimate
+    streamed = follow(network.start(clip_info()), frames)[0][last].estimate
     seconds = (last - onset) / 25
     cut = contact.observed(contact.observation.times <= seconds + 1e-6)
     load = dataclasses.replace(contact.load, factor=held(round(seconds / MECHANICS.time_step), MECHANICS.steps))
@@ -121,10 +119,8 @@ def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, cont
 def test_without_a_noise_level_there_is_no_estimate(network: NetworkEstimator, pressed) -> None:
     results, (run,) = follow(network.start(clip_info()), prepared_roughly(network, pressed))
     assert (run.estimate, run.detail) == (None, NO_NOISE)
-    touched = [item for item in results if item.status == "ok"]
-    assert touched
-    assert all(item.verdict == "undetermined" and item.estimate is None for item in touched)
-    assert {item.detail for item in touched} == {NO_NOISE}
+    touched = {(item.verdict, item.estimate, item.detail) for item in results if item.status == "ok"}
+    assert touched == {("undetermined", None, NO_NOISE)}
 
 
 @pytest.mark.parametrize("noise", [math.nan, math.inf, 0.0])
@@ -135,9 +131,8 @@ def test_a_noise_level_is_a_positive_number(network: NetworkEstimator, contact: 
 
 
 def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) -> None:
-    early, enough = (
-        follow(NetworkEstimator(posterior, STAMP, horizon).start(clip_info()), frames)[1][0] for horizon in (1, 2)
-    )
+    sessions = (NetworkEstimator(posterior, STAMP, horizon).start(clip_info()) for horizon in (1, 2))
+    early, enough = (follow(session, frames)[1][0] for session in sessions)
     assert (early.estimate, early.detail) == (None, TOO_EARLY)
     assert len(early.interaction.observation) == 1
     assert np.isfinite(enough.estimate.theta).all()
@@ -162,7 +157,7 @@ def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:
 
 def test_remarks_stay_beside_what_the_network_says(network, pressed, frames, monkeypatch) -> None:
     monkeypatch.setattr("palpate.estimators.network.estimator.largest_misfit", lambda _: 1.0)
-    results = frame_estimates(network, remarked(frames))
+    results, _ = follow(network.start(clip_info()), remarked(frames))
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     assert [item.detail for item in results[onset : onset + 2]] == [f"{LOST} {TOO_EARLY}"] * 2
     misfits = [item.estimate.misfit for item in results[onset + 2 : release]]
@@ -170,45 +165,34 @@ def test_remarks_stay_beside_what_the_network_says(network, pressed, frames, mon
     expected = [LOST if misfit <= 1 else f"{LOST} {UNEXPLAINED.format(misfit)}" for misfit in misfits]
     assert [item.detail for item in results[onset + 2 : release]] == expected
     assert {item.detail for item in results[:onset]} == {""}
-    blind = frame_estimates(network, remarked(prepared_roughly(network, pressed)))
+    blind, _ = follow(network.start(clip_info()), remarked(prepared_roughly(network, pressed)))
     assert {item.detail for item in blind} == {"", f"{LOST} {NO_NOISE}"}
 
 
 @pytest.mark.parametrize(
     ("load", "told"),
-    [
-        (0.24, 25),  # the shortest press of the training, and what followed
-        (0.48, 25),
-        (0.52, 12),  # longer: its beginning
-        (5.0, 12),
-        (0.12, 3),  # shorter: as far as it lasted
-    ],
+    [(0.24, 25), (0.48, 25), (0.52, 12), (5.0, 12), (0.12, 3)],
+    ids=["shortest", "longest", "longer: its beginning", "far longer", "shorter: as far as it lasted"],
 )
 def test_presses_unlike_the_training_s_are_told_in_part(network, contact, load, told) -> None:
     observation = Observation.of_point(contact.vertex, np.arange(1, 26) / 25, np.ones((25, 3)), 0.001)
     factor = held(round(load / MECHANICS.time_step), round(6 / MECHANICS.time_step))
-    pressed = dataclasses.replace(
-        contact, observation=observation, load=dataclasses.replace(contact.load, factor=factor)
-    )
-    found = network.as_trained(pressed).observation
+    press = dataclasses.replace(contact.load, factor=factor)
+    found = network.as_trained(dataclasses.replace(contact, observation=observation, load=press)).observation
     np.testing.assert_array_equal(found.times, observation.times[:told])
     np.testing.assert_array_equal(found.displacement, observation.displacement[:, :told])
 
 
 def test_a_motion_that_is_not_explained_widens_the_intervals(network: NetworkEstimator, contact: Interaction) -> None:
-    still = moved(contact, contact.moved, 1.0)  # next to such noise every motion is explained
-    explained = estimated(network, still)
-    raw = network.model(contact_features(still)[None], None)[1][0]
-    assert explained.misfit < 1
+    still, sure = (moved(contact, contact.moved, noise) for noise in (1.0, 1e-5))
+    explained, found = (estimated(network, each) for each in (still, sure))
+    raw, own = (network.model(contact_features(each)[None], None)[1][0] for each in (still, sure))
+    assert explained.misfit < 1  # next to such noise every motion is explained
     np.testing.assert_array_equal(explained.covariance, raw)
-    sure = moved(contact, contact.moved, 1e-5)
-    found = estimated(network, sure)
-    raw = network.model(contact_features(sure)[None], None)[1][0]
     assert found.misfit > LARGEST_MISFIT
-    box = BOUNDS.log_box
-    added = np.linalg.inv(found.information / found.misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
-    np.testing.assert_allclose(found.covariance, raw + added, rtol=1e-6)
-    assert (np.diag(added) <= (box[1] - box[0]) ** 2 / 12 + 1e-12).all()  # never wider than the prior
+    added = added_by(found.misfit, found.information)
+    np.testing.assert_allclose(found.covariance, own + added, rtol=1e-6)
+    assert (np.diag(added) <= np.square(WIDTHS) / 12 + 1e-12).all()  # never wider than the prior
 
 
 def test_a_motion_across_the_force_is_no_misfit(network: NetworkEstimator, contact: Interaction) -> None:
@@ -238,8 +222,7 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network, conta
     assert max(facing.misfit, oblique.misfit) < LARGEST_MISFIT < HIDDEN_ERROR / 0.003
     assert (facing.view_angle, oblique.view_angle) == pytest.approx(angles, abs=1e-3)
     np.testing.assert_allclose(oblique.theta, facing.theta, rtol=1e-3)
-    box = BOUNDS.log_box
-    added = np.linalg.inv(oblique.information / 5**2 + np.diag(12 / (box[1] - box[0]) ** 2))
+    added = added_by(5, oblique.information)
     np.testing.assert_allclose(oblique.covariance, facing.covariance + added, rtol=0.01, atol=1e-3)
     # So does what decides the verdict.
     expected = np.linalg.inv(facing.expected_information) + added
@@ -308,6 +291,4 @@ def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_kn
             misfit, information = compared(seen, MECHANICS, logs, covariance, within)
             assert (found.misfit, found.misfit > LARGEST_MISFIT) == (misfit, True)
             np.testing.assert_array_equal(found.information, information)
-            box = BOUNDS.log_box
-            added = np.linalg.inv(information / misfit**2 + np.diag(12 / (box[1] - box[0]) ** 2))
-            np.testing.assert_allclose(found.covariance, covariance + added, rtol=1e-6)
+            np.testing.assert_allclose(found.covariance, covariance + added_by(misfit, information), rtol=1e-6)

@@ -34,7 +34,7 @@ MADE = [0.0, FRAME_S]
 @pytest.fixture(scope="module")
 def contacts() -> list[SimulatedContact]:
     """A few contacts of two scenes, whose instants are known to a frame only."""
-    scenes = [draw_contacts(CRITICAL, seed, 4, MECHANICS.time_step, FRAME_S, sequence=True) for seed in (1, 2)]
+    scenes = [draw_contacts(CRITICAL, seed, 2, MECHANICS.time_step, FRAME_S, sequence=True) for seed in (1, 2)]
     return [contact for contacts in scenes for contact in contacts]
 
 
@@ -107,7 +107,7 @@ def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps:
 
 @pytest.mark.slow
 def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On eight contacts, two hundred steps bring the estimates nearer to what explains the motions.
+    """On four contacts, two hundred steps bring the estimates nearer to what explains the motions.
 
     Those that were observed for a second: most windows that end under the tool tell too little to come near.
     """
@@ -129,7 +129,7 @@ def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.slow
 def test_the_expected_bound_learns_and_leaves_the_posterior_alone(fits: Fits) -> None:
-    """On eight contacts, four hundred steps tell how well each was observed, under noise that was not drawn before.
+    """On four contacts, four hundred steps tell how well each was observed, under noise that was not drawn before.
 
     Half as many are enough for contacts that were observed to their end.
     """
@@ -145,7 +145,7 @@ def test_the_expected_bound_learns_and_leaves_the_posterior_alone(fits: Fits) ->
 
     mean, factor, before = told()
     bound, loss = posterior.expected_bound, contact_training.expected_loss
-    descended(bound, lambda: loss(posterior, draw_observed(fits, 128, generator)), 400)
+    descended(bound, lambda: loss(posterior, draw_observed(fits, 64, generator)), 400)
     same_mean, same_factor, expected = told()
     off = [np.median(np.abs(np.log(each / true))[true < LIMIT]) for each in (before, expected)]
     assert off[1] < 0.5 * off[0]

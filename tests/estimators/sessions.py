@@ -81,21 +81,11 @@ def linked(states: Sequence[State], geometry: FrameGeometry, bridge_frames: int 
     picture, frames, number = np.zeros((*SIZE[::-1], 3), np.uint8), [], -1
     for index, state in enumerate(states):
         number += 1 + state.missing
-        seen = state.status not in ("unreadable", "no_mask")
-        frame = Frame(index, number, number / 25, picture)
-        frames.append(
-            PreparedFrame(
-                frame,
-                state.status,
-                "" if state.status == "ok" else "Told.",
-                DEPTH if state.status not in ("unreadable", "bad_depth") else 0 * DEPTH,
-                LABELS,
-                LABELS if seen else None,
-                geometry if state.status == "ok" else None,
-                contact_probability=state.probability,
-                undecided=state.undecided,
-            )
-        )
+        detail, found = ("", geometry) if state.status == "ok" else ("Told.", None)
+        depth = 0 * DEPTH if state.status in ("unreadable", "bad_depth") else DEPTH
+        shown = LABELS, None if state.status in ("unreadable", "no_mask") else LABELS
+        seen = PreparedFrame(Frame(index, number, number / 25, picture), state.status, detail, depth, *shown, found)
+        frames.append(dataclasses.replace(seen, contact_probability=state.probability, undecided=state.undecided))
         if index:
             motion.rested = state.rested
             motion.link(*frames[-2:])

@@ -4,7 +4,7 @@ import dataclasses
 import gc
 import types
 from collections.abc import Iterable, Iterator
-from itertools import zip_longest
+from itertools import chain, zip_longest
 
 import numpy as np
 import pytest
@@ -31,17 +31,14 @@ from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
+from tests.estimators.test_runs import whole_clip_runs
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-ESTIMATORS = (
-    *NAMES,
-    "network with depth",
-    "network with depth-change sequence",
-    "network by light",
-    "online with a volume",
-)
+OTHERS = "network with depth", "network with depth-change sequence", "network by light", "online with a volume"
+ESTIMATORS = *NAMES, *OTHERS
 FPS = (25.0, 30.0)
+Said = tuple[list[FrameEstimate], list[InteractionEstimate]]
 MESH = sheet(7, 7)
 NORMAL = np.array([0.0, 0.0, -1.0])
 
@@ -93,28 +90,18 @@ def clips(frames: list[PreparedFrame]) -> list[list[PreparedFrame]]:
 
 
 @pytest.fixture(scope="module")
-def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[list[Output]]:
+def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[Said]:
     """What the estimator says of each clip when nothing else is open."""
-    return [said_of(estimator, frames, fps) for frames, fps in zip(clips, FPS, strict=True)]
+    return [follow(estimator.start(clip_info(fps)), frames) for frames, fps in zip(clips, FPS, strict=True)]
 
 
-def said_of(estimator: Estimator, frames: Iterable[PreparedFrame], fps: float = 25.0) -> list[Output]:
-    """All that is said of a clip."""
-    told, runs = follow(estimator.start(clip_info(fps)), frames)
-    return [*told, *runs]
-
-
-def exactly(said: Iterable[Output]) -> list[str]:
+def exactly(told: Iterable[FrameEstimate], runs: Iterable[InteractionEstimate]) -> list[str]:
     """Everything that is said, to the last digit."""
-    found = []
-    for item in said:
-        if isinstance(item, FrameEstimate):
-            found.append(repr({name: value for name, value in item.values.items() if name != "estimate"}))
-            continue
-        seen, simulated = item.interaction, item.simulated
+    found = [repr({name: value for name, value in item.values.items() if name != "estimate"}) for item in told]
+    for run in runs:
+        seen, values = run.interaction, interaction_values(run)
         arrays = () if seen is None else (seen.observation.times, seen.observation.displacement, seen.load.factor)
-        arrays += () if simulated is None else simulated
-        values = interaction_values(item)
+        arrays += run.simulated or ()
         found.append(repr(([values.get(name) for name in INTERACTIONS], [array.tolist() for array in arrays])))
     return found
 
@@ -127,28 +114,25 @@ def test_sessions_side_by_side_say_what_they_say_alone(estimator, clips, alone) 
         for session, frame, heard in zip(sessions, pair, said, strict=True):
             if frame is not None:
                 heard += session.push(frame)
-    for session, heard in zip(sessions, said, strict=True):
-        heard += session.finish()
-    for heard, expected in zip(said, alone, strict=True):
-        frames, runs = sorted_out(heard)
-        assert exactly([*frames, *runs]) == exactly(expected)
+    for session, heard, expected in zip(sessions, said, alone, strict=True):
+        assert exactly(*sorted_out([*heard, *session.finish()])) == exactly(*expected)
     # Estimates depend on the frame rate and on the clip, so that mixed sessions would be noticed.
     if estimator.name == "online":
-        first, second = (fields_of(expected)[-1] for expected in alone)
-        assert not np.allclose(np.median(first.distance), np.median(second.distance), rtol=1e-4)
-        return
-    first, second = (sorted_out(expected)[1][0] for expected in alone)
-    assert not np.allclose(first.estimate.theta, second.estimate.theta, rtol=1e-3)
+        first, second = (np.median(fields_of(told)[-1].distance) for told, _ in alone)
+        assert not np.allclose(first, second, rtol=1e-4)
+    else:
+        first, second = (runs[0].estimate.theta for _, runs in alone)
+        assert not np.allclose(first, second, rtol=1e-3)
 
 
-def fields_of(said: Iterable[Output]) -> list[ParticleField]:
+def fields_of(told: Iterable[FrameEstimate]) -> list[ParticleField]:
     """Fields of stiffness of the frames that have one."""
-    return [item.field for item in said if isinstance(item, FrameEstimate) and item.field is not None]
+    return [item.field for item in told if item.field is not None]
 
 
-def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: list[list[Output]]) -> None:
-    for said in alone:
-        fields = fields_of(said)
+def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: list[Said]) -> None:
+    for told, _ in alone:
+        fields = fields_of(told)
         assert (fields != []) == (estimator.name == "online")
         for field in fields:
             count = len(field.rest)
@@ -159,14 +143,12 @@ def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: li
             assert ((field.shape > 0) & (field.shape < 0.02)).all()
 
 
-def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[list[Output]]) -> None:
-    for frames, said in zip(clips, alone, strict=True):
-        told, runs = sorted_out(said)
+def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[Said]) -> None:
+    for frames, (told, (run,)) in zip(clips, alone, strict=True):
         assert [item.frame for item in told] == [frame.frame.number for frame in frames]
         assert [item.time_s for item in told] == [frame.frame.time_s for frame in frames]
         assert [item.status for item in told] == [frame.status for frame in frames]
-        assert [run.onset for run in runs] == [frame.frame.index for frame in frames if begins(frame)] != []
-        (run,) = runs
+        assert [run.onset] == [frame.frame.index for frame in frames if begins(frame)]
         assert run.load_s == pytest.approx(0.3, abs=0.021)
         assert len(run.interaction.observation) > 3
 
@@ -177,25 +159,23 @@ def begins(frame: PreparedFrame) -> bool:
 
 
 def test_every_estimate_has_its_verdict_its_covariance_and_its_words(estimator, alone) -> None:
-    said = [item for clip in alone for item in clip]
-    estimates = [item.estimate for item in said if item.estimate is not None]
-    of_frames = [item for item in said if isinstance(item, FrameEstimate) and item.estimate is not None]
+    told, runs = ([item for said in alone for item in said[kind]] for kind in (0, 1))
+    of_frames = [item.estimate for item in told if item.estimate is not None]
+    estimates = of_frames + [run.estimate for run in runs if run.estimate is not None]
     assert (of_frames == []) == (estimator.name in ("direct", "online"))
     assert (estimates == []) == (estimator.name == "online")
     for found in estimates:
         require_complete(estimator, found)
-    for item in said:
-        if isinstance(item, FrameEstimate) and item.status == "ok":
-            of_each = ("onset_in_view", "determined", "ratios", "undetermined")
-            own = {"direct": ("",), "online": ("stiffness_ratios", "undetermined")}
-            verdicts = own.get(estimator.name, of_each)
+    of_each = ("onset_in_view", "determined", "ratios", "undetermined")
+    verdicts = {"direct": ("",), "online": ("stiffness_ratios", "undetermined")}.get(estimator.name, of_each)
+    for item in told:
+        if item.status == "ok":
             assert item.verdict in verdicts
             assert item.estimate is not None or item.field is not None or item.detail
             assert item.detail == WHOLE or estimator.name != "direct"
-        elif isinstance(item, FrameEstimate):
-            assert (item.estimate, item.verdict) == (None, "")
         else:
-            assert item.estimate is not None or item.detail
+            assert (item.estimate, item.verdict) == (None, "")
+    assert all(run.estimate is not None or run.detail for run in runs)
 
 
 def require_complete(estimator: Estimator, found: Estimate) -> None:
@@ -217,32 +197,26 @@ def require_complete(estimator: Estimator, found: Estimate) -> None:
     assert found.view_angle is not None or found.by_light
 
 
-def test_a_network_that_takes_depth_looks_at_it(files, frames) -> None:
+@pytest.mark.parametrize("observation", [None, "contact"])
+def test_depth_counts_unless_a_network_that_takes_it_looks_at_the_point_alone(files, frames, observation) -> None:
     """Of frames and of runs alike: other pictures, other estimates."""
-    estimator = open_estimator(files["network with depth"])
-    dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
-    for said in zip(said_of(estimator, frames), said_of(estimator, dark), strict=True):
-        first, second = (item.estimate for item in said)
-        assert (first is None) == (second is None)
-        assert first is None or not np.allclose(first.theta, second.theta, rtol=1e-6)
-
-
-def test_by_the_point_alone_no_depth_counts(files: dict[str, EstimatorOptions], frames: list[PreparedFrame]) -> None:
-    estimator = open_estimator(dataclasses.replace(files["network with depth"], observation="contact"))
+    estimator = open_estimator(dataclasses.replace(files["network with depth"], observation=observation))
     dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
     estimates = 0
-    for said in zip(said_of(estimator, frames), said_of(estimator, dark), strict=True):
+    told, other = ([*chain(*follow(estimator.start(clip_info()), each))] for each in (frames, dark))
+    for said in zip(told, other, strict=True):
         first, second = (item.estimate for item in said)
         assert (first is None) == (second is None)
         if first is not None:
-            np.testing.assert_array_equal(first.theta, second.theta)
+            pair = first.theta, second.theta
+            assert np.array_equal(*pair) if observation else not np.allclose(*pair, rtol=1e-6)
             estimates += 1
     assert estimates > 1
 
 
 def test_nothing_of_a_clip_stays_with_the_estimator(estimator: Estimator, clips: list[list[PreparedFrame]]) -> None:
     before, held = dict(vars(estimator)), reachable(estimator)
-    said_of(estimator, clips[0])
+    follow(estimator.start(clip_info()), clips[0])
     assert vars(estimator).keys() == before.keys()
     assert all(vars(estimator)[name] is value for name, value in before.items())
     assert reachable(estimator) == held
@@ -260,19 +234,6 @@ def test_finishing_twice_or_without_frames_does_no_harm(estimator, clips, alone)
     assert [run.onset for run in runs] == [len(frames) - 2]
     assert runs[0].load_s is None
     assert list(session.finish()) == []
-
-
-@dataclasses.dataclass(frozen=True)
-class Faults:
-    """What is wrong with a clip, by the numbers of its frames."""
-
-    unreadable: tuple[int, ...] = ()
-    without_depth: tuple[int, ...] = ()
-    without_mask: tuple[int, ...] = ()
-    without_tool: tuple[int, ...] = ()
-    """In sight, but not in the mask."""
-    missing: tuple[int, ...] = ()
-    """Not in the clip; the other frames keep their numbers."""
 
 
 class FaultySource(SyntheticSource):
@@ -303,37 +264,42 @@ class FaultyMasks(_Masks):
         return super().__call__(frame)
 
 
-def faulty(clip: SyntheticClip, numbers: range, faults: Faults) -> list[PreparedFrame]:
-    """A damaged clip, prepared."""
-    kept = [number for number in numbers if number not in faults.missing]
+def faulty(
+    clip: SyntheticClip, numbers: range, unreadable=(), without_depth=(), without_mask=(), without_tool=(), missing=()
+) -> list[PreparedFrame]:
+    """A clip that is damaged in the frames of these numbers, prepared.
+
+    A tool that is not in the mask is in sight; where frames are missing the others keep their numbers.
+    """
+    kept = [number for number in numbers if number not in missing]
     parts = {name: getattr(clip, name)[kept] for name in ("images", "labels", "depth")}
-    parts["depth"][np.isin(kept, faults.without_depth)] = 0
-    bare = np.isin(kept, faults.without_tool)
+    parts["depth"][np.isin(kept, without_depth)] = 0
+    bare = np.isin(kept, without_tool)
     parts["labels"][bare] = np.where(parts["labels"][bare] == CLASSES["grasper"].grey, 0, parts["labels"][bare])
     cut = dataclasses.replace(clip, **parts)
-    inputs = ClipInputs(FaultyMasks(cut, faults.without_mask), _Depth(cut), clip.camera)
-    source = FaultySource(cut, kept, faults.unreadable)
+    inputs = ClipInputs(FaultyMasks(cut, without_mask), _Depth(cut), clip.camera)
+    source = FaultySource(cut, kept, unreadable)
     return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), inputs))
 
 
 # The tool touches frames 7 to 14 of `pressed`.
 FAULTY = {
-    "unreadable": (range(20), Faults(unreadable=(0, 10)), [(7, True), (11, False)]),
-    "without depth": (range(20), Faults(without_depth=(2, 10, 16)), [(7, True)]),
-    "without mask": (range(20), Faults(without_mask=(6, 10)), [(7, False)]),
-    "gaps in the numbers": (range(20), Faults(missing=(1, 9, 15)), [(6, True), (8, False)]),
-    "flicker": (range(20), Faults(without_tool=(9, 11, 12)), [(7, True)]),
-    "contact from the first frame on": (range(7, 20), Faults(), [(0, False)]),
-    "always in contact": (range(8, 14), Faults(), [(0, False)]),
-    "one frame": (range(8, 9), Faults(), [(0, False)]),
-    "no contact": (range(5), Faults(), []),
+    "unreadable": (range(20), {"unreadable": (0, 10)}, [(7, True), (11, False)]),
+    "without depth": (range(20), {"without_depth": (2, 10, 16)}, [(7, True)]),
+    "without mask": (range(20), {"without_mask": (6, 10)}, [(7, False)]),
+    "gaps in the numbers": (range(20), {"missing": (1, 9, 15)}, [(6, True), (8, False)]),
+    "flicker": (range(20), {"without_tool": (9, 11, 12)}, [(7, True)]),
+    "contact from the first frame on": (range(7, 20), {}, [(0, False)]),
+    "always in contact": (range(8, 14), {}, [(0, False)]),
+    "one frame": (range(8, 9), {}, [(0, False)]),
+    "no contact": (range(5), {}, []),
 }
 
 
 @pytest.fixture(scope="module")
 def damaged(pressed: SyntheticClip) -> dict[str, list[PreparedFrame]]:
     """A clip of every kind."""
-    return {kind: faulty(pressed, numbers, faults) for kind, (numbers, faults, _) in FAULTY.items()}
+    return {kind: faulty(pressed, numbers, **faults) for kind, (numbers, faults, _) in FAULTY.items()}
 
 
 @pytest.mark.parametrize("kind", FAULTY)
@@ -351,19 +317,6 @@ def test_bad_frames_are_survived(estimator: Estimator, damaged: dict[str, list[P
         assert run.estimate is not None or run.detail
         if run.estimate is not None:
             require_complete(estimator, run.estimate)
-
-
-def whole_clip_onsets(frames: list[PreparedFrame], bridge_frames: int) -> list[int]:
-    """Where runs of contact begin, from the whole clip; `tests.estimators.test_runs` has the rest of them."""
-    runs: list[list[int]] = []
-    for index, frame in enumerate(frames):
-        if frame.in_contact:
-            same = runs and frames[runs[-1][0]].track_start == frame.track_start
-            if same and not begins(frame) and index - runs[-1][-1] - 1 <= bridge_frames:
-                runs[-1].append(index)
-            else:
-                runs.append([index])
-    return [run[0] for run in runs]
 
 
 states = some.builds(
@@ -384,7 +337,7 @@ def test_any_clip_has_each_frame_and_each_run_once(estimator: Estimator, clip: l
     frames = linked(clip, touched(MESH, 24, NORMAL, noise))
     told, runs = follow(estimator.start(clip_info()), frames)
     assert [item.frame for item in told] == [frame.frame.number for frame in frames]
-    assert [run.onset for run in runs] == whole_clip_onsets(frames, 2)
+    assert [run.onset for run in runs] == [run.first for run in whole_clip_runs(frames, 2)]
     for run in runs:
         assert (run.interaction is not None) <= begins(frames[run.onset])
         assert run.estimate is not None or run.detail
@@ -409,12 +362,9 @@ def pressing(presses: int, frames: int) -> list[State]:
     return ([State("no_contact")] * 3 + down) * presses
 
 
-@pytest.mark.parametrize(
-    ("presses", "length", "early"),
-    [(1, 150, 60), (15, 5, 80)],  # in frames: the first second of a press is kept, and no more
-    ids=["a long press", "many presses"],
-)
+@pytest.mark.parametrize(("presses", "length", "early"), [(1, 150, 60), (15, 5, 80)], ids=["a long press", "many"])
 def test_a_session_does_not_grow(prompt: Estimator, presses: int, length: int, early: int) -> None:
+    """Over frames: the first second of a press is kept, and no more."""
     noise = 0.001 if prompt.name != "direct" else float("nan")
     geometry = touched(MESH, 24, NORMAL, noise)
     frames = linked(pressing(presses, length), geometry)

@@ -16,20 +16,11 @@ from tests.physics.sheets import sheet
 MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd")
 LOAD_STEPS = 64
 MESH = sheet(9, 9)
-CONTACT = Interaction(
-    MESH,
-    Press.at(40, contact_normal(MESH, 40), held(LOAD_STEPS, MECHANICS.steps)),
-    Observation.of_point(40, 0.04 * np.arange(1, 9), np.zeros((8, 3)), 0.001),
-    MECHANICS.time_step,
-)
-ESTIMATE = Estimate(
-    theta=np.array([0.5, 0.06, -0.1]),
-    covariance=np.diag([0.01, 0.04, 0.0025]),
-    information=np.diag([100.0, 25.0, 400.0]),
-    noise=0.001,
-    misfit=1.1,
-    largest_misfit=1.5,
-)
+PRESS = Press.at(40, contact_normal(MESH, 40), held(LOAD_STEPS, MECHANICS.steps))
+SEEN = Observation.of_point(40, 0.04 * np.arange(1, 9), np.zeros((8, 3)), 0.001)
+CONTACT = Interaction(MESH, PRESS, SEEN, MECHANICS.time_step)
+THETA, COVARIANCE, INFORMATION = np.array([0.5, 0.06, -0.1]), np.diag([0.01, 0.04, 0.0025]), np.diag([100.0, 25, 400])
+ESTIMATE = Estimate(THETA, COVARIANCE, information=INFORMATION, noise=0.001, misfit=1.1, largest_misfit=1.5)
 GOOD = InteractionEstimate(7, 7, 0.28, 0.16, CONTACT, ESTIMATE, (np.array([0.0, 0.32]), np.array([0.0, -0.02])))
 NONE = InteractionEstimate(1, 1, 0.0, detail="Because.")
 

@@ -124,8 +124,8 @@ def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
 def test_estimates_of_one_contact_are_one() -> None:
     """Mean and spread of their logarithms, for the verdict as well; the rest is that of the best explanation."""
     first = Estimate(np.array([0.2, 0.05, -0.1]), CORRELATED, noise=0.001, misfit=1.2)
-    told = {"misfit": 0.9, "noise": 0.002, "expected_information": 4 * np.eye(3)}
-    best = Estimate(np.array([0.4, 0.05, -0.2]), 2 * CORRELATED, **told)
+    theta, expected = np.array([0.4, 0.05, -0.2]), 4 * np.eye(3)
+    best = Estimate(theta, 2 * CORRELATED, misfit=0.9, noise=0.002, expected_information=expected)
     assert mixture([first]) is first
     found = mixture([first, best])
     np.testing.assert_allclose(found.theta, [0.2 * np.sqrt(2), 0.05, -0.1 * np.sqrt(2)])

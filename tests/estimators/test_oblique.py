@@ -15,8 +15,8 @@ from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)
 BOX = np.log([[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
-KNOWN = {"information": 100 * np.eye(3), "noise": 0.001, "misfit": 1.0}
-ESTIMATE = Estimate(np.array([0.3, 0.03, -0.05]), 0.01 * np.eye(3), **KNOWN)
+THETA = np.array([0.3, 0.03, -0.05])
+ESTIMATE = Estimate(THETA, 0.01 * np.eye(3), information=100 * np.eye(3), noise=0.001, misfit=1.0)
 
 
 def seen_at(angle: float) -> Estimate:

@@ -1,5 +1,7 @@
 """Material of the last training stages: contacts as arrays, the problem without noise, and the motion's slopes."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.network.fits import MECHANICS, NOMINAL_NOISE, PARAMETERS, Fits, Fitted, motion_slopes
 from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate
+from tests.estimators.direct.test_field import central_differences
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +65,10 @@ def test_the_problem_without_noise_counts_in_a_nominal_one(contacts: list[Simula
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.2)])
 def test_slopes_are_those_of_the_simulated_motion(contacts, offset) -> None:
     """Against central differences in φ, in float64, also away from what explains the motion."""
-    step = 1e-4
     for contact in contacts:
         logs = np.log(np.abs(contact.theta)) + offset
         found = motion_slopes(exact(contact), logs)
         assert found.shape == (SLOTS, 3)
-        for column, change in enumerate(step * np.eye(3)):
-            difference = (simulated(contact, logs + change) - simulated(contact, logs - change)) / (2 * step)
-            np.testing.assert_allclose(found[:, column], -(difference @ contact.interaction.direction), atol=1e-6)
+        expected = central_differences(partial(simulated, contact), logs, 1e-4)
+        np.testing.assert_allclose(found, -np.einsum("tap,a->tp", expected, contact.interaction.direction), atol=1e-6)
         assert (np.abs(found).max(axis=0) > 1e-3).all()

@@ -6,17 +6,8 @@ import pytest
 from palpate.data.brightness.sequence import SIDE
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.light_features import SHAPES
-from palpate.estimators.network.light_draws import (
-    CODINGS,
-    DISTANCES,
-    LIGHTS,
-    MOTIONS,
-    LightDraws,
-    as_coded,
-    draw_light,
-    noise_factors,
-    persistent,
-)
+from palpate.estimators.network import light_draws as module
+from palpate.estimators.network.light_draws import LightDraws, as_coded, draw_light, noise_factors, persistent
 from palpate.physics.mechanics import RECOMMENDED
 
 
@@ -32,15 +23,12 @@ def test_a_sheet_is_drawn_again_by_its_seed_within_the_admissible_box(drawn: Lig
     assert again is not None
     assert other is not None
     np.testing.assert_array_equal(again.slots.amounts, drawn.slots.amounts)
-    assert len(drawn.slots) == len(drawn.logs) == MOTIONS * LIGHTS * CODINGS
-    low, high = RECOMMENDED.log_box
-    assert (low <= drawn.logs).all()
-    assert (drawn.logs <= high).all()
-    assert (drawn.slots.distance >= DISTANCES[0]).all()
-    assert (drawn.slots.distance <= DISTANCES[1]).all()
+    assert len(drawn.slots) == len(drawn.logs) == module.MOTIONS * module.LIGHTS * module.CODINGS
+    for values, (low, high) in ((drawn.logs, RECOMMENDED.log_box), (drawn.slots.distance, module.DISTANCES)):
+        assert ((low <= values) & (values <= high)).all()
     assert not np.array_equal(other.logs, drawn.logs)
     # The sequences of one press share its parameters, and no two are equal.
-    assert len(np.unique(drawn.logs, axis=0)) == MOTIONS
+    assert len(np.unique(drawn.logs, axis=0)) == module.MOTIONS
     assert len(np.unique(drawn.slots.amounts[:, -1, 0])) == len(drawn.logs)
 
 

@@ -99,16 +99,10 @@ def shorter(contact: Interaction, frames: int = 5) -> Interaction:
 
 
 def problem_of(
-    contact: Interaction,
-    logs: np.ndarray | None = None,
-    *,
-    within: float = 0.0,
-    mechanics: Mechanics = MECHANICS,
-    noise: float | None = None,
-    **look: bool,
+    contact: Interaction, logs: np.ndarray | None = None, *, within: float = 0.0, noise: float | None = None, **look
 ) -> SequenceProblem[PressMotion]:
     """A problem that was looked at."""
-    problem = SequenceProblem.of_press(contact, mechanics, within, noise)
+    problem = SequenceProblem.of_press(contact, MECHANICS, within, noise)
     problem.look(logs_of() if logs is None else logs, **look)
     return problem
 
@@ -163,9 +157,10 @@ def test_a_contact_without_a_sequence_is_refused() -> None:
             SequenceProblem.of_press(dataclasses.replace(contact, sequence=sequence), MECHANICS)
 
 
-@pytest.mark.parametrize(
-    ("name", "size"), [("new", LARGER), ("blurred", SIZE), ("still", LARGER), ("rounded", SIZE), ("rounded", LARGER)]
-)
+CASES = ("new", LARGER), ("blurred", SIZE), ("still", LARGER), ("rounded", SIZE), ("rounded", LARGER)
+
+
+@pytest.mark.parametrize(("name", "size"), CASES)
 def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: tuple[int, int]) -> None:
     """Also where a third of the pixels is hidden, and where outliers count less."""
     contact = shorter(contact_of(noise=NOISES[name], size=size))

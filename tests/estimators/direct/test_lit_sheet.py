@@ -63,10 +63,8 @@ def test_a_dent_that_lies_aside_is_the_same_dent_elsewhere():
     sheet = lit()
     moved = dented(sheet, 0.01)
     side = FINE * SIDE
-    here, there = (
-        np.log(sheet.shown(moved, PLAIN + np.array([*aside, 0, 0, 0, 0, 0, 0])).matt).reshape(side, side)
-        for aside in ((0, 0), (2, -1))
-    )
+    others = PLAIN, PLAIN + np.array([2, -1, 0, 0, 0, 0, 0, 0])
+    here, there = (np.log(sheet.shown(moved, each).matt).reshape(side, side) for each in others)
     shifted = np.roll(here, (2 * FINE, -FINE), axis=(0, 1))
     assert np.abs(there - here)[sheet.inner].max() > 0.1
     np.testing.assert_allclose(there[12:-12, 12:-12], shifted[12:-12, 12:-12], atol=0.02)

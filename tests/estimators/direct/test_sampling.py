@@ -92,14 +92,11 @@ def test_it_is_deterministic() -> None:
 
 
 def test_a_component_is_a_student_distribution() -> None:
-    mixture = Mixture(
-        np.array([0.25, 0.75]), np.array([np.ones(3), -np.ones(3)]), np.stack([COVARIANCE, 2 * COVARIANCE])
-    )
+    scales = np.stack([COVARIANCE, 2 * COVARIANCE])
+    mixture = Mixture(np.array([0.25, 0.75]), np.array([np.ones(3), -np.ones(3)]), scales)
     points = mixture.draw(np.clip(Sobol(5, rng=3).random(4096), 1e-9, 1 - 1e-9))
-    expected = [
-        multivariate_t.logpdf(points, mean, scale, FREEDOM)
-        for mean, scale in zip(mixture.means, mixture.scales, strict=True)
-    ]
+    parts = zip(mixture.means, mixture.scales, strict=True)
+    expected = [multivariate_t.logpdf(points, mean, scale, FREEDOM) for mean, scale in parts]
     np.testing.assert_allclose(mixture.log_densities(points), np.stack(expected, 1) + np.log(mixture.shares), rtol=1e-9)
     first = points[points.sum(axis=1) > 0]
     assert len(first) / len(points) == pytest.approx(0.25, abs=0.01)
@@ -117,9 +114,8 @@ def test_thinned_draws_are_evenly_spread() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_pieces_of_a_posterior_are_found_from_one_of_them(seed: int) -> None:
     """Bounded errors leave thin slices of a posterior, in any direction; together they have its mean and covariance."""
-    across = np.random.default_rng(seed).normal(size=3)
+    across, sd = np.random.default_rng(seed).normal(size=3), 0.3
     across /= np.linalg.norm(across)
-    sd = 0.3
     smooth = normal(np.zeros(3), sd**2 * np.eye(3))
 
     def sliced(points: np.ndarray) -> np.ndarray:

@@ -24,20 +24,15 @@ def slab(force: float, place: float) -> tuple[Skin, np.ndarray, Palpation]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("start", "begun"), [(1e3, 4e3), (1e5, 1e5)])
-def test_the_descent_arrives_from_a_start_far_off(start: float, begun: float) -> None:
-    """A factor of ten off; many times as many solves as by exact derivatives, which end at the same place.
-
-    Ten times too soft, the slab turns inside out.
-    """
+def test_the_descent_arrives_from_a_start_far_off() -> None:
+    """Ten times too stiff; many times as many solves as by exact derivatives, which end at the same place."""
     skin, held, seen = slab(1.0, 0.1)
-    exact = fit_material(skin, held, [seen], FitSettings(young=start))
-    numeric = descend(skin, held, [seen], FitSettings(young=start))
+    exact, numeric = (fit(skin, held, [seen], FitSettings(young=1e5)) for fit in (fit_material, descend))
     assert abs(np.log(numeric.young / exact.young)) < 2 * exact.young_sd
     assert numeric.young == pytest.approx(1e4, rel=0.25)
     assert numeric.solves > 5 * exact.solves
     assert np.isnan(numeric.covariance).all()
-    assert numeric.path[0].young == pytest.approx(begun)
+    assert numeric.path[0].young == pytest.approx(1e5)
     assert (numeric.path[-1].young, numeric.path[-1].solves) == (numeric.young, numeric.solves)
     # It did not stop on a valley's floor: its error is no larger than where exact derivatives end, but for ICP's rest.
     at_exact = FitSettings(young=exact.young, poisson=exact.poisson)

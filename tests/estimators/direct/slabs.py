@@ -15,7 +15,7 @@ from palpate.physics.load import Press, held
 from palpate.physics.observation import Observation
 from tests.estimators.direct.test_field import FRAME, MESH, SIDE, SIGMA, SIZE
 
-COARSE, FINE = (4, 4, 2), (6, 6, 3)
+COARSE, FINE = (4, 4, 2), (6, 6, 2)
 THICKNESS = 0.05
 TIMES = FRAME * np.arange(1, 11)
 LOAD = 5 * FRAME

@@ -21,13 +21,13 @@ from palpate.models.calibration_fit import fit_light
 from palpate.models.onnx_export import calibrate_light
 from palpate.models.onnx_session import PosteriorModel
 
-SMALL = ["--light.sheets", "2", "--light.steps", "4", "--light.workers", "0"]
+SMALL = ["--light.sheets", "1", "--light.steps", "4", "--light.workers", "0"]
 FIT = ["fit", "-c", "configs/light.yaml", *SMALL, "--light.output"]
 
 
 @pytest.fixture(scope="module")
 def draws() -> LightDraws:
-    return LightDraws.joined([part for part in map(draw_light, range(4)) if part is not None])
+    return LightDraws.joined([part for part in map(draw_light, range(3)) if part is not None])
 
 
 @pytest.fixture(scope="module")

@@ -104,16 +104,6 @@ def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> N
     assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
 
 
-def test_bad_settings_end_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    clip = write_annotated(tmp_path / "clip", np.zeros(1))
-    for options, sentence in (
-        ((), "particles is 3; give 30 to 10000"),
-        (("--estimator", "direct"), "is for --estimator online; leave it out"),
-    ):
-        assert run(tmp_path, clip, settings="particles: 3\n", options=options) == 2
-        assert sentence in " ".join(capsys.readouterr().err.split())
-
-
 GIVEN = "particles: 150\nbackground: keep\nthickness: 0.05\npins: pins.png\npath: given/path.csv\n"
 PINNED = 190
 """Column from which the mask is white [px]."""
@@ -151,9 +141,9 @@ def given(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
     return folder / "out"
 
 
-def test_a_volume_moves_with_the_path_of_its_gripper_and_keeps_volume_and_pins(given: Path) -> None:
+def test_a_volume_moves_with_the_path_of_its_gripper_and_keeps_its_pins(given: Path) -> None:
     with np.load(given / "pulled" / "fields.npz", allow_pickle=False) as fields:
-        rest, faces, tetrahedra = (fields[f"run_10/{name}"] for name in ("rest", "faces", "tetrahedra"))
+        rest, faces = (fields[f"run_10/{name}"] for name in ("rest", "faces"))
         states, pixels = (
             np.array([fields[f"frame_{number}/{name}"] for number in range(10, 16)], np.float64)
             for name in ("positions", "pixels")
@@ -170,10 +160,6 @@ def test_a_volume_moves_with_the_path_of_its_gripper_and_keeps_volume_and_pins(g
     assert pinned.any()
     np.testing.assert_array_equal(states[-1][pinned], rest[pinned])
     assert (np.linalg.norm(states[-1] - rest, axis=1)[~pinned] > 1e-6).mean() > 0.9
-    now, before = (
-        np.linalg.det(state[tetrahedra[:, 1:]] - state[tetrahedra[:, :1]]).sum() for state in (states[-1], rest)
-    )
-    assert now == pytest.approx(before, rel=0.02)
 
 
 def test_what_was_given_is_told_with_the_results(given: Path) -> None:

@@ -24,23 +24,19 @@ def slab() -> tuple[Skin, np.ndarray, Palpation]:
     return *BODY.skin(4, BODY.size / 20), observed(1.0)
 
 
-@pytest.mark.parametrize("start", [30.0, 1 / 30])
-def test_starts_far_off_arrive(slab: tuple[Skin, np.ndarray, Palpation], start: float) -> None:
+def test_a_start_however_far_off_ends_at_the_truth_after_as_many_simulations(slab) -> None:
     skin, held, seen = slab
-    found = fit_material(skin, held, [seen], FitSettings(young=1e4 * start, model_error=0.0))
-    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd
-    assert abs(found.poisson - 0.42) < 3 * found.poisson_sd
-    assert found.young_sd < 0.15
-    assert found.noise < 0.0004
-    assert found.solves < 25
-
-
-def test_a_start_however_far_off_ends_at_the_same_place_after_as_many_simulations(slab) -> None:
-    skin, held, seen = slab
-    one, two = (fit_material(skin, held, [seen], FitSettings(young=young)) for young in (1.0, 1e9))
+    one, two = (fit_material(skin, held, [seen], FitSettings(young=each, model_error=0.0)) for each in (1.0, 1e9))
     assert one.young == pytest.approx(two.young, rel=1e-6)
     assert one.poisson == pytest.approx(two.poisson, abs=1e-6)
     assert one.solves == two.solves <= 6
+    assert abs(np.log(one.young / 1e4)) < 3 * one.young_sd < 0.45
+    assert abs(one.poisson - 0.42) < 3 * one.poisson_sd
+    assert one.noise < 0.0004
+    # The path begins at the linear law, and ends at the answer.
+    assert (one.path[0].solves, one.path[0].systems) == (1, 2)  # and its derivatives
+    assert [each.solves for each in one.path] == list(range(1, one.solves + 1))
+    assert (one.path[-1].young, one.path[-1].poisson) == (one.young, one.poisson)
 
 
 def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
@@ -60,14 +56,6 @@ def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
         np.testing.assert_allclose(there.displacement, plain.displacement, atol=1e-9)
     assert off[0] < 2e-3
     assert off[0] / off[1] == pytest.approx(4, rel=0.2)
-
-
-def test_the_path_begins_at_the_linear_law_and_ends_at_the_answer(slab) -> None:
-    skin, held, seen = slab
-    found = fit_material(skin, held, [seen], FitSettings(young=1e3))
-    assert (found.path[0].solves, found.path[0].systems) == (1, 2)  # and its derivatives
-    assert [each.solves for each in found.path] == list(range(1, found.solves + 1))
-    assert (found.path[-1].young, found.path[-1].poisson) == (found.young, found.poisson)
 
 
 def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(slab) -> None:
@@ -99,7 +87,7 @@ def test_errors_of_the_model_widen_the_intervals(slab) -> None:
 def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab) -> None:
     """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
     skin, held, _ = slab
-    found = [fit_material(skin, held, [observed(1.0, "time of flight", i, 2000)]) for i in range(5)]
+    found = [fit_material(skin, held, [observed(1.0, "time of flight", i, 4000)]) for i in range(5)]
     off = np.log([fit.young / 1e4 for fit in found])
     assert abs(off.mean()) < found[0].young_sd
     assert np.abs(off).max() < 3 * found[0].young_sd

@@ -159,7 +159,7 @@ def test_a_slab_of_told_thickness_tells_force_over_young(monkeypatch: pytest.Mon
 
 
 def test_where_no_slab_fits_nothing_is_told() -> None:
-    recorder = run(12, 1.5, thickness=math.inf)
+    recorder = run(2, 1.5, thickness=math.inf)
     with pytest.raises(NoEstimate, match=r"^No slab fits under the tissue: a thickness of inf; give a positive one"):
         recorder._pulled(*recorder._slab)  # ty: ignore[not-iterable]  it has one
 

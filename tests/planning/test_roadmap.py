@@ -9,21 +9,16 @@ import pytest
 from palpate.planning import Blocked, CostTable, find_plan, read_plan_scene
 from palpate.planning.cost_table import grid_of, mirrored
 from palpate.planning.roadmap import EdgeCosts, _shortest
-from palpate.planning.scene import Placed, PlanScene
+from palpate.planning.scene import Placed
 from tests.planning.test_scene import SHIPPED
 
 
-def even_table(scene: PlanScene, work: float) -> CostTable:
-    """Every press does the same work in the end, growing with its length."""
-    kind = scene.kinds["curtain"]
-    places, angles = grid_of(kind)
-    lengths = np.linspace(0, kind.longest, 41)
-    return CostTable(places, angles, lengths, np.tile(work * lengths / kind.longest, (len(places), 1)), 0.0045)
-
-
 def costs(work: float, **changed: object) -> EdgeCosts:
+    """Every press does the same work in the end, growing with its length."""
     scene = dataclasses.replace(read_plan_scene(SHIPPED), **changed)
-    return EdgeCosts(scene, {"curtain": even_table(scene, work)})
+    (places, angles), shares = grid_of(scene.kinds["curtain"]), np.linspace(0, 1, 41)
+    lengths, works = scene.kinds["curtain"].longest * shares, np.tile(work * shares, (len(places), 1))
+    return EdgeCosts(scene, {"curtain": CostTable(places, angles, lengths, works, 0.0045)})
 
 
 def test_without_alpha_the_shortest_way_is_taken() -> None:

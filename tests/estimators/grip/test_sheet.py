@@ -1,7 +1,6 @@
 """A sheet whose grip is not visible well: foundation and force are found again all the same, or it is said why not."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from palpate.physics.sheet import response
 SPACING, NOISE = 8, 0.1
 ANCHOR = 0.05
 PULLS = np.linspace(10.0, 40.0, 4)
-Measure = Callable[[int, np.ndarray, np.ndarray], sheet.SeenFrame]
 
 
 PLACES = SPACING * np.stack(np.meshgrid(np.arange(1.0, 61), np.arange(1.0, 41)), axis=-1).reshape(-1, 2)
@@ -41,7 +39,7 @@ def seen(dragged: float = 0.0, seed: int = 0, background: float = 0.0, anchor: f
     return frames
 
 
-def fitted(frames: list[sheet.SeenFrame], measure: Measure | None = None) -> sheet.FoundationFit:
+def fitted(frames: list[sheet.SeenFrame], measure=None) -> sheet.FoundationFit:
     """The fit, to points that are measured again, if told how."""
     again = () if measure is None else (sheet.Measuring(PLACES.reshape(40, 60, 2), measure),)
     return sheet.fit_foundation(GRID, frames, *again)

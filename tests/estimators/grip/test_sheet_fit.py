@@ -1,7 +1,5 @@
 """Sheets that are fitted to frames made by the simulator: what is found again, how sure it is, and what is refused."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from palpate.physics.sheet import equilibrium
 SPACING, COLUMNS, ROWS = 8, 20, 16
 NOISE = 0.02
 """Of synthetic frames [px]."""
-Field = Callable[[np.ndarray], np.ndarray]
 
 
 def grid(columns: int = COLUMNS, rows: int = ROWS) -> np.ndarray:

@@ -21,8 +21,7 @@ from palpate.models.calibration_fit import fit_light
 from palpate.models.onnx_export import calibrate_light
 from palpate.models.onnx_session import PosteriorModel
 
-SMALL = ["--light.sheets", "1", "--light.steps", "4", "--light.workers", "0"]
-FIT = ["fit", "-c", "configs/light.yaml", *SMALL, "--light.output"]
+FIT = ["fit", "-c", "configs/light.yaml", "--light.sheets=1", "--light.steps=4", "--light.workers=0", "--light.output"]
 
 
 @pytest.fixture(scope="module")

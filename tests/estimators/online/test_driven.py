@@ -56,14 +56,11 @@ def from_tool(points: np.ndarray) -> np.ndarray:
     return np.hypot(np.maximum(points[:, 0] - 79, 0), np.maximum(np.abs(points[:, 1] - 79.5) - 19.5, 0))
 
 
-def grid_points() -> tuple[np.ndarray, np.ndarray]:
-    """Places to follow [P, 2] and their distances from the instrument [P] [px]."""
-    points = np.stack(np.meshgrid(np.arange(12, 232, 8), np.arange(12, 152, 8)), axis=-1).reshape(-1, 2).astype(float)
-    away = from_tool(points)
-    return points[away > 5], away[away > 5]
-
-
-POINTS, AWAY = grid_points()
+POINTS = np.stack(np.meshgrid(np.arange(12.0, 232, 8), np.arange(12.0, 152, 8)), axis=-1).reshape(-1, 2)
+POINTS = POINTS[from_tool(POINTS) > 5]
+"""Places to follow, shape [P, 2] [px]."""
+AWAY = from_tool(POINTS)
+"""Their distances from the instrument, shape [P] [px]."""
 
 
 def pulled(share: float) -> np.ndarray:

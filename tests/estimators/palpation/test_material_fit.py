@@ -1,6 +1,7 @@
 """E and ν come back from a press whose truth is known, and the covariance says how well."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -14,9 +15,14 @@ from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
+@functools.cache
+def pressed(force: float):
+    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational")
+
+
 def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800) -> Palpation:
     """A press by the fit's own mesh and law: what is left is the noise."""
-    return observe(*press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational"), sensor, seed, count=count)
+    return observe(*pressed(force), sensor, seed, count=count)
 
 
 @pytest.fixture(scope="module")

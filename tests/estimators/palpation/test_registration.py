@@ -46,12 +46,13 @@ WAYS = np.array([[1, 0, 0.4], [0.2, 1, 0.4], [-1, 0.1, 0.4], [0, -1, 0.4], [0, 0
 
 
 def views(noise: float) -> tuple[list[View], list[np.ndarray]]:
-    chance = np.random.default_rng(1)
-    found = []
+    chance, given, true = np.random.default_rng(1), [], []
     for number, way in enumerate(WAYS):
-        off = (0.0, 0.0) if number == 0 else (0.002, 0.02)
-        found.append(seen_from(way, chance.normal(0, off[0], 3), chance.normal(0, off[1], 3), noise, number))
-    return [view for view, _ in found], [true for _, true in found]
+        shift, turn = (chance.normal(0, size if number else 0, 3) for size in (0.002, 0.02))
+        view, pose = seen_from(way, shift, turn, noise, number)
+        given.append(view)
+        true.append(pose)
+    return given, true
 
 
 @pytest.mark.parametrize("noise", [0.0, pytest.param(0.0003, marks=pytest.mark.slow)])

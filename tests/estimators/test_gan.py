@@ -162,14 +162,13 @@ def test_numbers_that_are_not_finite_are_an_error(clip_folder: Path, tmp_path: P
         run(clip_folder, tmp_path, theta=(math.nan, 0.1, -0.1))
 
 
-def test_time_by_stage_starts_anew_for_every_clip(clip_folder: Path, tmp_path: Path) -> None:
+def test_time_by_stage_starts_anew_for_every_clip(usual, tmp_path: Path) -> None:
+    clip, results, _ = usual
     estimator = GanEstimator(ParameterModel(write_model(tmp_path / "model.onnx")))
-    settings = estimator.preparation(Chosen())
     for _ in range(2):
-        clip = ClipStream(open_source(clip_folder, settings.layout), settings)
         session = estimator.start(ClipInfo.of(clip))
         assert dict(session.seconds) == {}
-        follow(session, clip)
+        follow(session, [result.prepared for result in results])
         assert session.seconds.keys() == {"network", "simulation"}
         assert min(session.seconds.values()) > 0
 

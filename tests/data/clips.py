@@ -1,8 +1,9 @@
 """Tiny clips in CholecSeg8k's layout whose contact and motion are known."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import Frame, FrameSource
 
 WIDTH, HEIGHT = 128, 96
 FOCAL = 100.0
@@ -73,10 +75,37 @@ def write_clip(
     return folder
 
 
+class Pictures(FrameSource):
+    """A clip of given pictures, shape [N, H, W, 3]; `read` counts those that were read last."""
+
+    def __init__(self, pictures: Sequence[np.ndarray] | np.ndarray, *, live: bool = False) -> None:
+        self.name, self.path, self.fps, self.warnings = "clip", Path("clip.mp4"), 10.0, []
+        self.pictures, self.length, self.read = pictures, 0 if live else len(pictures), 0
+        self.size = np.shape(pictures)[2:0:-1]
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, picture in enumerate(self.pictures):
+            self.read = index + 1
+            yield Frame(index, index, index / self.fps, picture)
+
+
 def remove_frame(folder: Path, number: int) -> None:
     """Take a frame out of a clip, which leaves a gap in its numbers."""
     for path in folder.glob(f"frame_{number}_endo*"):
         path.unlink()
+
+
+def remove_depth(folder: Path, *numbers: int) -> None:
+    """Let frames have depth zero everywhere."""
+    for number in numbers:
+        cv2.imwrite(str(folder / f"frame_{number}_endo_depth.png"), np.zeros((HEIGHT, WIDTH), np.uint16))
+
+
+def describe(folder: Path, **changes: Any) -> None:
+    """Let a clip's file say something else; what is None it says no more."""
+    path = folder / "clip.json"
+    entries = json.loads(path.read_text()) | changes
+    path.write_text(json.dumps({name: value for name, value in entries.items() if value is not None}))
 
 
 def stored(clip: ClipStream, cache: Path) -> PreparedClip:

@@ -1,74 +1,58 @@
 """ONNX depth networks through the preset path: sizes, preprocessing, every output kind, errors, parity with torch."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
+import torch
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.data.depth.model import DepthModel, place, preprocess
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
-from palpate.data.depth.preset import DepthPreset, load_preset
-from palpate.data.source.frames import Frame, FrameSource
+from palpate.data.depth.preset import PRESET_FOLDER, DepthPreset, load_preset
 from palpate.data.source.layout import ClipLayout, InputError
+from tests.data.clips import Pictures
 from tests.networks import write_network
 
 HEIGHT, WIDTH = 48, 80
 GREY = np.broadcast_to(np.linspace(51, 204, WIDTH).round().astype(np.uint8)[:, None], (HEIGHT, WIDTH, 3))
 """A ramp from 0.2 to 0.8 across the picture."""
+DARKER = (GREY * 0.8).round().astype(np.uint8)
+LEVELS = GREY[..., 0].astype(np.float64) / 255
+FIELD_OF_VIEW = {"kind": "canonical_inverse", "output": "depth", "focal_output": "focal", "focal_kind": "fov_deg"}
+LETTERBOX = {"kind": "metric", "size": [100, 80], "letterbox": True}
 
 
-class Pictures(FrameSource):
-    """A clip of given pictures."""
-
-    def __init__(self, pictures) -> None:
-        self.name, self.path, self.fps, self.warnings = "clip", Path("clip.mp4"), 10.0, []
-        self.pictures, self.length = list(pictures), len(pictures)
-        self.size = self.pictures[0].shape[1::-1]
-
-    def __iter__(self):
-        for index, picture in enumerate(self.pictures):
-            yield Frame(index, index, index / self.fps, picture)
-
-
-def build(path, *, gain=1.0, bias=0.0, shape=(1, 3, "h", "w"), names=("image", "depth"), focal=None, rank=4, scale=1):
+def build(path, *, gain=1.0, bias=0.0, shape=(1, 3, "h", "w"), focal=None, rank=4, scale=1):
     """An ONNX file whose output is gain·(mean over channels) + bias, perhaps with a constant focal length."""
-    (image, depth), made = names, ", ".join("?" * rank)
-    graph = f"""tiny (float[{", ".join(map(str, shape))}] {image}) =>
-        (float[{made}] {depth}{", float[1] focal" if focal is not None else ""}) {{
-        mean = ReduceMean<keepdims={int(rank == 4)}>({image}, axis)
+    graph = f"""tiny (float[{", ".join(map(str, shape))}] image) =>
+        (float[{", ".join("?" * rank)}] depth{"" if focal is None else ", float[1] focal"}) {{
+        mean = ReduceMean<keepdims={int(rank == 4)}>(image, axis)
         scaled = Mul(mean, gain)
         full = Add(scaled, bias)
-        {depth} = {'Resize<mode="nearest">(full, , sizes)' if scale != 1 else "Identity(full)"}
-        {"focal = Identity(length)" if focal is not None else ""}
+        depth = {"Identity(full)" if scale == 1 else 'Resize<mode="nearest">(full, , sizes)'}
+        {"" if focal is None else "focal = Identity(length)"}
     }}"""
-    constants = {"axis": np.array([shape.index(3)]), "gain": np.float32(gain), "bias": np.float32(bias)}
-    if scale != 1:
-        constants["sizes"] = np.array([1, 1, scale, scale], np.float32)
-    if focal is not None:
-        constants["length"] = np.array([focal], np.float32)
-    return write_network(path, graph, **{name: np.asarray(value) for name, value in constants.items()})
+    constants = {"axis": np.array([shape.index(3)]), "gain": np.array(gain, np.float32)}
+    constants |= {"bias": np.array(bias, np.float32), "sizes": np.array([1, 1, scale, scale], np.float32)}
+    return write_network(path, graph, **constants, length=np.array([focal or 0], np.float32))
 
 
-def opened(tmp_path, preset: dict, pictures=(GREY,), settings: dict | None = None, **network):
-    """Depth source of a tiny network beside its preset file."""
+def opened(tmp_path, preset: dict, pictures=(GREY,), layout: ClipLayout | None = None, **network):
+    """Depth source of a tiny network beside its preset file; pictures keep their size where the preset has none."""
+    settings = {name: network.pop(name) for name in ("near", "far", "threads", "field_of_view_deg") if name in network}
     path = build(tmp_path / "tiny.onnx", **network)
-    path.with_suffix(".yaml").write_text(yaml.safe_dump(preset))
-    chosen = DepthSettings(source=str(path), **(settings or {}))
-    source = Pictures(pictures)
-    return open_depth(chosen, ClipLayout(), source), source, chosen
+    path.with_suffix(".yaml").write_text(yaml.safe_dump(preset if "size" in preset else {"resize": "none"} | preset))
+    chosen, source = DepthSettings(source=str(path), **settings), Pictures(pictures)
+    return open_depth(chosen, layout or ClipLayout(), source), source, chosen
 
 
-def depth_of(tmp_path, preset: dict, **network) -> np.ndarray:
-    depth, source, _ = opened(tmp_path, {"resize": "none", **preset}, **network)
+def depth_of(tmp_path, preset: dict, **options) -> np.ndarray:
+    depth, source, _ = opened(tmp_path, preset, **options)
     return depth(next(iter(source)))
-
-
-LEVELS = GREY[..., 0].astype(np.float64) / 255
 
 
 # Size and position
@@ -89,12 +73,9 @@ LEVELS = GREY[..., 0].astype(np.float64) / 255
 def test_input_size_of_each_network(name, picture, expected):
     placement = place(*picture, load_preset(name))
     assert (placement.height, placement.width) == expected
-
-
-def test_letterbox_is_centred():
-    placement = place(480, 854, load_preset("metric3d"))
-    # 854x480 fits 1064x616 by 1064/854 = 1.2459: 1064x598, 9 rows above and 9 below.
-    assert (placement.rows, placement.columns, placement.top, placement.left) == (598, 1064, 9, 0)
+    if name == "metric3d":
+        # 854x480 fits 1064x616 by 1064/854 = 1.2459: 1064x598, 9 rows above and 9 below.
+        assert (placement.rows, placement.columns, placement.top, placement.left) == (598, 1064, 9, 0)
 
 
 def test_a_model_files_own_size_is_taken():
@@ -135,42 +116,55 @@ def test_preprocessing_is_scale_mean_std_in_the_presets_order():
     assert tensor[0, 0, 0].tolist() == [0, 51, 255]
 
 
+def resized(shape: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """A random picture, and the network's input made of it."""
+    picture = np.random.default_rng(0).integers(0, 256, (*shape, 3), np.uint8)
+    preset = DepthPreset(name="a", kind="metric", size=size)
+    return picture, preprocess(picture, preset, place(*shape, preset))
+
+
 def test_enlarging_is_torchs_bilinear():
-    torch = pytest.importorskip("torch")
-    picture = np.random.default_rng(0).integers(0, 256, (30, 40, 3), np.uint8)
-    preset = DepthPreset(name="a", kind="metric", size=(64, 96))
-    tensor = preprocess(picture, preset, place(30, 40, preset))
-    reference = torch.nn.functional.interpolate(
-        torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255, size=(64, 96), mode="bilinear"
-    )
-    assert tensor == pytest.approx(reference.numpy(), abs=1e-5)
+    picture, tensor = resized((30, 40), (64, 96))
+    channels = torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255
+    reference = torch.nn.functional.interpolate(channels, size=(64, 96), mode="bilinear")
+    np.testing.assert_allclose(tensor, reference.numpy(), rtol=0, atol=1e-5)
 
 
 def test_shrinking_averages_areas():
-    picture = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
-    preset = DepthPreset(name="a", kind="metric", size=(2, 3), value_scale=255)
-    tensor = preprocess(picture, preset, place(8, 12, preset))
-    assert tensor[0, 0] == pytest.approx(picture[..., 0].reshape(2, 4, 3, 4).mean(axis=(1, 3)), rel=1e-5)
+    picture, tensor = resized((8, 12), (2, 3))
+    assert tensor[0, 0] * 255 == pytest.approx(picture[..., 0].reshape(2, 4, 3, 4).mean(axis=(1, 3)), rel=1e-5)
 
 
-# Output kinds
+# Output kinds, and geometry of the output
 
 
-@pytest.mark.parametrize("kind", ["metric", "relative"])
-def test_depth_as_it_is_with_a_factor(tmp_path, kind):
-    depth = depth_of(tmp_path, {"kind": kind, "factor": 0.5}, gain=2.0, bias=1.0)
-    assert depth == pytest.approx(0.5 * (2 * LEVELS + 1), rel=1e-5)
+@pytest.mark.parametrize(
+    ("preset", "network", "expected"),
+    [
+        ({"kind": "metric", "factor": 0.5}, {"gain": 2.0, "bias": 1.0}, 0.5 * (2 * LEVELS + 1)),
+        ({"kind": "relative", "factor": 0.5}, {"gain": 2.0, "bias": 1.0}, 0.5 * (2 * LEVELS + 1)),
+        ({"kind": "inverse"}, {"gain": 4.0}, 1 / (4 * LEVELS)),
+        ({"kind": "metric"}, {"rank": 3}, LEVELS),
+        ({"kind": "metric"}, {"rank": 4}, LEVELS),
+        ({"kind": "metric", "layout": "NHWC", "channels": "BGR"}, {"shape": (1, "h", "w", 3), "rank": 3}, LEVELS),
+        (LETTERBOX | {"letterbox_value": [255, 255, 255]}, {}, LEVELS),
+    ],
+    ids=["metric", "relative", "inverse", "no channel axis", "channel axis", "channels last", "letterbox"],
+)
+def test_depth_is_what_the_preset_makes_of_the_output(tmp_path, preset, network, expected):
+    np.testing.assert_allclose(depth_of(tmp_path, preset, **network), expected, rtol=1e-5)
 
 
-def test_inverse_depth(tmp_path):
-    assert depth_of(tmp_path, {"kind": "inverse"}, gain=4.0) == pytest.approx(1 / (4 * LEVELS), rel=1e-5)
+def test_an_output_of_another_resolution_is_brought_to_the_picture(tmp_path):
+    depth = depth_of(tmp_path, LETTERBOX, scale=0.5)
+    assert depth.shape == (HEIGHT, WIDTH)
+    np.testing.assert_allclose(depth[:, 4:-4], LEVELS[:, 4:-4], rtol=0, atol=0.01)
 
 
 def test_canonical_inverse_depth_with_a_field_of_view(tmp_path):
-    preset = {"kind": "canonical_inverse", "output": "depth", "focal_output": "focal", "focal_kind": "fov_deg"}
-    depth, source, settings = opened(tmp_path, {"resize": "none", **preset}, focal=90.0)
+    depth, source, settings = opened(tmp_path, FIELD_OF_VIEW, focal=90.0)
     # 90 degrees: f = w/2, so D = 0.5/C.
-    assert depth(next(iter(source))) == pytest.approx(0.5 / LEVELS, rel=1e-5)
+    np.testing.assert_allclose(depth(next(iter(source))), 0.5 / LEVELS, rtol=1e-5)
     assert depth.focal == pytest.approx(0.5)
     assert estimate_scale(source, depth, settings)[1] == pytest.approx(WIDTH / 2)
 
@@ -183,49 +177,42 @@ def test_focal_length_on_its_own_grid(tmp_path):
 
 @pytest.mark.parametrize("focal", [0.0, -19.4, math.nan, math.inf])
 def test_an_unusable_focal_length_falls_back_to_the_field_of_view(tmp_path, focal):
-    preset = {"kind": "canonical_inverse", "output": "depth", "focal_output": "focal", "focal_kind": "fov_deg"}
-    depth, source, _ = opened(tmp_path, {"resize": "none", **preset}, settings={"field_of_view_deg": 60.0}, focal=focal)
+    depth, source, _ = opened(tmp_path, FIELD_OF_VIEW, field_of_view_deg=60.0, focal=focal)
     map_ = depth(next(iter(source)))
     assert depth.focal is None
-    assert map_ == pytest.approx(0.5 / math.tan(math.radians(30)) / LEVELS, rel=1e-5)
+    np.testing.assert_allclose(map_, 0.5 / math.tan(math.radians(30)) / LEVELS, rtol=1e-5)
 
 
 def test_canonical_camera_is_scaled_by_the_resized_focal_length(tmp_path):
     preset = {"kind": "metric", "canonical_focal_px": 1000, "size": [2 * HEIGHT, 2 * WIDTH]}
-    depth, source, _ = opened(tmp_path, preset, settings={"field_of_view_deg": 90.0})
+    depth = depth_of(tmp_path, preset, field_of_view_deg=90.0)
     # f at the input's width of 160 px is 80 px, so D = 0.08·D̂.
-    assert depth(next(iter(source)))[:, 5:-5] == pytest.approx(0.08 * LEVELS[:, 5:-5], rel=3e-3)
+    np.testing.assert_allclose(depth[:, 5:-5], 0.08 * LEVELS[:, 5:-5], rtol=3e-3)
 
 
 def test_camera_file_decides_over_the_default_field_of_view(tmp_path):
     camera = {"fx": 100.0, "fy": 100.0, "cx": 40.0, "cy": 24.0, "width": WIDTH, "height": HEIGHT}
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(camera))
-    path = build(tmp_path / "tiny.onnx")
-    path.with_suffix(".yaml").write_text("kind: canonical_inverse\nresize: none\n")
-    source = Pictures([GREY])
     layout = ClipLayout(camera=str(tmp_path / "camera.yaml"))
-    depth = open_depth(DepthSettings(source=str(path)), layout, source)
-    assert depth(next(iter(source))) == pytest.approx(100 / WIDTH / LEVELS, rel=1e-5)
+    depth = depth_of(tmp_path, {"kind": "canonical_inverse"}, layout=layout)
+    np.testing.assert_allclose(depth, 100 / WIDTH / LEVELS, rtol=1e-5)
 
 
 def test_relative_inverse_depth_keeps_one_range_for_the_clip(tmp_path):
-    darker = (GREY * 0.8).round().astype(np.uint8)
-    pictures = [GREY, GREY, darker]
-    settings = {"near": 0.05, "far": 0.2}
-    depth, source, chosen = opened(tmp_path, {"kind": "relative_inverse", "resize": "none"}, pictures, settings)
+    pictures = [GREY, GREY, DARKER]
+    depth, source, chosen = opened(tmp_path, {"kind": "relative_inverse"}, pictures, near=0.05, far=0.2)
     estimate_scale(source, depth, chosen)
     maps = [depth(frame) for frame in source]
     # Medians of the three frames' ends: 0.2 and 0.8, so 1/D = 5 + 15·(r − 0.2)/0.6.
-    assert maps[0] == pytest.approx(1 / (5 + 25 * (LEVELS - LEVELS.min())), rel=5e-3)
+    np.testing.assert_allclose(maps[0], 1 / (5 + 25 * (LEVELS - LEVELS.min())), rtol=5e-3)
     assert np.array_equal(maps[0], maps[1])
     # The darker frame is not stretched to near and far: its flicker shows.
-    share = np.maximum(darker[..., 0] / 255 - 0.2, 0)
-    assert maps[2] == pytest.approx(1 / (5 + 25 * share), rel=5e-3)
+    share = np.maximum(DARKER[..., 0] / 255 - 0.2, 0)
+    np.testing.assert_allclose(maps[2], 1 / (5 + 25 * share), rtol=5e-3)
 
 
 def test_without_a_scale_the_first_frame_freezes_the_range(tmp_path):
-    pictures = [GREY, (GREY * 0.8).round().astype(np.uint8)]
-    depth, source, _ = opened(tmp_path, {"kind": "relative_inverse", "resize": "none"}, pictures)
+    depth, source, _ = opened(tmp_path, {"kind": "relative_inverse"}, [GREY, DARKER])
     first, second = (depth(frame) for frame in source)
     assert first.min() == pytest.approx(0.03, rel=1e-2)
     assert second.min() > 1.1 * first.min()
@@ -243,14 +230,10 @@ def test_focal_length_is_the_median_of_the_clip_and_then_fixed(tmp_path):
     path.with_suffix(".yaml").write_text(
         "kind: canonical_inverse\nresize: none\noutput: depth\nfocal_output: focal\nfocal_grid: 100\n"
     )
-    pictures = []
-    for top in (102, 204, 255):
-        picture = GREY.copy()
+    pictures = [np.minimum(GREY, 102) for _ in range(3)]
+    for picture, top in zip(pictures, (102, 204, 255), strict=True):
         picture[0, 0] = top
-        picture[:, WIDTH // 2 :] = np.minimum(picture[:, WIDTH // 2 :], 102)
-        pictures.append(picture)
-    source = Pictures(pictures)
-    settings = DepthSettings(source=str(path))
+    source, settings = Pictures(pictures), DepthSettings(source=str(path))
     depth = open_depth(settings, ClipLayout(), source)
     _, focal = estimate_scale(source, depth, settings)
     assert focal == pytest.approx(0.8 * WIDTH)
@@ -259,50 +242,28 @@ def test_focal_length_is_the_median_of_the_clip_and_then_fixed(tmp_path):
     assert np.array_equal(maps[0][1:], maps[2][1:])
 
 
-# Geometry of the output
-
-
-def test_letterbox_is_cropped_from_the_output(tmp_path):
-    preset = {"kind": "metric", "size": [100, 80], "letterbox": True, "letterbox_value": [255, 255, 255]}
-    depth = depth_of(tmp_path, {**preset, "resize": "exact"})
-    assert depth == pytest.approx(LEVELS, rel=1e-5)
-
-
-def test_an_output_of_another_resolution_is_brought_to_the_picture(tmp_path):
-    preset = {"kind": "metric", "size": [100, 80], "letterbox": True}
-    depth = depth_of(tmp_path, {**preset, "resize": "exact"}, scale=0.5)
-    assert depth.shape == (HEIGHT, WIDTH)
-    assert depth[:, 4:-4] == pytest.approx(LEVELS[:, 4:-4], abs=0.01)
-
-
-@pytest.mark.parametrize("rank", [3, 4])
-def test_outputs_with_and_without_a_channel_axis(tmp_path, rank):
-    assert depth_of(tmp_path, {"kind": "metric"}, rank=rank) == pytest.approx(LEVELS, rel=1e-5)
-
-
-def test_channels_last(tmp_path):
-    preset = {"kind": "metric", "layout": "NHWC", "channels": "BGR"}
-    assert depth_of(tmp_path, preset, shape=(1, "h", "w", 3), rank=3) == pytest.approx(LEVELS, rel=1e-5)
-
-
-def test_partial_validity_and_bad_frames(tmp_path):
-    # gain·x + bias crosses zero at x = 0.5: negative depth there is invalid.
+def test_negative_depth_is_invalid(tmp_path):
+    # gain·x + bias crosses zero at x = 0.5.
     depth = depth_of(tmp_path, {"kind": "metric"}, gain=2.0, bias=-1.0)
     assert np.array_equal(depth > 0, LEVELS > 0.5)
-    source_of = {"resize": "none", "kind": "metric"}
-    for network, expected in (
+
+
+@pytest.mark.parametrize(
+    ("network", "expected"),
+    [
         ({"gain": math.nan}, "is NaN or infinite everywhere"),
         ({"gain": 0.0}, "is zero everywhere"),
         ({"gain": 0.0, "bias": 2.0}, r"is the same everywhere \(2\)"),
         ({"gain": -1.0}, "is valid on 0.0% of its pixels"),
-    ):
-        depth, source, _ = opened(tmp_path, source_of, **network)
-        with pytest.raises(InputError, match=f"tiny.onnx for frame 0 {expected}"):
-            depth(next(iter(source)))
+    ],
+)
+def test_a_frame_without_depth_is_told(tmp_path, network, expected):
+    with pytest.raises(InputError, match=f"tiny.onnx for frame 0 {expected}"):
+        depth_of(tmp_path, {"kind": "metric"}, **network)
 
 
 def test_only_the_bad_frame_is_bad(tmp_path):
-    depth, source, settings = opened(tmp_path, {"kind": "metric", "resize": "none"}, [GREY, np.zeros_like(GREY), GREY])
+    depth, source, settings = opened(tmp_path, {"kind": "metric"}, [GREY, np.zeros_like(GREY), GREY])
     assert estimate_scale(source, depth, settings)[0] == pytest.approx(0.8, rel=0.05)
     frames = list(source)
     with pytest.raises(InputError):
@@ -340,19 +301,24 @@ def test_other_inputs_or_outputs_than_the_preset_says(tmp_path, preset, network,
     assert expected in str(caught.value)
 
 
-def test_two_inputs_are_refused(tmp_path):
-    graph = "g (float[1, 3, h, w] a, float[1, 3, h, w] b) => (float[1, 3, h, w] depth) { depth = Add(a, b) }"
-    path = write_network(tmp_path / "two.onnx", graph)
-    with pytest.raises(InputError, match=r"two.onnx takes a .*, b .*, and not one colour picture"):
-        DepthModel(path, DepthPreset(name="a", kind="metric"))
-
-
-def test_an_output_that_is_no_map_is_named(tmp_path):
-    graph = "g (float[1, 3, h, w] image) => (float[1, 3, h, w] depth) { depth = Identity(image) }"
-    path = write_network(tmp_path / "same.onnx", graph)
-    network = DepthModel(path, DepthPreset(name="a", kind="metric", resize="none"))
-    with pytest.raises(InputError, match=r"'depth' of shape \[1, 3, 48, 80\], which is not one depth map"):
-        network.raw(GREY)
+@pytest.mark.parametrize(
+    ("graph", "expected"),
+    [
+        (
+            "(float[1, 3, h, w] a, float[1, 3, h, w] b) => (float[1, 3, h, w] depth) { depth = Add(a, b) }",
+            r"it.onnx takes a .*, b .*, and not one colour picture",
+        ),
+        (
+            "(float[1, 3, h, w] image) => (float[1, 3, h, w] depth) { depth = Identity(image) }",
+            r"'depth' of shape \[1, 3, 48, 80\], which is not one depth map",
+        ),
+    ],
+    ids=["two inputs", "no map"],
+)
+def test_a_network_from_something_else_or_to_something_else_is_named(tmp_path, graph, expected):
+    path = write_network(tmp_path / "it.onnx", f"g {graph}")
+    with pytest.raises(InputError, match=expected):
+        DepthModel(path, DepthPreset(name="a", kind="metric", resize="none")).raw(GREY)
 
 
 def test_a_device_that_is_not_there_is_named(tmp_path):
@@ -365,54 +331,38 @@ def test_a_device_that_is_not_there_is_named(tmp_path):
 
 
 def test_identity_follows_model_preset_and_settings(tmp_path):
-    def identity(preset=None, settings=None, **network):
-        return opened(tmp_path, {"kind": "inverse", **(preset or {})}, settings=settings, **network)[0].identity
-
-    first = identity()
-    assert identity() == first
-    others = {identity(gain=2.0), identity({"factor": 2.0}), identity(settings={"far": 0.3})}
-    assert len(others | {first}) == 4
+    changes = ({}, {}, {"gain": 2.0}, {"factor": 2.0}, {"far": 0.3})
+    found = []
+    for change in changes:
+        preset = {"kind": "inverse", "factor": change.pop("factor", 1.0)}
+        found.append(opened(tmp_path, preset, **change)[0].identity)
+    assert found[0] == found[1]
+    assert len(set(found)) == 4
 
 
 def test_threads_do_not_change_the_result(tmp_path):
-    one, source, _ = opened(tmp_path, {"kind": "metric"}, settings={"threads": 1})
-    two, _, _ = opened(tmp_path, {"kind": "metric"}, settings={"threads": 2})
-    frame = next(iter(source))
-    assert np.array_equal(one(frame), two(frame))
+    one, two = (depth_of(tmp_path, {"kind": "metric"}, threads=threads) for threads in (1, 2))
+    assert np.array_equal(one, two)
 
 
 # The published architectures, tiny and random, exported as their presets expect
 
 
-def giving(network, outputs):
-    """A network that gives what `outputs` makes of another one's result."""
-    import torch
+class Giving(torch.nn.Module):
+    """What `outputs` makes of another network's result."""
 
-    class Giving(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            self.network = network
+    def __init__(self, network, outputs):
+        super().__init__()
+        self.network, self.outputs = network, outputs
 
-        def forward(self, pixel_values):
-            return outputs(self.network(pixel_values))
-
-    return Giving()
+    def forward(self, pixel_values):
+        return self.outputs(self.network(pixel_values))
 
 
 def export(module, example, path, outputs):
     """Write a torch module as ONNX with the input `pixel_values`."""
-    import torch
-
-    torch.onnx.export(
-        module.eval(),
-        (example,),
-        str(path),
-        dynamo=False,
-        opset_version=18,
-        input_names=["pixel_values"],
-        output_names=outputs,
-        verbose=False,
-    )
+    names = {"input_names": ["pixel_values"], "output_names": outputs}
+    torch.onnx.export(module.eval(), (example,), str(path), dynamo=False, opset_version=18, verbose=False, **names)
 
 
 def rename_outputs(path, target, names: dict[str, str]) -> None:
@@ -429,64 +379,63 @@ def rename_outputs(path, target, names: dict[str, str]) -> None:
     onnx.save(model, str(target))
 
 
+SMALL = {"hidden_size": 16, "num_attention_heads": 2, "intermediate_size": 32}
+"""Of a vision transformer."""
+
+
 def enliven(network) -> None:
     """Weights large enough that the random network's output follows its input."""
-    import torch
-
     with torch.no_grad():
         for parameter in network.parameters():
             if parameter.dim() > 1:
                 parameter.normal_(0, 1 / math.sqrt(parameter[0].numel()))
 
 
-def picture_854() -> np.ndarray:
-    """A smooth coloured picture of CholecSeg8k's size."""
-    rows, columns = np.mgrid[:480, :854]
+def smooth_picture(width: int) -> np.ndarray:
+    rows, columns = np.mgrid[:480, :width]
     waves = [np.sin(columns / 60), np.cos(rows / 45), np.sin((rows + columns) / 80)]
     return np.stack([127 + 100 * wave for wave in waves], axis=-1).astype(np.uint8)
 
 
-def enlarged(values) -> np.ndarray:
+def enlarged(values, image: np.ndarray) -> np.ndarray:
     """Torch's bilinear resize to the picture's size."""
-    import torch
+    return torch.nn.functional.interpolate(values[:, None], size=image.shape[:2], mode="bilinear")[0, 0].numpy()
 
-    return torch.nn.functional.interpolate(values[:, None], size=(480, 854), mode="bilinear")[0, 0].numpy()
+
+def depth_by(preset, path, image: np.ndarray, **settings):
+    """The source of a file and its preset, and its depth of a picture."""
+    source = Pictures([image])
+    depth = open_depth(DepthSettings(str(path), preset=str(preset), **settings), ClipLayout(), source)
+    return depth, depth(next(iter(source)))
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_depthpro_by_both_of_its_presets(tmp_path):
-    torch = pytest.importorskip("torch")
+    """On a grid of a quarter of its size."""
     transformers = pytest.importorskip("transformers")
     torch.manual_seed(0)
-    vit = {"model_type": "dinov2", "num_hidden_layers": 2, "hidden_size": 16, "num_attention_heads": 2}
-    vit |= {"intermediate_size": 32, "image_size": 384, "patch_size": 16}
-    network = transformers.DepthProForDepthEstimation(
-        transformers.DepthProConfig(
-            image_model_config=vit,
-            patch_model_config=vit,
-            fov_model_config=vit,
-            fusion_hidden_size=8,
-            intermediate_hook_ids=[1, 0],
-            intermediate_feature_dims=[8, 8],
-            scaled_images_feature_dims=[16, 16, 8],
-            use_fov_model=True,
-        )
-    ).eval()
+    vit = SMALL | {"model_type": "dinov2", "num_hidden_layers": 2, "image_size": 96, "patch_size": 16}
+    encoders = dict.fromkeys(("image_model_config", "patch_model_config", "fov_model_config"), vit)
+    sizes = {"fusion_hidden_size": 8, "intermediate_hook_ids": [1, 0], "intermediate_feature_dims": [8, 8]}
+    sizes |= {"patch_size": 96, "scaled_images_feature_dims": [16, 16, 8], "use_fov_model": True}
+    network = transformers.DepthProForDepthEstimation(transformers.DepthProConfig(**encoders, **sizes)).eval()
     enliven(network)
     with torch.no_grad():
         network.fov_model.head.layers[-1].bias.fill_(70.0)
 
     def outputs(result):
         """Canonical inverse depth with its field of view, and what the published files give instead."""
-        focal = 0.5 * 1536 / torch.tan(math.radians(0.5) * result.field_of_view)
-        metres = focal / (1536 * result.predicted_depth.clamp(1e-4, 1e4))
+        focal = 0.5 * 384 / torch.tan(math.radians(0.5) * result.field_of_view)
+        metres = focal / (384 * result.predicted_depth.clamp(1e-4, 1e4))
         return result.predicted_depth, result.field_of_view, metres, focal
 
-    image = picture_854()
-    preset = load_preset("depthpro-canonical")
+    canonical_preset, metric_preset = (tmp_path / f"{name}.yaml" for name in ("depthpro-canonical", "depthpro"))
+    for path in (canonical_preset, metric_preset):
+        path.write_text((PRESET_FOLDER / path.name).read_text().replace("1536", "384"))
+    image, preset = smooth_picture(854), load_preset(canonical_preset)
     tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
-    both, module = tmp_path / "both.onnx", giving(network, outputs)
+    both, module = tmp_path / "both.onnx", Giving(network, outputs)
     export(module, tensor, both, ["canonical", "fov", "metres", "focal"])
     rename_outputs(both, tmp_path / "a.onnx", {"canonical": "predicted_depth", "fov": "field_of_view"})
     rename_outputs(both, tmp_path / "b.onnx", {"metres": "predicted_depth", "focal": "focallength_px"})
@@ -494,78 +443,56 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
         canonical, fov, metres, _ = module(tensor)
     assert 0 < float(fov) < 180
     focal = 0.5 * 854 / math.tan(math.radians(float(fov)) / 2)
-    source = Pictures([image])
-    frame = next(iter(source))
 
-    depth = open_depth(DepthSettings("depthpro-canonical", str(tmp_path / "a.onnx")), ClipLayout(), source)
-    map_ = depth(frame)
-    inverse = enlarged(canonical)
+    depth, map_ = depth_by(canonical_preset, tmp_path / "a.onnx", image)
+    inverse = enlarged(canonical, image)
     usable = inverse > 0.01 * inverse.max()
     assert usable.mean() > 0.5
     assert 854 * depth.focal == pytest.approx(focal, rel=1e-4)
-    assert focal / 854 / map_[usable] == pytest.approx(inverse[usable], abs=1e-4 * float(inverse.max()))
+    np.testing.assert_allclose(focal / 854 / map_[usable], inverse[usable], rtol=0, atol=1e-4 * inverse.max())
 
-    depth = open_depth(DepthSettings("depthpro", str(tmp_path / "b.onnx")), ClipLayout(), source)
-    map_ = depth(frame)
+    depth, map_ = depth_by(metric_preset, tmp_path / "b.onnx", image)
     assert depth.metric
     assert 854 * depth.focal == pytest.approx(focal, rel=1e-4)
-    expected = enlarged(metres)
+    expected = enlarged(metres, image)
     # Near C = 0 metres magnify float noise, so the tolerance is wider than for C itself.
-    assert map_ == pytest.approx(expected, rel=1e-2, abs=1e-4 * float(expected.max()))
+    assert (np.abs(map_ - expected) <= np.maximum(1e-2 * expected, 1e-4 * expected.max())).all()
 
     with pytest.raises(InputError, match=r"a.onnx has the outputs .*field_of_view, and not focallength_px"):
-        open_depth(DepthSettings("depthpro", str(tmp_path / "a.onnx")), ClipLayout(), source)
+        depth_by(metric_preset, tmp_path / "a.onnx", image)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("kind", ["relative", "metric"])
-def test_depth_anything(tmp_path, kind):
-    torch = pytest.importorskip("torch")
+@pytest.mark.parametrize(("kind", "name"), [("relative", "depth-anything-v2"), ("metric", "depth-anything-v2-metric")])
+def test_depth_anything(tmp_path, kind, name):
     transformers = pytest.importorskip("transformers")
     torch.manual_seed(0)
-    backbone = transformers.Dinov2Config(
-        num_hidden_layers=4,
-        hidden_size=16,
-        num_attention_heads=2,
-        intermediate_size=32,
-        image_size=518,
-        patch_size=14,
-        out_indices=[1, 2, 3, 4],
-        apply_layernorm=True,
-        reshape_hidden_states=False,
+    shape = SMALL | {"num_hidden_layers": 4, "image_size": 518, "patch_size": 14, "out_indices": [1, 2, 3, 4]}
+    sizes = {"reassemble_hidden_size": 16, "neck_hidden_sizes": [8, 8, 8, 8], "fusion_hidden_size": 8}
+    config = transformers.DepthAnythingConfig(
+        backbone_config=transformers.Dinov2Config(**shape, apply_layernorm=True, reshape_hidden_states=False),
+        **sizes,
+        head_hidden_size=8,
+        depth_estimation_type=kind,
+        max_depth=20 if kind == "metric" else 1,
     )
-    network = transformers.DepthAnythingForDepthEstimation(
-        transformers.DepthAnythingConfig(
-            backbone_config=backbone,
-            reassemble_hidden_size=16,
-            neck_hidden_sizes=[8, 8, 8, 8],
-            fusion_hidden_size=8,
-            head_hidden_size=8,
-            depth_estimation_type=kind,
-            max_depth=20 if kind == "metric" else 1,
-        )
-    ).eval()
+    network = transformers.DepthAnythingForDepthEstimation(config).eval()
     enliven(network)
     with torch.no_grad():
         network.head.conv3.bias.fill_(0.5)
 
-    module = giving(network, lambda result: result.predicted_depth)
-    name = "depth-anything-v2" if kind == "relative" else "depth-anything-v2-metric"
-    preset = load_preset(name)
-    image = picture_854()
-    tensor = torch.from_numpy(preprocess(image, preset, place(480, 854, preset)))
-    assert tensor.shape == (1, 3, 518, 924)
+    module, preset = Giving(network, lambda result: result.predicted_depth), load_preset(name)
+    image = smooth_picture(640)
+    tensor = torch.from_numpy(preprocess(image, preset, place(480, 640, preset)))
+    assert tensor.shape == (1, 3, 518, 686)
     export(module, tensor, tmp_path / "x.onnx", ["predicted_depth"])
     with torch.no_grad():
-        expected = enlarged(module(tensor))
-    source = Pictures([image])
-    settings = DepthSettings(name, str(tmp_path / "x.onnx"), near=0.05, far=0.2)
-    depth = open_depth(settings, ClipLayout(), source)
-    result = depth(next(iter(source)))
+        expected = enlarged(module(tensor), image)
+    depth, result = depth_by(name, tmp_path / "x.onnx", image, near=0.05, far=0.2)
     if kind == "relative":
         low, high = np.quantile(expected, [0.001, 0.999])
         share = np.maximum((expected - low) / (high - low), 0)
         expected = 1 / (5 + 15 * share)
     assert depth.metric == (kind == "metric")
-    assert result == pytest.approx(expected, rel=2e-3)
+    np.testing.assert_allclose(result, expected, rtol=2e-3)

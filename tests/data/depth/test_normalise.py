@@ -1,7 +1,6 @@
 """The one normalisation, the resize that never blends, and the scale that is frozen for a clip."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,23 +12,15 @@ from hypothesis.extra import numpy as hnp
 from palpate.data.depth.model import RawDepth
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
 from palpate.data.depth.sources import DepthSource, StoredDepth, check_map, positive
-from palpate.data.source.frames import Frame, FrameSource, open_source
-from palpate.data.source.layout import ClipLayout, InputError
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
+from tests.conftest import CHECKOUT
+from tests.data.clips import SLOPE, Pictures, describe, write_clip
 
 
-class Frames(FrameSource):
+def blank(count: int, *, live: bool = False) -> Pictures:
     """A clip of blank pictures; the depth of frame i is what the test's `Planes` says."""
-
-    def __init__(self, count: int, fps: float = 10.0, live: bool = False) -> None:
-        self.name, self.path, self.size, self.fps, self.warnings = "clip", Path("clip"), (40, 30), fps, []
-        self.length = 0 if live else count
-        self.count, self.read = count, 0
-
-    def __iter__(self):
-        self.read = 0
-        for index in range(self.count):
-            self.read += 1
-            yield Frame(index, index, index / self.fps, np.zeros((30, 40, 3), np.uint8))
+    return Pictures(np.broadcast_to(np.uint8(0), (count, 30, 40, 3)), live=live)
 
 
 class Planes(DepthSource):
@@ -59,14 +50,6 @@ def tilted(far: float) -> np.ndarray:
 
 
 # Normalisation
-
-
-def test_normalise_is_division_by_the_scale_without_an_offset():
-    depth = np.array([[0.0, 1.0, 2.0, 4.0, 8.0, 9.0]], np.float32)
-    expected = np.array([[0, 0.125, 0.25, 0.5, 1, 1]])
-    assert normalise(depth, 8.0) == pytest.approx(expected, abs=0.5 / 65535)
-    # Where the scale's fractions lie on the levels the result is exact.
-    assert normalise(np.array([51.0, 255.0], np.float32), 255.0, bits=8).tolist() == [np.float32(0.2), 1.0]
 
 
 def test_normalise_marks_everything_unusable_as_invalid():
@@ -170,67 +153,55 @@ def test_resize_refuses_maps_of_two_sizes():
 def test_scale_is_the_far_end_of_a_clip_and_ignores_wild_pixels():
     depth = tilted(2.0).copy()
     depth[0, 0] = 1e6
-    scale, focal = estimate_scale(Frames(50), Planes(lambda index: depth), DepthSettings())
-    assert scale == pytest.approx(2.0, rel=0.03)
-    assert focal is None
+    scale, focal = estimate_scale(blank(50), Planes(lambda index: depth), DepthSettings())
+    assert (scale, focal) == (pytest.approx(2.0, rel=0.03), None)
 
 
 def test_mismatches_beyond_three_medians_do_not_stretch_the_scale():
     depth = tilted(2.0).copy()
     depth[:2] = 500.0  # A stereo mismatch over 7 % of the picture.
-    scale, _ = estimate_scale(Frames(5), Planes(lambda index: depth), DepthSettings())
+    scale, _ = estimate_scale(blank(5), Planes(lambda index: depth), DepthSettings())
     assert scale == pytest.approx(3 * np.median(depth), rel=1e-6)
 
 
 def test_two_bad_frames_of_24_do_not_set_the_scale():
     maps = Planes(lambda index: tilted(50.0 if index in (4, 8) else 2.0))
-    assert estimate_scale(Frames(24), maps, DepthSettings())[0] == pytest.approx(2.0, rel=0.03)
+    assert estimate_scale(blank(24), maps, DepthSettings())[0] == pytest.approx(2.0, rel=0.03)
 
 
-def test_scale_reads_the_first_seconds_only_and_evenly():
-    source, planes = Frames(500), Planes(lambda index: tilted(2.0 if index < 100 else 9.0))
-    scale, _ = estimate_scale(source, planes, DepthSettings(scale_seconds=10, scale_samples=20))
-    assert scale == pytest.approx(2.0, rel=0.03)
-    assert planes.seen == list(range(0, 100, 5))
-    assert source.read <= 101
-
-
-def test_scale_of_a_short_clip_uses_all_of_it():
-    planes = Planes(lambda index: tilted(2.0))
-    estimate_scale(Frames(6), planes, DepthSettings())
-    assert planes.seen == list(range(6))
-
-
-def test_a_live_camera_is_watched_for_the_configured_time():
-    source, planes = Frames(10_000, live=True), Planes(lambda index: tilted(2.0))
-    estimate_scale(source, planes, DepthSettings(scale_seconds=2, scale_samples=4))
-    assert planes.seen == [0, 5, 10, 15]
-    assert source.read <= 21
-
-
-def test_unusable_frames_give_way_to_the_next():
-    planes = Planes(lambda index: np.zeros((30, 40)) if index < 30 or index % 2 else tilted(2.0))
-    scale, _ = estimate_scale(Frames(60), planes, DepthSettings(scale_seconds=1.0, scale_samples=2))
-    assert scale == pytest.approx(2.0, rel=0.03)
-    assert planes.seen == [*range(31), 35, 36]
+@pytest.mark.parametrize(
+    ("source", "seconds", "samples", "usable", "seen", "most"),
+    [
+        (blank(500), 10, 20, lambda index: True, [*range(0, 100, 5)], 101),
+        (blank(6), 10, 24, lambda index: True, [*range(6)], 6),
+        (blank(10_000, live=True), 2, 4, lambda index: True, [0, 5, 10, 15], 21),
+        (blank(60), 1, 2, lambda index: index >= 30 and index % 2 == 0, [*range(31), 35, 36], 60),
+    ],
+    ids=["the first seconds, evenly", "all of a short clip", "a live camera", "what follows unusable frames"],
+)
+def test_scale_is_that_of_the_configured_time(source, seconds, samples, usable, seen, most):
+    planes = Planes(lambda index: tilted(2.0 if index < 100 else 9.0) if usable(index) else np.zeros((30, 40)))
+    scale, _ = estimate_scale(source, planes, DepthSettings(scale_seconds=seconds, scale_samples=samples))
+    assert (scale, planes.seen) == (pytest.approx(2.0, rel=0.03), seen)
+    assert source.read <= most
 
 
 def test_a_clip_without_usable_depth_gets_a_sentence():
-    with pytest.raises(InputError, match=r"clip has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
-        estimate_scale(Frames(5), Planes(lambda index: np.zeros((30, 40))), DepthSettings())
-    with pytest.raises(InputError, match=r"clip has no frame with usable depth; choose another .*depth\.source"):
-        estimate_scale(Frames(0), Planes(lambda index: tilted(2.0)), DepthSettings())
+    with pytest.raises(InputError, match=r"mp4 has no frame with usable depth; frame 0 is zero everywhere; .*choose"):
+        estimate_scale(blank(5), Planes(lambda index: np.zeros((30, 40))), DepthSettings())
+    with pytest.raises(InputError, match=r"mp4 has no frame with usable depth; choose another .*depth\.source"):
+        estimate_scale(blank(0), Planes(lambda index: tilted(2.0)), DepthSettings())
 
 
 def test_a_given_scale_is_taken_as_it_is_and_nothing_is_read():
     planes = Planes(lambda index: tilted(2.0))
-    assert estimate_scale(Frames(5), planes, DepthSettings(scale=7.5)) == (7.5, None)
+    assert estimate_scale(blank(5), planes, DepthSettings(scale=7.5)) == (7.5, None)
     assert planes.seen == []
 
 
 def test_flicker_shows_because_nothing_is_normalised_by_the_frame():
     flicker = [1.0, 0.95, 1.0, 1.05]
-    source, planes = Frames(4), Planes(lambda index: tilted(2.0) * flicker[index])
+    source, planes = blank(4), Planes(lambda index: tilted(2.0) * flicker[index])
     scale, _ = estimate_scale(source, planes, DepthSettings())
     means = [normalise(planes(frame), 1.2 * scale)[:, :20].mean() for frame in source]
     assert np.array(means) / means[0] == pytest.approx(flicker, rel=1e-3)
@@ -239,23 +210,12 @@ def test_flicker_shows_because_nothing_is_normalised_by_the_frame():
 # Choice of the source
 
 
-def write_clip(folder: Path, depth: bool = True) -> Path:
-    folder.mkdir()
-    picture = np.full((48, 86, 3), 120, np.uint8)
-    picture[:, :30] = 60
-    for number in range(3):
-        cv2.imwrite(str(folder / f"frame_{number}_endo.png"), picture)
-        if depth:
-            stored = np.broadcast_to(np.linspace(20000, 60000, 86).astype(np.uint16), (48, 86))
-            cv2.imwrite(str(folder / f"frame_{number}_endo_depth.png"), stored)
-    return folder
-
-
 def test_auto_prefers_stored_depth_and_falls_back_to_photometric(tmp_path):
     layout = ClipLayout()
-    stored = open_source(write_clip(tmp_path / "a"), layout)
+    stored, bare = (open_source(write_clip(tmp_path / name, frames=3), layout) for name in "ab")
     assert isinstance(open_depth(DepthSettings(), layout, stored), StoredDepth)
-    bare = open_source(write_clip(tmp_path / "b", depth=False), layout)
+    for file in bare.path.glob("*_depth.png"):
+        file.unlink()
     assert open_depth(DepthSettings(), layout, bare).identity.startswith("photometric:")
     with pytest.raises(InputError, match=r"b has no stored depth \(frame_\{number\}_endo_depth.png\)"):
         open_depth(DepthSettings(source="stored"), layout, bare)
@@ -263,22 +223,18 @@ def test_auto_prefers_stored_depth_and_falls_back_to_photometric(tmp_path):
 
 
 def test_stored_depth_of_a_video_gets_a_sentence(tmp_path):
-    source = Frames(2)
-    source.path = tmp_path / "clip.mp4"
     with pytest.raises(InputError, match=r"clip.mp4 is no folder"):
-        open_depth(DepthSettings(source="stored"), ClipLayout(), source)
+        open_depth(DepthSettings(source="stored"), ClipLayout(), blank(2))
 
 
 def test_declared_depth_scale_is_honoured_for_stored_depth_only(tmp_path):
-    clip = write_clip(tmp_path / "a")
-    (clip / "clip.json").write_text('{"depth_scale": 1.0}')
-    layout = ClipLayout()
-    source = open_source(clip, layout)
+    layout, source = ClipLayout(), open_source(write_clip(tmp_path / "a", frames=3), ClipLayout())
+    describe(source.path, depth_scale=2.0)
     depth = open_depth(DepthSettings(), layout, source)
     scale, _ = estimate_scale(source, depth, DepthSettings())
-    assert scale == 1.0
+    assert scale == 2.0
     z = normalise(depth(next(iter(source))), scale)
-    assert z[0, [0, -1]] == pytest.approx([20000 / 65535, 60000 / 65535], abs=1e-6)
+    assert z[[0, -1], 0] == pytest.approx([0.25, 0.25 + 95 * SLOPE / 2], abs=1 / 65535)
     settings_ = DepthSettings(source="photometric")
     assert estimate_scale(source, open_depth(settings_, layout, source), settings_)[0] != 1.0
 
@@ -305,17 +261,7 @@ def test_impossible_settings_get_a_sentence(changes, expected):
 
 
 def test_real_sequence_with_stored_disparity(real_data):
-    layout = ClipLayout(
-        image="img_left/{number}.jpg",
-        color_mask=None,
-        label_mask="tool_mask/{number}.png",
-        tool_values=(0,),
-        tissue_values=(1,),
-        depth="disp/{number}.npz",
-        depth_key="disparity",
-        depth_kind="disparity",
-        depth_factor=732.25 * 4.552,
-    )
+    layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     source = open_source(real_data / "recover_tissue", layout)
     depth = open_depth(DepthSettings(), layout, source)
     scale, _ = estimate_scale(source, depth, DepthSettings())

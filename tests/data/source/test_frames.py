@@ -6,7 +6,6 @@ import re
 import struct
 import subprocess
 import sys
-import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from palpate.data.source.camera import load_camera
 from palpate.data.source.frames import FrameFolder, VideoFile, discover, open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
+from tests.data.source.test_images import png
 
 LAYOUT = ClipLayout()
 CHECKOUT = Path(__file__).resolve().parents[3]
@@ -38,7 +38,7 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 def make_folder(folder: Path, numbers=(80, 81, 82)) -> Path:
     for number in numbers:
-        write_png(folder / f"frame_{number}_endo.png", picture(number))
+        write_png(folder / f"frame_{number}_endo.png", picture(int(number)))
     return folder
 
 
@@ -74,8 +74,7 @@ def faststart(path: Path) -> bytes:
 def test_folder_frames_are_rgb_in_order_with_gaps_in_numbers_and_time(tmp_path):
     source = open_source(make_folder(tmp_path / "clip", (99, 100, 103)), LAYOUT)
     frames = list(source)
-    assert [frame.number for frame in frames] == [99, 100, 103]
-    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert [(frame.index, frame.number) for frame in frames] == [(0, 99), (1, 100), (2, 103)]
     assert [frame.time_s for frame in frames] == pytest.approx([0, 0.04, 0.16])
     assert np.array_equal(frames[1].image, picture(100))
     assert (source.size, source.fps, source.length, source.name) == ((64, 48), 25.0, 3, "clip")
@@ -107,25 +106,23 @@ def test_bad_frames_of_a_folder_keep_their_rows(tmp_path):
     frames = list(source)
     assert [frame.image is None for frame in frames] == [True, False, True, True, True, False]
     assert "frame_0_endo.png is an empty file (0 bytes)" in frames[0].error
-    assert "can't be decoded" in frames[2].error
-    assert "can't be decoded" in frames[3].error
+    assert ["can't be decoded" in frames[index].error for index in (2, 3)] == [True, True]
     path = folder / "frame_4_endo.png"
     assert frames[4].error == f"{path} is 32x24 while the clip is 64x48; export all at one size."
     assert frames[5].error == ""
     assert source.warnings == ["unreadable: 4 of 6 frames"]
 
 
-def test_two_images_of_one_number_are_named(tmp_path):
-    folder = make_folder(tmp_path / "clip", range(3))
-    write_png(folder / "frame_01_endo.png", picture())
-    with pytest.raises(InputError, match=r"frame_01_endo\.png and .*frame_1_endo\.png are both frame 1; remove one"):
-        open_source(folder, LAYOUT)
-
-
-def test_a_number_too_large_to_count_with_is_named(tmp_path):
-    folder = make_folder(tmp_path / "clip", range(3))
-    write_png(folder / f"frame_{10**30}_endo.png", picture())
-    with pytest.raises(InputError, match=r"0_endo\.png has a frame number above 9007199254740992; rename the file"):
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        ("01", r"frame_01_endo\.png and .*frame_1_endo\.png are both frame 1; remove one"),
+        (10**30, r"0_endo\.png has a frame number above 9007199254740992; rename the file"),
+    ],
+)
+def test_a_number_that_is_there_twice_or_too_large_to_count_with_is_named(tmp_path, number, said):
+    folder = make_folder(tmp_path / "clip", (0, 1, 2, number))
+    with pytest.raises(InputError, match=said):
         open_source(folder, LAYOUT)
 
 
@@ -166,10 +163,9 @@ def test_non_ascii_and_long_names(tmp_path):
     video = make_video(tmp_path / "äöü 測試.avi", 4)
     assert len(list(open_source(video, LAYOUT))) == 4
     for path in (Path("x" * 5000), Path("x" * 300 + ".mp4")):
-        with pytest.raises(InputError, match="name too long"):
-            open_source(path, LAYOUT)
-        with pytest.raises(InputError, match="name too long"):
-            discover([path], LAYOUT)
+        for read in (open_source, lambda path, layout: discover([path], layout)):
+            with pytest.raises(InputError, match="name too long"):
+                read(path, LAYOUT)
 
 
 def test_video_frames_have_the_files_time_stamps(tmp_path):
@@ -190,7 +186,6 @@ def test_truncated_video_loses_no_row(tmp_path):
     frames = list(source)
     decoded = sum(frame.image is not None for frame in frames)
     assert 5 < decoded < 38
-    assert len(frames) == 40
     assert [frame.index for frame in frames] == list(range(40))
     said = [frame.error for frame in frames[decoded:]]
     assert said == [f"{path} ends before frame {n} or is damaged; copy it again." for n in range(decoded, 40)]
@@ -210,19 +205,12 @@ def test_unreadable_videos_get_a_sentence(tmp_path, content):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_path(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        open_source(tmp_path / "absent.mp4", LAYOUT)
-
-
 def test_discover_finds_clips_at_any_depth_in_natural_order(tmp_path):
     for name in ("video10/video10_00000", "video9/video9_00080", "video9/video9_00000"):
         make_folder(tmp_path / name, (1, 2))
     make_video(tmp_path / "raw" / "a.avi", 2)
-    results = tmp_path / "results"
-    results.mkdir()
-    (results / "run.json").write_text("{}")
-    make_video(results / "overlay.mp4", 2)
+    make_video(tmp_path / "results" / "overlay.mp4", 2)
+    (tmp_path / "results" / "run.json").write_text("{}")
     (tmp_path / "circle").symlink_to(tmp_path)
     found = [path.relative_to(tmp_path).as_posix() for path in discover([tmp_path], LAYOUT)]
     assert found == ["raw/a.avi", "video9/video9_00000", "video9/video9_00080", "video10/video10_00000"]
@@ -248,16 +236,24 @@ def test_discover_follows_a_layout_with_subfolders(tmp_path):
     assert [frame.number for frame in open_source(tmp_path / "seq", layout)] == [5]
 
 
-def test_discover_names_what_is_wrong(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        discover([tmp_path / "absent"], LAYOUT)
-    with pytest.raises(InputError, match="holds neither a video nor"):
-        discover([tmp_path], LAYOUT)
-    write_png(tmp_path / "one.png", picture())
-    with pytest.raises(InputError, match="is a single image"):
-        discover([tmp_path / "one.png"], LAYOUT)
-    with pytest.raises(InputError, match="camera:0 is a live camera; record it to a video file"):
-        discover([Path("camera:0")], LAYOUT)
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("absent", "No such file"),
+        ("empty", "holds neither a video nor"),
+        ("one.png", "is a single image"),
+        ("camera:0", "camera:0 is a live camera; record it to a video file"),
+    ],
+)
+def test_discover_names_what_is_wrong(tmp_path, monkeypatch, path, said):
+    monkeypatch.chdir(tmp_path)
+    write_png(Path("one.png"), picture())
+    Path("empty").mkdir()
+    with pytest.raises(InputError, match=said):
+        discover([Path(path)], LAYOUT)
+    if path == "absent":
+        with pytest.raises(InputError, match=said):
+            open_source(Path("absent.mp4"), LAYOUT)
 
 
 NO_FILES = {
@@ -292,22 +288,12 @@ def test_what_is_no_file_is_no_video_and_says_nothing_of_a_clip(tmp_path, kind, 
         read(folder / name) if read else open_source(folder / name if name == "v.mp4" else folder, LAYOUT)
 
 
-def bomb(width: int, height: int) -> bytes:
-    """A PNG that is whole, of a few kB, and unpacks to that many pixels; only its first rows are really there."""
-    rows = zlib.compress(b"\0" * (3 * width + 1) * min(height, 64), 9)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = ((b"IHDR", header), (b"IDAT", rows), (b"IEND", b""))
-    chunks = (
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in parts
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
-
-
 @pytest.mark.parametrize("size", [(100_000, 100_000), (30_000, 30_000), (8192, 4097), (100_000, 400)])
 def test_a_picture_that_declares_more_than_anybody_takes_is_not_unpacked(tmp_path, size):
+    """Of a few kB, and only its first rows are really there."""
     folder = make_folder(tmp_path / "clip", range(3))
     place = folder / "frame_1_endo.png"
-    place.write_bytes(bomb(*size))
+    place.write_bytes(png(*size, 2, b"\0" * (3 * size[0] + 1) * min(size[1], 64)))
     frames = list(open_source(folder, LAYOUT))
     assert [frame.image is None for frame in frames] == [False, True, False]
     declared = f"{place} is {size[0]}x{size[1]}, more than 34 million pixels; store it smaller."
@@ -350,17 +336,15 @@ def test_a_video_that_declares_more_than_anybody_takes_is_not_decoded(tmp_path, 
 
 def test_a_video_s_header_is_not_believed(tmp_path):
     """One that declares 100,000 pixels a side: the pictures' own size counts, and without one there is none."""
-    declared = struct.pack("<II", 100_000, 100_000)
-    for name, code, size in (("m.avi", "MJPG", (64, 48)), ("r.avi", "I420", None)):
-        content = make_video(tmp_path / name, 3, code).read_bytes()
-        assert content.count(struct.pack("<II", 64, 48)) == 2
-        (tmp_path / name).write_bytes(content.replace(struct.pack("<II", 64, 48), declared))
-        if size is None:
-            with pytest.raises(InputError, match=rf"{name} holds no frame that can be decoded; copy it again"):
-                open_source(tmp_path / name, LAYOUT)
-        else:
-            source = open_source(tmp_path / name, LAYOUT)
-            assert (source.size, [frame.error for frame in source]) == (size, [""] * 3)
+    true, declared = struct.pack("<II", 64, 48), struct.pack("<II", 100_000, 100_000)
+    for name in ("MJPG", "I420"):
+        content = make_video(tmp_path / f"{name}.avi", 3, name).read_bytes()
+        assert content.count(true) == 2
+        (tmp_path / f"{name}.avi").write_bytes(content.replace(true, declared))
+    source = open_source(tmp_path / "MJPG.avi", LAYOUT)
+    assert (source.size, [frame.error for frame in source]) == ((64, 48), [""] * 3)
+    with pytest.raises(InputError, match=r"I420\.avi holds no frame that can be decoded; copy it again"):
+        open_source(tmp_path / "I420.avi", LAYOUT)
 
 
 def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_path):
@@ -382,10 +366,7 @@ def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_p
         ('{"fps": ' + "9" * 5000 + "}", "is not a clip description"),
         ('{"times": [0, ' + "9" * 400 + ", 1]}", "not rising numbers"),
         ('{"times": [0, 1, 1e308]}', "not rising numbers"),
-        *(
-            (f'{{"fps": {value}}}', "gives fps .*; give a positive number")
-            for value in ("1e-320", "1e308", "-1", "NaN")
-        ),
+        *((f'{{"fps": {each}}}', "gives fps .*; give a positive number") for each in ("1e-320", "1e308", "-1", "NaN")),
         *((f'{{"fps": {value}}}', "gives fps .{,40}; give") for value in ("9" * 400, "[" * 900 + "]" * 900)),
         (f'"{"x" * 2**24}"', r"larger than 16384 kB"),
     ],
@@ -451,11 +432,7 @@ def test_the_lost_end_of_a_matroska_is_missed(tmp_path):
 
 
 def test_a_header_that_announces_millions_of_frames_is_not_believed(tmp_path):
-    path = tmp_path / "clip.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (64, 48))
-    for index in range(5):
-        writer.write(picture(index))
-    writer.release()
+    path = make_video(tmp_path / "clip.avi", 5)
     content = bytearray(path.read_bytes())
     for name, offset in ((b"avih", 24), (b"strh", 40)):  # total frames; length of the stream
         place = content.index(name) + offset
@@ -467,14 +444,6 @@ def test_a_header_that_announces_millions_of_frames_is_not_believed(tmp_path):
     assert sum(not frame.error for frame in frames) == 5
     assert len(frames) <= path.stat().st_size // 10
     assert "truncated: 5 of" in source.warnings[0]
-
-
-def test_truncated_jpeg_is_refused(tmp_path):
-    content = cv2.imencode(".jpg", picture(1, (480, 640)))[1].tobytes()
-    path = tmp_path / "a.jpg"
-    path.write_bytes(content[: int(0.9 * len(content))])
-    with pytest.raises(InputError, match="truncated or damaged"):
-        read_image(path)
 
 
 def test_real_clips(real_data):

@@ -7,18 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.data.source import layout as layouts
 from palpate.data.source.camera import Camera, clip_camera, load_camera
-from palpate.data.source.layout import (
-    ClipLayout,
-    InputError,
-    clip_folder,
-    companion,
-    frame_files,
-    load_layout,
-    natural_key,
-    read_clip_file,
-    read_mapping,
-)
+from palpate.data.source.layout import ClipLayout, InputError, load_layout, read_mapping
 
 LAUGHS = "tool_values: " + "[&a0 [x, x]"
 for _level in range(1, 40):
@@ -45,19 +36,19 @@ def test_shipped_recover_layout_means_what_the_sequence_stores():
 def test_companion_keeps_the_zero_padding(digits):
     layout = ClipLayout()
     frame = Path("clip") / f"frame_{digits}_endo.png"
-    assert companion(layout, frame, layout.color_mask) == Path("clip") / f"frame_{digits}_endo_color_mask.png"
+    assert layouts.companion(layout, frame, layout.color_mask) == Path("clip") / f"frame_{digits}_endo_color_mask.png"
 
 
 def test_companion_and_clip_folder_with_subfolders():
     layout = ClipLayout(image="img_left/{number}.jpg", depth="disp/{number}.npz")
     frame = Path("/a/clip/img_left/0012.jpg")
-    assert clip_folder(layout, frame) == Path("/a/clip")
-    assert companion(layout, frame, layout.depth) == Path("/a/clip/disp/0012.npz")
+    assert layouts.clip_folder(layout, frame) == Path("/a/clip")
+    assert layouts.companion(layout, frame, layout.depth) == Path("/a/clip/disp/0012.npz")
 
 
 def test_companion_of_a_plain_image_lies_beside_it():
     layout = ClipLayout()
-    assert companion(layout, Path("clip/shot 7.png"), layout.depth) == Path("clip/frame_7_endo_depth.png")
+    assert layouts.companion(layout, Path("clip/shot 7.png"), layout.depth) == Path("clip/frame_7_endo_depth.png")
 
 
 @pytest.mark.parametrize(
@@ -176,24 +167,24 @@ def test_a_camera_file_that_names_itself(tmp_path):
 def test_bad_clip_files_are_refused(tmp_path, content):
     (tmp_path / "clip.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"clip\.json gives"):
-        read_clip_file(tmp_path)
+        layouts.read_clip_file(tmp_path)
 
 
 def test_clip_file_is_optional(tmp_path):
-    assert read_clip_file(tmp_path) == {}
+    assert layouts.read_clip_file(tmp_path) == {}
     (tmp_path / "clip.json").write_text('{"fps": 30, "times": [0.0, 0.1]}')
-    assert read_clip_file(tmp_path) == {"fps": 30, "times": [0.0, 0.1]}
+    assert layouts.read_clip_file(tmp_path) == {"fps": 30, "times": [0.0, 0.1]}
 
 
 def test_natural_order():
     names = [Path(name) for name in ("f10.png", "f9.png", "f1.png", "a2.png")]
-    assert [path.name for path in sorted(names, key=natural_key)] == ["a2.png", "f1.png", "f9.png", "f10.png"]
+    assert [path.name for path in sorted(names, key=layouts.natural_key)] == ["a2.png", "f1.png", "f9.png", "f10.png"]
 
 
 def test_plain_images_without_masks_and_their_numbers(tmp_path):
     for name in ("im8.png", "im9.png", "im10.png", "im9_mask.png", "frame_9_endo_depth.png", ".im3.png", "notes.txt"):
         (tmp_path / name).write_bytes(b"x")
-    assert [(number, path.name) for number, path in frame_files(tmp_path, ClipLayout())] == [
+    assert [(number, path.name) for number, path in layouts.frame_files(tmp_path, ClipLayout())] == [
         (8, "im8.png"),
         (9, "im9.png"),
         (10, "im10.png"),
@@ -203,7 +194,7 @@ def test_plain_images_without_masks_and_their_numbers(tmp_path):
 def test_time_stamps_in_names_are_not_frame_numbers(tmp_path):
     for stamp in (1700000000040, 1700000000080, 1700000000120):
         (tmp_path / f"{stamp}.jpg").write_bytes(b"x")
-    assert [number for number, _ in frame_files(tmp_path, ClipLayout())] == [0, 1, 2]
+    assert [number for number, _ in layouts.frame_files(tmp_path, ClipLayout())] == [0, 1, 2]
 
 
 BILLIONS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

@@ -8,19 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.data.synthetic import truth as truths
 from palpate.data.synthetic.scene import Scene, SceneError, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import (
-    SAMPLE_STEP,
-    PressedMotion,
-    cut_window,
-    damping_ratio,
-    draw_motion,
-    draw_shape,
-    draw_theta,
-    regime_of,
-    simulate_motion,
-)
+from palpate.data.synthetic.truth import PressedMotion, cut_window, draw_motion, draw_shape, draw_theta, simulate_motion
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -51,7 +42,7 @@ def fitted(scene: Scene, time_step: float, seconds: float, load_seconds: float) 
     mechanics = Mechanics(time_step=time_step, steps=round(seconds / time_step), load_steps=0)
     press = Press.at(scene.vertex, scene.direction, held(round(load_seconds / time_step), mechanics.steps))
     response = simulate(THETA, scene.mesh, press, mechanics, dtype=np.float64)
-    every = round(SAMPLE_STEP / time_step)
+    every = round(truths.SAMPLE_STEP / time_step)
     return response[every - 1 :: every]
 
 
@@ -85,7 +76,7 @@ def test_first_instants_follow_the_closed_form(scene: Scene, motion: PressedMoti
     # Before the springs answer, m x'' + k_d x' = F: x = F/k_d (t - tau (1 - exp(-t/tau))), tau = m/k_d. The six springs
     # take off a share of at most 6 k_s t^2 / (12 m), 0.6 % at 5 ms, and the curve of the sheet turns the rest aside.
     tau = SMALL.mass / THETA[1]
-    time = SAMPLE_STEP
+    time = truths.SAMPLE_STEP
     expected = THETA[2] / THETA[1] * (time - tau * (1 - math.exp(-time / tau)))
     assert motion.response[0] @ scene.direction == pytest.approx(expected, rel=0.01)
 
@@ -231,7 +222,7 @@ def test_theta_stays_in_its_box_and_regime(seed: int, regime: str) -> None:
     assert 0.2 <= stiffness <= 1
     assert 0.01 <= damping <= 0.3
     assert -0.3 <= force <= -0.03
-    assert regime_of(damping_ratio(stiffness, damping, SMALL.mass)) == regime
+    assert truths.regime_of(truths.damping_ratio(stiffness, damping, SMALL.mass)) == regime
 
 
 def test_theta_is_log_uniform() -> None:

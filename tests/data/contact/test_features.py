@@ -5,15 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.contact.features import (
-    FEATURES,
-    SLOTS,
-    contact_features,
-    contact_spacing,
-    contact_surroundings,
-    join_features,
-    slot_times,
-)
+from palpate.data.contact import features as module
+from palpate.data.contact.features import FEATURES, SLOTS, contact_features, contact_spacing, contact_surroundings
 from palpate.data.contact.interaction import Interaction
 from palpate.physics.load import Press, held
 from palpate.physics.mesh import grid_mesh
@@ -41,7 +34,7 @@ def test_parts(contact: Interaction) -> None:
     np.testing.assert_allclose(along, np.arange(1, 26) / 1000 / spacing / 8, rtol=1e-5)
     np.testing.assert_allclose(scaled, np.arcsinh(np.arange(1, 26) / 2) / 5, rtol=1e-5)
     assert known.all()
-    np.testing.assert_array_equal(loaded, slot_times() <= 0.4 + 1e-9)
+    np.testing.assert_array_equal(loaded, module.slot_times() <= 0.4 + 1e-9)
     np.testing.assert_allclose(features[-2], np.log(0.001 / spacing) ** 2 / 4, rtol=1e-5)
 
 
@@ -73,10 +66,10 @@ def test_a_batch_is_its_members(contact: Interaction) -> None:
     along = np.stack([np.linspace(0, k, SLOTS) for k in (1, 2)])
     known, loaded = np.ones((2, SLOTS)), np.zeros((2, SLOTS))
     arguments = np.stack([around.vector] * 2), np.full(2, around.spacing), np.array([0.001, 0.002])
-    both = join_features(along, known, loaded, *arguments)
+    both = module.join_features(along, known, loaded, *arguments)
     for index in range(2):
         one = [values[index : index + 1] for values in (along, known, loaded, *arguments)]
-        np.testing.assert_array_equal(join_features(*one)[0], both[index])
+        np.testing.assert_array_equal(module.join_features(*one)[0], both[index])
 
 
 @pytest.mark.parametrize("noise", [float("nan"), 0.0])

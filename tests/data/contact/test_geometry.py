@@ -8,13 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from palpate.data.contact.geometry import (
-    GeometrySettings,
-    GeometryStatus,
-    find_contact,
-    force_direction,
-    frame_geometry,
-)
+from palpate.data.contact import geometry as module
+from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, find_contact, frame_geometry
 from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
 from palpate.data.source.layout import InputError
 
@@ -210,21 +205,21 @@ def test_force_direction_follows_the_motion_and_keeps_its_sign_convention():
     along = GeometrySettings(force_direction="displacement")
     pressed, pulled = np.array([0.01, 0, 0.02]), np.array([0.01, 0, -0.02])
     for motion in (pressed, pulled):
-        direction = force_direction(normal, motion, along)
+        direction = module.force_direction(normal, motion, along)
         assert np.linalg.norm(direction) == pytest.approx(1)
         assert direction @ normal > 0  # F < 0 presses, F > 0 pulls
         assert abs(direction @ motion) == pytest.approx(np.linalg.norm(motion))
     # F·direction points along the motion with F < 0 for pressing and F > 0 for pulling.
-    assert -force_direction(normal, pressed, along) @ pressed > 0
-    assert force_direction(normal, pulled, along) @ pulled > 0
+    assert -module.force_direction(normal, pressed, along) @ pressed > 0
+    assert module.force_direction(normal, pulled, along) @ pulled > 0
 
 
 def test_force_direction_falls_back_to_the_normal():
     normal = np.array([0.0, 0.6, -0.8])
     along = GeometrySettings(force_direction="displacement")
     for motion in (None, np.zeros(3), np.full(3, 1e-6), np.full(3, np.nan)):
-        assert force_direction(normal, motion, along) == pytest.approx(normal)
-    assert force_direction(normal, np.array([1.0, 0, 0]), GeometrySettings()) == pytest.approx(normal)
+        assert module.force_direction(normal, motion, along) == pytest.approx(normal)
+    assert module.force_direction(normal, np.array([1.0, 0, 0]), GeometrySettings()) == pytest.approx(normal)
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.data.brightness.sequence import SIDE
+from palpate.data.contact import light_features as module
 from palpate.data.contact.features import SLOTS, slot_times
-from palpate.data.contact.light_features import (
-    LIGHT_FEATURES,
-    RINGS,
-    SHAPES,
-    LightSlots,
-    light_amounts,
-    light_shapes,
-    light_slots,
-    turned,
-)
+from palpate.data.contact.light_features import SHAPES, LightSlots, light_amounts, light_shapes, light_slots, turned
 from tests.lit_contacts import lit_contact
 
 GENERATOR = np.random.default_rng(4)
@@ -33,7 +25,7 @@ def pictured(amounts: np.ndarray) -> np.ndarray:
 def slots(count: int = 2) -> LightSlots:
     """Random contacts, the first released in view."""
     amounts = GENERATOR.normal(0, 0.1, (count, SLOTS, SHAPES))
-    visible = GENERATOR.uniform(0.2, 1, (count, 2, RINGS))
+    visible = GENERATOR.uniform(0.2, 1, (count, 2, module.RINGS))
     ones = np.ones(count)
     load = np.where(np.arange(count) == 0, 0.4, 2.0)
     others = load, 0.35 * ones, 160 * ones, 20 * ones, 0 * ones
@@ -73,7 +65,7 @@ def test_what_is_not_known_yet_leaves_no_trace_in_the_vector() -> None:
     one = slots()
     cut = np.array([7, 7])
     before = one.vectors(cut)
-    assert (before.shape, before.dtype) == ((2, LIGHT_FEATURES), np.float32)
+    assert (before.shape, before.dtype) == ((2, module.LIGHT_FEATURES), np.float32)
     later = one.amounts.copy()
     later[:, 7:] += 1
     left = one.left.copy()

@@ -51,6 +51,11 @@ def motion(settings: GeometrySettings = SETTINGS, *, from_shading: bool = False)
     return ContactMotion(CAMERA, (WIDTH, HEIGHT), PrepareSettings(geometry=settings), from_shading=from_shading)
 
 
+def link(linked: ContactMotion, frames: list[PreparedFrame]) -> None:
+    for before, after in pairwise(frames):
+        linked.link(before, after)
+
+
 def follow(linked: ContactMotion, pressed: int, *, dented: bool = True) -> tuple[list[PreparedFrame], tuple[int, int]]:
     """Link three frames at rest, an onset, `pressed` frames with the dent, and one after the release."""
     frames = [frame(index, contact=False) for index in range(ONSET)] + [frame(ONSET, contact=True)]
@@ -59,9 +64,20 @@ def follow(linked: ContactMotion, pressed: int, *, dented: bool = True) -> tuple
     last = ONSET + pressed
     frames += [frame(index, contact=True, dent=dent if dented else None) for index in range(ONSET + 1, last + 1)]
     frames.append(frame(last + 1, contact=False))
-    for before, after in pairwise(frames):
-        linked.link(before, after)
+    link(linked, frames)
     return frames, dent
+
+
+@pytest.fixture
+def onset() -> PreparedFrame:
+    return frame(ONSET, contact=True)
+
+
+def later(onset: PreparedFrame, across: int | None = None) -> list[tuple[PreparedFrame, np.ndarray, float]]:
+    """Four frames after an onset whose tissue stays in place, pressed in so many pixels beside the contact."""
+    u, v = onset.geometry.pixel
+    dent = None if across is None else (u + across, v)
+    return [(frame(ONSET + 1 + k, contact=True, dent=dent), np.array([u, v], float), 0.0) for k in range(4)]
 
 
 @pytest.mark.parametrize("pressed", [REFINE_FRAMES + 2, 2])
@@ -79,116 +95,96 @@ def test_the_contact_moves_to_the_pressed_pixel(pressed: int) -> None:
         assert later.track_position[2] == pytest.approx(later.depth[dent[1], dent[0]], abs=1e-6)
         assert later.track_position[2] - 0.5 == pytest.approx(DENT, abs=4 * NOISE)
     assert frames[-1].track_position[2] == pytest.approx(0.5, abs=4 * NOISE)
+    assert not any(prepared.detail for prepared in frames[ONSET:-1])  # clean outlines and a followed contact
 
 
-def test_noise_alone_does_not_move_it() -> None:
-    linked = motion()
-    frames, _ = follow(linked, REFINE_FRAMES, dented=False)
-    assert frames[ONSET].geometry.pixel == frame(ONSET, contact=True).geometry.pixel
+def test_noise_alone_does_not_move_it(onset: PreparedFrame) -> None:
+    frames, _ = follow(motion(), REFINE_FRAMES, dented=False)
+    assert frames[ONSET].geometry.pixel == onset.geometry.pixel
 
 
-def test_a_contact_without_a_noise_level_stays_where_it_was_detected() -> None:
+def test_a_contact_without_a_noise_level_stays_where_it_was_detected(onset: PreparedFrame) -> None:
     raw = GeometrySettings(height=HEIGHT, width=WIDTH)
     linked = motion(raw)
-    onset = frame(ONSET, contact=True)
     onset.geometry = frame_geometry(onset.depth, onset.labels, CAMERA, raw)
     detected = onset.geometry.pixel
     linked.link(frame(ONSET - 1, contact=False), onset)
     assert linked.settled
-    linked.link(onset, frame(ONSET + 1, contact=True, dent=(detected[0] - 2, detected[1])))
+    linked.link(onset, later(onset, -2)[0][0])
     assert onset.geometry.pixel == detected
 
 
 def test_frames_wait_until_the_contact_is_settled() -> None:
-    linked = motion()
-    onset = frame(ONSET, contact=True)
-    linked.link(frame(ONSET - 1, contact=False), onset)
-    assert not linked.settled
-    before = onset
-    for index in range(ONSET + 1, ONSET + REFINE_FRAMES):
-        after = frame(index, contact=True)
+    linked, settled = motion(), []
+    frames = [frame(ONSET + k, contact=k >= 0) for k in range(-1, REFINE_FRAMES + 1)]
+    for before, after in pairwise(frames):
         linked.link(before, after)
-        assert not linked.settled
-        before = after
-    linked.link(before, frame(ONSET + REFINE_FRAMES, contact=True))
-    assert linked.settled
+        settled.append(linked.settled)
+    assert settled == [False] * REFINE_FRAMES + [True]
 
 
-def test_the_mesh_at_rest_has_less_noise_and_no_hole_under_the_tool() -> None:
+def test_the_mesh_at_rest_has_less_noise_and_no_hole_under_the_tool(onset: PreparedFrame) -> None:
     frames, _ = follow(motion(), REFINE_FRAMES)
-    alone = frame(ONSET, contact=True).geometry.mesh
-    rest = frames[ONSET].geometry.mesh
+    alone, rest = onset.geometry.mesh, frames[ONSET].geometry.mesh
     assert rest.vertices[:, 2].std() < 0.8 * alone.vertices[:, 2].std()
     assert frames[ONSET].geometry.noise == pytest.approx(NOISE, rel=0.1)
 
 
-def test_pressed_pixel_needs_enough_frames_and_a_clear_change() -> None:
-    onset = frame(ONSET, contact=True)
+def test_pressed_pixel_needs_enough_frames_and_a_clear_change(onset: PreparedFrame) -> None:
     u, v = onset.geometry.pixel
-    place = np.array([u, v], float)
-    dent = (u - 1, v)
-    later = [(frame(ONSET + 1 + k, contact=True, dent=dent), place, 0.0) for k in range(4)]
-    assert pressed_pixel(onset, later, 3.5) == dent
-    assert pressed_pixel(onset, later, 1000.0) is None
+    seen, dent = later(onset, -1), (u - 1, v)
+    assert pressed_pixel(onset, seen, 3.5) == dent
+    assert pressed_pixel(onset, seen, 1000.0) is None
     assert pressed_pixel(onset, [], 3.5) is None
     # A pixel seen in fewer than half of the frames does not count.
-    for prepared, _, _ in later[1:]:
-        prepared.labels[dent[1], dent[0]] = 0
-    assert pressed_pixel(onset, later, 3.5) != dent
+    for prepared, _, _ in seen[1:]:
+        prepared.labels[v, u - 1] = 0
+    assert pressed_pixel(onset, seen, 3.5) != dent
     # Tissue that has moved in the picture is compared with itself.
-    moved = [(frame(ONSET + 1 + k, contact=True, dent=(u - 2, v)), place - (1, 0), 0.0) for k in range(4)]
+    moved = [(prepared, place - (1, 0), away) for prepared, place, away in later(onset, -2)]
     assert pressed_pixel(onset, moved, 3.5) == dent
 
 
-def test_pressed_tissue_is_found_all_along_the_touching_outline() -> None:
-    onset = frame(ONSET, contact=True)
+def test_pressed_tissue_is_found_all_along_the_touching_outline(onset: PreparedFrame) -> None:
     u, v = onset.geometry.pixel
-    place = np.array([u, v], float)
     assert 20 <= v <= 27  # the tool's rows
-    far = (u, 27 if v < 24 else 20)  # beyond REFINE_REACH of what was detected
-    later = [(frame(ONSET + 1 + k, contact=True, dent=far), place, 0.0) for k in range(4)]
-    for prepared, _, _ in later:
+    far = 27 if v < 24 else 20  # beyond REFINE_REACH of what was detected
+    seen = later(onset)
+    for prepared, _, _ in seen:
+        prepared.depth[far, u] += DENT
         # A tool pixel that is taken for tissue: in front of it, and by more.
         prepared.depth[v, u - 1] -= 3 * DENT
-    assert pressed_pixel(onset, later, 3.5) == far
+    assert pressed_pixel(onset, seen, 3.5) == (u, far)
     # Away from the outline nothing is looked for.
-    inland = [(frame(ONSET + 1 + k, contact=True, dent=(u - 12, v)), place, 0.0) for k in range(4)]
-    assert pressed_pixel(onset, inland, 3.5) is None
+    assert pressed_pixel(onset, later(onset, -12), 3.5) is None
 
 
-def test_tissue_that_is_pulled_counts_where_nothing_is_pressed() -> None:
-    onset = frame(ONSET, contact=True)
+def test_tissue_that_is_pulled_counts_where_nothing_is_pressed(onset: PreparedFrame) -> None:
     u, v = onset.geometry.pixel
-    later = [(frame(ONSET + 1 + k, contact=True), np.array([u, v], float), 0.0) for k in range(4)]
-    for prepared, _, _ in later:
+    seen = later(onset)
+    for prepared, _, _ in seen:
         prepared.depth[v, u - 1] -= DENT
-    assert pressed_pixel(onset, later, 3.5) == (u - 1, v)
+    assert pressed_pixel(onset, seen, 3.5) == (u - 1, v)
 
 
-def test_of_equal_dents_the_one_that_masks_show_most_often_is_tissue() -> None:
+def test_of_equal_dents_the_one_that_masks_show_most_often_is_tissue(onset: PreparedFrame) -> None:
     """The tip of the tool goes as deep as the tissue it presses; frayed outlines show it as tissue now and then."""
-    onset = frame(ONSET, contact=True)
     u, v = onset.geometry.pixel
-    later = []
-    for k in range(4):
-        prepared = frame(ONSET + 1 + k, contact=True, dent=(u - 2, v))
+    seen = later(onset, -2)
+    for k, (prepared, _, _) in enumerate(seen):
         prepared.depth[v, u - 1] = 0.5 + DENT + NOISE / 2  # hardly deeper
         if k % 2:
             prepared.labels[v, u - 1] = TOOL
-        later.append((prepared, np.array([u, v], float), 0.0))
-    assert pressed_pixel(onset, later, 3.5) == (u - 2, v)
-    for prepared, _, _ in later:
+    assert pressed_pixel(onset, seen, 3.5) == (u - 2, v)
+    for prepared, _, _ in seen:
         prepared.depth[v, u - 1] += 10 * NOISE  # deeper beyond doubt
-    assert pressed_pixel(onset, later, 3.5) == (u - 1, v)
+    assert pressed_pixel(onset, seen, 3.5) == (u - 1, v)
 
 
 def test_noise_is_measured_away_from_the_outlines() -> None:
-    linked = motion()
-    frames = [frame(index, contact=False) for index in range(ONSET)] + [frame(ONSET, contact=True)]
-    frames[ONSET].depth[18:30, 38:40] -= 20 * NOISE  # tool that counts as tissue
-    for before, after in pairwise(frames):
-        linked.link(before, after)
-    onset = frames[ONSET]
+    onset = frame(ONSET, contact=True)
+    onset.depth[18:30, 38:40] -= 20 * NOISE  # tool that counts as tissue
+    link(motion(), [frame(index, contact=False) for index in range(ONSET)] + [onset])
     assert onset.geometry.noise == pytest.approx(NOISE, rel=0.1)
     assert onset.geometry.mesh.vertices[:, 2] == pytest.approx(0.5, abs=2 * NOISE)  # nor is the rest shape dented
     # Of the tissue beside the tool (columns 38 and 39, rows 18 to 29) all is in front.
@@ -201,18 +197,11 @@ def test_depth_from_shading_is_never_smooth_beyond_doubt() -> None:
     assert not any(prepared.detail for prepared in frames[ONSET:-1])
 
 
-def test_clean_outlines_and_a_followed_contact_need_no_words() -> None:
-    frames, _ = follow(motion(), REFINE_FRAMES + 2)
-    assert not any(prepared.detail for prepared in frames[ONSET:-1])
-
-
 @pytest.mark.parametrize("what", ["no flow", "no depth"])
 def test_a_lost_track_is_told(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     linked = motion()
-    frames = [frame(index, contact=False) for index in range(ONSET)]
-    frames += [frame(index, contact=True) for index in range(ONSET, ONSET + 4)]
-    for before, after in pairwise(frames[:-1]):
-        linked.link(before, after)
+    frames = [frame(index, contact=index >= ONSET) for index in range(ONSET + 4)]
+    link(linked, frames[:-1])
     if what == "no flow":
         monkeypatch.setattr(linked._tracker, "near", lambda *arguments: np.full(2, np.nan))
     else:
@@ -231,8 +220,7 @@ def press_again(settings: GeometrySettings, pause: int, left: float) -> list[Pre
         frames.append(frame(index, contact=False))
         frames[-1].depth[dent[1], dent[0]] += np.float32(left)
     frames += [frame(len(frames) + k, contact=k != 2) for k in range(4)]
-    for before, after in pairwise(frames[-5 - pause :]):
-        linked.link(before, after)
+    link(linked, frames[-5 - pause :])
     return frames[-4:]
 
 
@@ -268,16 +256,15 @@ def test_a_contact_after_a_refused_one_is_judged_anew(what: str) -> None:
         frames.append(frame(count, contact=False))
         frames[-1].picture_labels = None
         frames += [frame(count + 1 + k, contact=True) for k in range(2)]
-    for before, after in pairwise(frames[REFINE_FRAMES + ONSET + 1 :]):
-        linked.link(before, after)
+    link(linked, frames[REFINE_FRAMES + ONSET + 1 :])
     assert [prepared.detail for prepared in frames[count - 2 : count]] == [DENTED] * 2
     assert [prepared.detail for prepared in frames[-2:]] == ["", ""]
     start = frames[-2].frame.index if what == "at rest again" else -1  # back in view, contact is already there
     assert [prepared.track_start for prepared in frames[-2:]] == [start] * 2
 
 
-def test_a_moved_contact_is_the_meshes_own_vertex() -> None:
-    geometry = frame(ONSET, contact=True).geometry
+def test_a_moved_contact_is_the_meshes_own_vertex(onset: PreparedFrame) -> None:
+    geometry = onset.geometry
     u, v = geometry.pixel
     moved = move_contact(geometry, (u - 2, v))
     assert moved.pixel == (u - 2, v)
@@ -287,15 +274,12 @@ def test_a_moved_contact_is_the_meshes_own_vertex() -> None:
     assert (moved.noise, moved.touching) == (geometry.noise, geometry.touching)
 
 
-def test_a_camera_that_comes_nearer_hides_no_dent() -> None:
+def test_a_camera_that_comes_nearer_hides_no_dent(onset: PreparedFrame) -> None:
     """All depth falls by 0.02 a frame while the contact is pressed away: the dent changes least in depth."""
-    onset = frame(ONSET, contact=True)
     u, v = onset.geometry.pixel
-    dent, place = (u - 1, v), np.array([u, v], float)
-    later = []
-    for k in range(4):
-        pressed, away = frame(ONSET + 1 + k, contact=True, dent=dent), -0.02 * (k + 1)
+    still = later(onset, -1)
+    known = [(pressed, place, -0.02 * k) for k, (pressed, place, _) in enumerate(still, 1)]
+    for pressed, _, away in known:
         pressed.depth = np.where(pressed.depth > 0, pressed.depth + np.float32(away), 0)
-        later.append((pressed, place, away))
-    assert pressed_pixel(onset, later, 3.5) == dent
-    assert pressed_pixel(onset, [(prepared, at, 0.0) for prepared, at, _ in later], 3.5) != dent
+    assert pressed_pixel(onset, known, 3.5) == (u - 1, v)
+    assert pressed_pixel(onset, still, 3.5) != (u - 1, v)

@@ -5,23 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from palpate.data.contact import sequence_features as module
 from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
 from palpate.data.contact.features import SLOTS, slot_times
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.sequence_features import (
-    FOUNDATIONS,
-    LARGE,
-    MARGIN,
-    MIN_VISIBLE,
-    RIDGE,
-    SEQUENCE_FEATURES,
-    SHAPES,
-    dent_shapes,
-    join_sequence_features,
-    motion_in_sequence,
-    sequence_features,
-    shape_amounts,
-)
+from palpate.data.contact.sequence_features import RIDGE, SHAPES, dent_shapes, motion_in_sequence, sequence_features
 from palpate.data.source.camera import Camera, back_project
 from palpate.physics.load import Press, held
 from palpate.physics.mesh import grid_mesh
@@ -45,7 +33,7 @@ def sequence_of(amounts: np.ndarray, times: np.ndarray, hidden: np.ndarray | Non
 
 def parts(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Amounts and what is scaled, shape [SLOTS, SHAPES] each, and the two flags."""
-    assert (vector.dtype, vector.shape) == (np.float32, (SEQUENCE_FEATURES,))
+    assert (vector.dtype, vector.shape) == (np.float32, (module.SEQUENCE_FEATURES,))
     count = SLOTS * SHAPES
     found = vector[:count].reshape(SLOTS, SHAPES), vector[count : 2 * count].reshape(SLOTS, SHAPES)
     return *found, vector[2 * count :]
@@ -64,10 +52,10 @@ def test_shapes_are_orthonormal_and_symmetric() -> None:
     assert shapes[:, 0].argmax() == PIXELS // 2
 
 
-@pytest.mark.parametrize("foundation", FOUNDATIONS)
+@pytest.mark.parametrize("foundation", module.FOUNDATIONS)
 def test_a_static_dent_lies_in_the_shapes(foundation: float) -> None:
     """The answer of a sheet of springs on a foundation, relaxed node by node."""
-    side = 2 * (REACH + MARGIN) + 1
+    side = 2 * (REACH + module.MARGIN) + 1
     neighbours = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
     inside = np.ones((side, side))
 
@@ -80,14 +68,14 @@ def test_a_static_dent_lies_in_the_shapes(foundation: float) -> None:
     press[side // 2, side // 2] = 1
     for _ in range(6000):
         sunk = (press + beside(sunk)) / weight
-    seen = sunk[MARGIN:-MARGIN, MARGIN:-MARGIN].ravel()
+    seen = sunk[module.MARGIN : -module.MARGIN, module.MARGIN : -module.MARGIN].ravel()
     shapes = dent_shapes()
     np.testing.assert_allclose(shapes @ (shapes.T @ seen), seen, atol=1e-6 * seen.max())
 
 
 def test_amounts_of_a_mix_are_the_mix() -> None:
     mixes = np.stack([MIX, 2 * MIX[::-1], 0 * MIX])
-    amounts, factors = shape_amounts(mixes @ dent_shapes().T)
+    amounts, factors = module.shape_amounts(mixes @ dent_shapes().T)
     np.testing.assert_allclose(amounts, mixes / (1 + RIDGE), rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(factors, np.eye(SHAPES)[None] / np.sqrt(1 + RIDGE) * np.ones((3, 1, 1)), atol=1e-9)
 
@@ -99,7 +87,7 @@ def test_hidden_pixels_hardly_change_the_amounts() -> None:
     hidden = generator.random(change.shape) < 1 / 3
     hidden[:, PIXELS // 2] = False
     change[hidden] = np.nan
-    amounts, factors = shape_amounts(change)
+    amounts, factors = module.shape_amounts(change)
     np.testing.assert_allclose(amounts, np.broadcast_to(MIX, amounts.shape), atol=0.01 * np.abs(MIX).max())
     for row, found, factor in zip(change, amounts, factors, strict=True):
         kept = shapes[np.isfinite(row)]
@@ -115,13 +103,13 @@ def test_without_the_middle_the_narrowest_shape_stays_small() -> None:
     """Least squares alone would find any amount of it."""
     change = (MIX @ dent_shapes().T)[None] + 1e-3 * np.random.default_rng(3).normal(size=(400, PIXELS))
     change[:, PIXELS // 2] = np.nan
-    amounts = shape_amounts(change)[0]
+    amounts = module.shape_amounts(change)[0]
     assert np.abs(amounts[:, 0]).max() < MIX[0]
     np.testing.assert_allclose(amounts[:, 3:], np.broadcast_to(MIX[3:], (400, 3)), atol=5e-3)
 
 
 def test_what_nothing_is_seen_of_stays_small() -> None:
-    amounts, factors = shape_amounts(np.full((1, PIXELS), np.nan))
+    amounts, factors = module.shape_amounts(np.full((1, PIXELS), np.nan))
     np.testing.assert_array_equal(amounts, 0)
     np.testing.assert_allclose(factors[0], np.eye(SHAPES) / np.sqrt(RIDGE))
 
@@ -131,7 +119,7 @@ def test_factors_are_those_of_the_amounts_errors() -> None:
     hidden = generator.random(PIXELS) < 0.3
     hidden[PIXELS // 2] = False
     errors = np.where(hidden, np.nan, generator.normal(size=(20_000, PIXELS)))
-    amounts, factors = shape_amounts(errors)
+    amounts, factors = module.shape_amounts(errors)
     found = np.cov(amounts.T)
     # The ridge takes a little off what the factors promise.
     expected = factors[0] @ factors[0].T
@@ -154,7 +142,7 @@ def test_a_sequence_at_the_slots_is_told_as_it_is() -> None:
     mixes = np.linspace(0, 1, SLOTS)[:, None] * MIX
     amounts, scaled, flags = parts(sequence_features(sequence_of(mixes, times), SPACING, NOISE, 0.0))
     found = mixes / (1 + RIDGE)
-    np.testing.assert_allclose(amounts, found / SPACING / LARGE, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(amounts, found / SPACING / module.LARGE, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(scaled, np.arcsinh(found / (2 * NOISE)) / 5, rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(flags, [0, 1])
 
@@ -164,11 +152,12 @@ def test_between_frames_amounts_go_on_evenly_and_end_with_the_sequence() -> None
     times = 0.08 * np.arange(1, 6)
     mixes = np.array([1.0, 3.0, 100.0, 2.0, 1.0])[:, None] * MIX
     hidden = np.zeros((5, SIDE, SIDE), bool)
-    hidden[2].reshape(-1)[: int((1 - MIN_VISIBLE) * PIXELS) + 1] = True
+    hidden[2].reshape(-1)[: int((1 - module.MIN_VISIBLE) * PIXELS) + 1] = True
     amounts, _, flags = parts(sequence_features(sequence_of(mixes, times, hidden), SPACING, NOISE, WITHIN))
     slots = slot_times()
     size = np.interp(slots, [0, 0.08, 0.16, 0.32, 0.4], [0, 1, 3, 2, 1]) * (slots < 0.4 + 1e-6)
-    np.testing.assert_allclose(amounts, size[:, None] * MIX / (1 + RIDGE) / SPACING / LARGE, rtol=1e-5, atol=1e-8)
+    found = size[:, None] * MIX / (1 + RIDGE)
+    np.testing.assert_allclose(amounts, found / SPACING / module.LARGE, rtol=1e-5, atol=1e-8)
     assert (amounts[9] != 0).all()
     assert (amounts[10:] == 0).all()
     np.testing.assert_allclose(flags, [WITHIN / slots[0], 1])
@@ -180,12 +169,12 @@ def test_joined_vectors_are_those_of_each() -> None:
     noise, within = np.array([1e-3, 2e-3, 5e-4]), np.array([0.0, 0.04, 0.02])
     mixes = generator.normal(0, 0.02, (3, SLOTS, SHAPES)).astype(np.float32)
     told = np.array([True, False, True])
-    joined = join_sequence_features(mixes / (1 + RIDGE), spacing, noise, within, told)
+    joined = module.join_sequence_features(mixes / (1 + RIDGE), spacing, noise, within, told)
     for index in range(3):
         sequence = sequence_of(mixes[index], times) if told[index] else None
         alone = sequence_features(sequence, spacing[index], noise[index], within[index])
         np.testing.assert_allclose(joined[index], alone, rtol=2e-5, atol=1e-6)
-    assert (joined.dtype, joined.shape) == (np.float32, (3, SEQUENCE_FEATURES))
+    assert (joined.dtype, joined.shape) == (np.float32, (3, module.SEQUENCE_FEATURES))
 
 
 def followed(size: tuple[int, int]) -> Interaction:

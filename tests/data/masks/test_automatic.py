@@ -6,16 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.masks.automatic import (
-    MOST_MISSED,
-    AutomaticMasks,
-    band_values,
-    brightest_channel,
-    lit_picture,
-    pallor,
-    picture_field,
-    redness,
-)
+from palpate.data.masks import automatic as module
+from palpate.data.masks.automatic import AutomaticMasks, brightest_channel, pallor
 from palpate.data.masks.instrument_bands import Band, find_bands, straight_edges
 from palpate.data.masks.sources import AnnotationMasks, MaskClasses
 from palpate.data.source.frames import Frame, open_source
@@ -108,7 +100,7 @@ def test_unlit_pixels_are_neither_and_the_circle_is_no_edge():
     assert (labels[outside & (np.hypot(u - 320, v - 180) > 205)] == 0).all()
     assert (labels[255:295, 305:355] == 0).all()
     assert not (labels == 2).any()
-    field = picture_field(lit_picture(as_frame(image).image))
+    field = module.picture_field(module.lit_picture(as_frame(image).image))
     assert field[275, 330]
     assert not field[5, 5]
 
@@ -152,8 +144,8 @@ def test_band_samples_lie_inside_it():
     band = Band(np.array([10.0, 20.0]), np.array([1.0, 0.0]), 30.0, 8.0, 10.0, 2, 60.0)
     values = np.zeros((50, 60), np.float32)
     values[16:25, 10:41] = 1
-    assert (band_values(band, values) == 1).all()
-    assert (band_values(band, values, -10, -2) == 0).all()
+    assert (module.band_values(band, values) == 1).all()
+    assert (module.band_values(band, values, -10, -2) == 0).all()
     assert sorted(map(tuple, band.outline(0, 30).tolist())) == [(10, 16), (10, 24), (40, 16), (40, 24)]
 
 
@@ -162,7 +154,7 @@ def test_pallor_compares_equal_brightness():
     image[:20] = (200, 150, 140)
     image[20:] = (100, 40, 40)
     image[25:30, 10:15] = (100, 100, 100)
-    red, bright = redness(image), brightest_channel(image)
+    red, bright = module.redness(image), brightest_channel(image)
     pale = pallor(red, bright, np.ones((40, 40), bool))
     # Redness is 55/208 and 60/108 of the two tissues and 0 of the patch.
     assert red[5, 5] == pytest.approx(55 / 208)
@@ -221,7 +213,7 @@ def moving(step: int) -> tuple[np.ndarray, np.ndarray]:
 def test_an_instrument_that_was_found_twice_is_followed_where_it_is_not_found(monkeypatch):
     masks = AutomaticMasks()
     missed = []
-    for step in range(2 + MOST_MISSED + 1):
+    for step in range(2 + module.MOST_MISSED + 1):
         image, mask = moving(step)
         if step == 2:
             monkeypatch.setattr(AutomaticMasks, "_is_instrument", lambda *_: False)
@@ -229,7 +221,7 @@ def test_an_instrument_that_was_found_twice_is_followed_where_it_is_not_found(mo
         missed.append(not (labels == 2).any())
         if not missed[-1]:
             assert overlap(labels == 2, mask) > 0.8  # more of it comes in from the edge
-    assert missed == [False] * (2 + MOST_MISSED) + [True]
+    assert missed == [False] * (2 + module.MOST_MISSED) + [True]
 
 
 def test_what_was_found_once_is_not_followed(monkeypatch):

@@ -8,17 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.data.masks import sources
 from palpate.data.masks.automatic import AutomaticMasks
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.masks.sources import (
-    AnnotationMasks,
-    MaskClasses,
-    MaskError,
-    color_distance,
-    open_masks,
-    read_class_mask,
-    read_label_mask,
-)
+from palpate.data.masks.sources import MaskClasses, MaskError, open_masks, read_class_mask
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 
@@ -74,7 +67,8 @@ def test_a_pixel_belongs_to_a_class_within_an_l1_distance_of_5(tmp_path_factory,
 
 def test_color_distance_is_the_l1_norm():
     image = np.random.default_rng(0).integers(0, 256, (7, 9, 3), dtype=np.uint8)
-    assert np.array_equal(color_distance(image, (10, 250, 128)), np.abs(image.astype(int) - (10, 250, 128)).sum(axis=2))
+    expected = np.abs(image.astype(int) - (10, 250, 128)).sum(axis=2)
+    assert np.array_equal(sources.color_distance(image, (10, 250, 128)), expected)
 
 
 def test_colour_rgba_grey_and_grey_as_rgb_masks_agree(tmp_path):
@@ -153,7 +147,7 @@ def test_video_has_no_annotation(tmp_path):
 def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
     assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), AutomaticMasks)
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), AnnotationMasks)
+    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), sources.AnnotationMasks)
 
 
 def test_kinds_and_identities(tmp_path):
@@ -171,12 +165,12 @@ def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
     mask = np.ones((60, 60), np.uint8)
     mask[20:40, 0:30] = 0
     mask[50:53, 50:53] = 0
-    labels = read_label_mask(write(tmp_path / "m.png", mask), (60, 60), layout)
+    labels = sources.read_label_mask(write(tmp_path / "m.png", mask), (60, 60), layout)
     assert (labels[22:38, 0:28] == 2).all()
     assert (labels[50:53, 50:53] == 0).all()
     assert (labels[mask == 1] == 1).all()
     with pytest.raises(MaskError, match="not a label mask"):
-        read_label_mask(write(tmp_path / "m.png", color_mask()), SIZE, layout)
+        sources.read_label_mask(write(tmp_path / "m.png", color_mask()), SIZE, layout)
 
 
 def test_real_clip_annotation(real_data):

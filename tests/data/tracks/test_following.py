@@ -6,23 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.tracks.following import (
-    BORDER,
-    DRAGGED,
-    EDGED,
-    MARGIN,
-    NOISE,
-    RELINKED,
-    RIM,
-    SPACING,
-    TOUCHED,
-    PointFollower,
-    lit_field,
-    tool_distance,
-)
+from palpate.data.tracks import following
+from palpate.data.tracks.following import RELINKED, SPACING, PointFollower, lit_field, tool_distance
 
 HEIGHT, WIDTH = 128, 176
 NO_TOOL = np.zeros((HEIGHT, WIDTH), bool)
+EVERY = slice(SPACING, -SPACING, SPACING)
+"""Where points begin, along an axis."""
 Motion = Callable[[np.ndarray], np.ndarray]
 
 
@@ -78,8 +68,8 @@ def test_no_point_begins_at_the_tool() -> None:
     tool[40:60, 60:90] = True
     follower = PointFollower(texture(), tool, 1)
     away = tool_distance(tool)
-    assert follower.distance.min() > MARGIN
-    expected = (away[1:-1, 1:-1] > MARGIN) & lit_field(texture())[1:-1, 1:-1]
+    assert follower.distance.min() > following.MARGIN
+    expected = (away[1:-1, 1:-1] > following.MARGIN) & lit_field(texture())[1:-1, 1:-1]
     assert len(follower.points) == expected.sum() < expected.size
 
 
@@ -121,7 +111,7 @@ def test_points_under_the_tool_are_lost_until_the_first_picture_tells_where_they
     follower = PointFollower(picture, NO_TOOL)
     columns = follower.points[:, 0]
     follower.step(picture, left_of(81))
-    seen = columns - 80 > TOUCHED
+    seen = columns - 80 > following.TOUCHED
     for _ in range(RELINKED - 2):
         np.testing.assert_array_equal(follower.followed, seen)
         assert np.isnan(follower.moved[columns <= 80]).all()
@@ -177,20 +167,20 @@ def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
     expected = [1.5 * np.sin(last), 0.7 * np.cos(last)]
     off = (follower.moved - expected)[follower.followed]
     assert np.sqrt(np.square(off).mean()) < 0.12
-    assert np.median(follower.noise) < 2 * NOISE
+    assert np.median(follower.noise) < 2 * following.NOISE
     follower.step(picture, NO_TOOL)
-    assert np.median(follower.noise) > np.sqrt(2) * NOISE
+    assert np.median(follower.noise) > np.sqrt(2) * following.NOISE
 
 
 def test_points_whose_window_holds_the_tools_edge_are_noisy() -> None:
     tool = left_of(40)
     follower = PointFollower(texture(), tool)
     follower.step(texture(), tool)
-    beside = follower.distance < EDGED
+    beside = follower.distance < following.EDGED
     assert beside.any()
     assert follower.followed.all()
-    assert (follower.noise[beside] >= DRAGGED).all()
-    assert (follower.noise[~beside & (follower.distance > EDGED + 2)] < 2 * NOISE).all()
+    assert (follower.noise[beside] >= following.DRAGGED).all()
+    assert (follower.noise[~beside & (follower.distance > following.EDGED + 2)] < 2 * following.NOISE).all()
     assert sorted(set(follower.hidden[:, 0])) == [8, 16, 24, 32, 40]
 
 
@@ -208,13 +198,13 @@ def test_points_that_a_model_finds_are_measured_again_without_their_neighbours()
     asked = np.flatnonzero(follower.distance < 40)
     moved, noise = follower.measured(follower.shown, model.astype(np.float32), asked)
     assert np.isnan(moved[follower.distance >= 40]).all()
-    near = (follower.distance > EDGED) & (follower.distance < 24)
+    near = (follower.distance > following.EDGED) & (follower.distance < 24)
     seen = near & np.isfinite(moved).all(axis=1)
     assert seen.sum() > 0.9 * near.sum()
     off, off_filtered = ((way - true)[seen, 1].mean() for way in (moved, follower.moved))
     assert abs(off) < 0.03 < abs(off_filtered)
-    assert (noise[seen] < NOISE).all()
-    assert (noise[follower.distance < EDGED] >= DRAGGED).all()
+    assert (noise[seen] < following.NOISE).all()
+    assert (noise[follower.distance < following.EDGED] >= following.DRAGGED).all()
 
 
 def test_points_that_leave_the_picture_are_lost() -> None:
@@ -224,7 +214,7 @@ def test_points_that_leave_the_picture_are_lost() -> None:
     for step in (4, 8, 12, 16):
         follower.step(picture[:, 30 + step : 30 + step + WIDTH], NO_TOOL)
     columns = follower.points[:, 0]
-    assert not follower.followed[columns < 16 + BORDER].any()
+    assert not follower.followed[columns < 16 + following.BORDER].any()
     inside = (columns > 40) & (np.abs(follower.points[:, 1] - HEIGHT / 2) < 40)
     assert follower.followed[inside].all()
     np.testing.assert_allclose(follower.moved[inside], np.broadcast_to([-16, 0], (inside.sum(), 2)), atol=0.3)
@@ -248,12 +238,12 @@ def test_a_round_field_is_lit_up_to_its_rim() -> None:
     radius = np.hypot(columns - WIDTH / 2, rows - HEIGHT / 2)
     picture = np.where(radius[..., None] < 55, 90, 6).astype(np.uint8) * np.ones((1, 1, 3), np.uint8)
     lit = lit_field(picture)
-    assert lit[radius < 55 - RIM // 2 * np.sqrt(2) - 1].all()
-    assert not lit[radius > 55 - RIM // 2].any()
-    assert lit.sum() == (cv2.blur((radius < 55).astype(np.float32), (RIM, RIM)) > 1 - 1e-4).sum()
+    assert lit[radius < 55 - following.RIM // 2 * np.sqrt(2) - 1].all()
+    assert not lit[radius > 55 - following.RIM // 2].any()
+    assert lit.sum() == (cv2.blur((radius < 55).astype(np.float32), (following.RIM, following.RIM)) > 1 - 1e-4).sum()
     follower = PointFollower(picture, NO_TOOL)
     assert lit[follower.points[:, 1].astype(int), follower.points[:, 0].astype(int)].all()
-    assert len(follower.points) == lit[SPACING:-SPACING:SPACING, SPACING:-SPACING:SPACING].sum()
+    assert len(follower.points) == lit[EVERY, EVERY].sum()
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
@@ -280,7 +270,7 @@ def test_small_pictures_are_followed(size: tuple[int, int]) -> None:
     follower = PointFollower(picture, np.zeros(size, bool))
     for _ in range(RELINKED):
         follower.step(picture, np.zeros(size, bool))
-    assert len(follower.points) == lit_field(picture)[SPACING:-SPACING:SPACING, SPACING:-SPACING:SPACING].sum()
+    assert len(follower.points) == lit_field(picture)[EVERY, EVERY].sum()
     assert follower.followed.all()
     np.testing.assert_array_equal(follower.moved, 0)
 

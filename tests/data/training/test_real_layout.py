@@ -1,6 +1,5 @@
 """What paper.yaml asks of a data set in CholecSeg8k's layout: named videos, joined folders, all pairs, what deforms."""
 
-import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,11 @@ from palpate.data.source.camera import Camera, back_project
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.data.training.cholecseg8k import join_folders, list_clips, main
-from palpate.data.training.datamodule import ClipDataModule, LoadingSettings
+from palpate.data.training.datamodule import ClipDataModule
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
 from palpate.data.training.splits import NamedVideos
-from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, real_frames, write_clip
+from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, describe, real_frames, write_clip
+from tests.data.training.test_datamodule import made
 
 NEAREST = replace(GRID, contact="nearest", min_tool_pixels=1, displacement="redetected")
 LAYOUT = ClipLayout()
@@ -28,23 +28,14 @@ LAYOUT = ClipLayout()
 
 def write_video(root: Path, number: int, starts: tuple[int, ...], frames: int = 4, **options) -> list[Path]:
     """Folders of one video in contact throughout, each named by its first frame."""
-    name = f"video{number:02d}"
-    everywhere = tuple(range(frames))
-    return [
-        write_clip(root / name / f"{name}_{start:05d}", everywhere, frames, first=start, **options) for start in starts
-    ]
+    name, everywhere = f"video{number:02d}", tuple(range(frames))
+    folders = {start: root / name / f"{name}_{start:05d}" for start in starts}
+    return [write_clip(folder, everywhere, frames, first=start, **options) for start, folder in folders.items()]
 
 
-def module(root: Path, *, depth: DepthSettings | None = None, **options) -> ClipDataModule:
-    loading = {name: options.pop(name) for name in ("videos", "batch_size") if name in options}
-    return ClipDataModule(
-        str(root / "data"),
-        cache=str(root / "cache"),
-        samples=SampleSettings(geometry=NEAREST, **options),
-        loading=LoadingSettings(**loading),
-        geometry=NEAREST,
-        **({} if depth is None else {"depth": depth}),
-    )
+def module(root: Path, *videos: tuple[str, ...], **options) -> ClipDataModule:
+    """Over clips of which all pairs count, with these videos to train on, validate and test with."""
+    return made(root, {"videos": NamedVideos(*videos)} if videos else {}, NEAREST, **options)
 
 
 # --- folders that follow on ------------------------------------------------------------------------------------------
@@ -58,8 +49,7 @@ def test_folders_of_one_video_whose_numbers_follow_on_are_one_clip(tmp_path):
 
 def test_folders_that_say_otherwise_of_their_camera_stay_apart(tmp_path):
     first, second = write_video(tmp_path, 1, (0, 4))
-    described = json.loads((second / "clip.json").read_text())
-    (second / "clip.json").write_text(json.dumps(described | {"depth_scale": 2.0}))
+    describe(second, depth_scale=2.0)
     assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
     (second / "clip.json").write_text("{")  # it fails by itself
     assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
@@ -71,19 +61,16 @@ def test_contact_goes_on_across_joined_folders(tmp_path):
     assert [frame.number for frame in source] == list(range(80, 88))
     assert [frame.time_s for frame in source] == pytest.approx([0.04 * index for index in range(8)])
     assert source.warnings == []
-    joined = prepare(first, SETTINGS, tmp_path / "cache", following=(second,))
-    alone = prepare(first, SETTINGS, tmp_path / "cache")
-    assert (len(joined), len(alone)) == (8, 4)
-    assert joined.consecutive.tolist() == [True] * 7 + [False]
-    assert list_frames(joined, SampleSettings(geometry=GRID))[0] == list(range(7))
-    assert list_frames(alone, SampleSettings(geometry=GRID))[0] == [0, 1, 2]
+    for following, count in (((second,), 8), ((), 4)):
+        clip = prepare(first, SETTINGS, tmp_path / "cache", following=following)
+        assert clip.consecutive.tolist() == [True] * (count - 1) + [False]
+        assert list_frames(clip, SampleSettings(geometry=GRID))[0] == list(range(count - 1))
 
 
 def test_joined_folders_keep_their_time_stamps_and_are_known_by_all_their_files(tmp_path):
     first, second = write_video(tmp_path, 1, (0, 4))
-    for folder, times in ((first, [0, 0.03, 0.08, 0.12]), (second, [7.0, 7.05, 7.08, 7.12])):
-        described = json.loads((folder / "clip.json").read_text())
-        (folder / "clip.json").write_text(json.dumps(described | {"times": times}))
+    describe(first, times=[0, 0.03, 0.08, 0.12])
+    describe(second, times=[7.0, 7.05, 7.08, 7.12])
     assert join_folders([first, second], LAYOUT) == {first: (second,)}
     joined = prepare(first, SETTINGS, tmp_path / "cache", following=(second,))
     assert joined.times.tolist() == pytest.approx([0, 0.03, 0.08, 0.12, 0.16, 0.21, 0.24, 0.28])
@@ -96,9 +83,7 @@ def test_joined_folders_have_one_depth_scale(tmp_path):
     """The second folder lies farther away: by itself it would be scaled down to the same depth."""
     near, far = write_video(tmp_path, 1, (0, 4), recede=0.0)
     for folder in (near, far):
-        described = json.loads((folder / "clip.json").read_text())
-        del described["depth_scale"]
-        (folder / "clip.json").write_text(json.dumps(described))
+        describe(folder, depth_scale=None)
     for file in far.glob("*_depth.png"):
         stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         cv2.imwrite(str(file), (stored * 1.5).astype(np.uint16))
@@ -106,7 +91,6 @@ def test_joined_folders_have_one_depth_scale(tmp_path):
     apart = prepare(far, SETTINGS, tmp_path / "cache")
     assert joined.depth(7).mean() / joined.depth(0).mean() == pytest.approx(1.5, rel=1e-3)
     assert apart.depth(3).mean() / joined.depth(7).mean() == pytest.approx(1.0, abs=0.01)
-    assert joined.depth(0).mean() == pytest.approx(joined.depth(7).mean() / 1.5, rel=1e-3)
 
 
 def test_the_door_joins_them_too(tmp_path, monkeypatch, capsys):
@@ -115,9 +99,7 @@ def test_the_door_joins_them_too(tmp_path, monkeypatch, capsys):
     write_video(tmp_path / "data", 1, (80, 84))
     assert main(["data", "--depth", "stored", "--cache", "cache"]) == 0
     out = capsys.readouterr().out
-    assert "1 clips" in out
-    assert "8 ok" in out
-    assert "video01_00084" not in out
+    assert [said in out for said in ("1 clips", "8 ok", "video01_00084")] == [True, True, False]
 
 
 # --- named videos ----------------------------------------------------------------------------------------------------
@@ -142,30 +124,21 @@ def set_up(data: ClipDataModule) -> dict[str, set[str]]:
 
 
 def test_videos_of_each_split_are_named(ten_videos):
-    names = [f"video{number:02d}" for number in range(1, 11)]
-    named = NamedVideos(tuple(names[:7]), tuple(names[7:9]), tuple(names[9:]))
-    data = module(ten_videos, videos=named)
-    found = set_up(data)
-    assert found == {
-        "train": {f"{name}_00080" for name in names[:7]},
-        "val": {f"{name}_00080" for name in names[7:9]},
-        "test": {"video10_00080"},
-    }
+    names = tuple(f"video{number:02d}" for number in range(1, 11))
+    named = {"train": names[:7], "val": names[7:9], "test": names[9:]}
+    data = module(ten_videos, *named.values())
+    assert set_up(data) == {split: {f"{name}_00080" for name in videos} for split, videos in named.items()}
     assert {split: len(places) for split, places in data.places.items()} == {"train": 35, "val": 10, "test": 5}
 
 
 def test_folders_can_be_named_and_what_is_not_named_is_left_out(ten_videos):
-    named = NamedVideos(("video01_00083", "video02"), ("video03",), ("video04_00080", "video04_00083"))
-    data = module(ten_videos, videos=named)
-    assert set_up(data) == {
-        "train": {"video01_00083", "video02_00080"},
-        "val": {"video03_00080"},
-        "test": {"video04_00080"},
-    }
-    assert {clip.name: len(clip) for clip in data.clips}["video01_00083"] == 3
-    assert {clip.name: len(clip) for clip in data.clips}["video04_00080"] == 6
+    data = module(ten_videos, ("video01_00083", "video02"), ("video03",), ("video04_00080", "video04_00083"))
+    expected = {"train": {"video01_00083", "video02_00080"}, "val": {"video03_00080"}, "test": {"video04_00080"}}
+    assert set_up(data) == expected
+    lengths = {clip.name: len(clip) for clip in data.clips}
+    assert (lengths["video01_00083"], lengths["video04_00080"]) == (3, 6)
     with pytest.raises(InputError, match=r"no clip is of video77; name"):
-        module(ten_videos, videos=NamedVideos(("video01", "video77"))).prepare_data()
+        module(ten_videos, ("video01", "video77")).prepare_data()
 
 
 def test_no_video_is_in_two_splits():
@@ -179,7 +152,7 @@ def test_no_video_is_in_two_splits():
 def test_named_videos_without_a_sample_to_train_on_are_refused(tmp_path):
     write_video(tmp_path / "data", 1, (0,))
     write_clip(tmp_path / "data" / "video02" / "video02_00000", contact=(), frames=3)
-    data = module(tmp_path, videos=NamedVideos(("video02",), ("video01",)))
+    data = module(tmp_path, ("video02",), ("video01",))
     data.prepare_data()
     with pytest.raises(InputError, match="no sample in the videos named to train on"):
         data.setup("fit")
@@ -207,10 +180,9 @@ def test_the_nearest_pair_is_the_closest_of_all_points_at_any_distance():
     found = frame_geometry(depth, labels, CAMERA, NEAREST)
     points = back_project(depth, CAMERA).astype(np.float64)
     tool, tissue = points[labels == TOOL], points[labels == TISSUE]
-    apart = np.linalg.norm(tool[:, None] - tissue[None], axis=2)
+    apart = np.linalg.norm(tool[:, None] - tissue[None], axis=2).min(axis=0)
     assert found.distance == pytest.approx(apart.min(), rel=1e-5)
-    closest = tissue[np.unravel_index(apart.argmin(), apart.shape)[1]]
-    np.testing.assert_allclose(found.tissue_point, closest, atol=1e-6)
+    np.testing.assert_allclose(found.tissue_point, tissue[apart.argmin()], atol=1e-6)
     assert found.touching is False
 
 
@@ -218,8 +190,7 @@ def test_where_the_outlines_touch_the_nearest_pair_may_lie_elsewhere():
     """The tool touches flat tissue beside it in the picture, and in space it is nearer to a bump farther up."""
     depth, labels = hovering(gap=0, lift=0.2)
     beside, nearest = (frame_geometry(depth, labels, CAMERA, settings) for settings in (GRID, NEAREST))
-    assert beside.touching
-    assert nearest.touching
+    assert (beside.touching, nearest.touching) == (True, True)
     assert 40 <= beside.pixel[1] < 56
     assert nearest.pixel[1] == 23
     assert nearest.distance < beside.distance
@@ -239,9 +210,8 @@ def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
     assert frames == [2, 3, 4, 5]
     assert left_out == {"no_tool": 4, "next frame not in contact": 1}
     released = make_interaction(far, 4, SampleSettings(geometry=NEAREST))
-    points = [frame.contact.tissue_point for frame in ClipStream(
-        open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST)
-    ) if frame.in_contact]  # fmt: skip
+    stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST))
+    points = [frame.contact.tissue_point for frame in stream if frame.in_contact]
     np.testing.assert_allclose(released.moved[0], points[3] - points[2], atol=1e-6)
 
 
@@ -256,14 +226,13 @@ def test_whether_a_tool_hovers_is_not_asked_where_all_pairs_count(tmp_path, sett
 def test_on_the_real_clip_all_ten_pairs_that_show_the_tool_count(real_data, tmp_path):
     """The grasper holds on in frames 149 to 159; by photometric depth the closest points are on the outlines, too."""
     folder = real_frames(real_data, tmp_path / "video01" / "video01_00149", range(149, 160))
-    sized = {"height": 120, "width": 214, "displacement": "redetected"}
-    found = {}
+    found = []
     for contact in ("touching", "nearest"):
-        geometry = GeometrySettings(contact=contact, **sized)
+        geometry = GeometrySettings(contact=contact, displacement="redetected")
         clip = prepare(folder, replace(SETTINGS, geometry=geometry), tmp_path / "cache")
         assert list_frames(clip, SampleSettings(geometry=geometry))[0] == list(range(10))
-        found[contact] = clip.displacement[:10]
-    np.testing.assert_allclose(found["nearest"], found["touching"], atol=1e-6)
+        found.append(clip.displacement[:10])
+    np.testing.assert_allclose(*found, atol=1e-6)
 
 
 # --- curation, rounding, depth that was forgotten --------------------------------------------------------------------

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,13 +18,14 @@ DECIDING = ("common", "data", "estimators", "models", "physics", "results")
 """Packages on which a user's results depend."""
 SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
 FINGERPRINTS = """
-import sys
+import functools, sys
 from pathlib import Path
 from palpate.data.settings import PrepareSettings
 from palpate.common.provenance import ROOT, code_digest
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.results.record import depends_on, fingerprint_of
 
+Path.rglob = functools.cache(lambda folder, pattern, find=Path.rglob: list(find(folder, pattern)))  # files stay
 estimator = open_estimator(EstimatorOptions("direct"))
 
 def found():
@@ -41,6 +43,12 @@ for name in sys.stdin.read().splitlines():
 print(ROOT, *found())
 """
 """Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
+
+
+def run(program: str, **options: Any) -> str:
+    """What a program of its own prints."""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, capture_output=True, text=True, check=True, **options).stdout
 
 
 def folder_of(package: str) -> Path:
@@ -103,16 +111,10 @@ def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, every
     for path in models:
         path.with_name(f"{path.name}.changed").write_bytes(path.read_bytes() + b"\n")
     (tmp_path / "clip.mp4").touch()
-    done = subprocess.run(
-        [sys.executable, "-c", FINGERPRINTS],
-        input="\n".join(map(str, [*modules, *models])),
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path / "tree"), "PYTHONDONTWRITEBYTECODE": "1"},
-        check=True,
-    )
-    first, *edited, last = (line.rsplit(" ", 3) for line in done.stdout.splitlines())
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "tree"), "PYTHONDONTWRITEBYTECODE": "1"}
+    named = "\n".join(map(str, [*modules, *models]))
+    said = run(FINGERPRINTS, cwd=tmp_path, input=named, env=environment)
+    first, *edited, last = (line.rsplit(" ", 3) for line in said.splitlines())
     assert first == last
     assert Path(first[0]) == tree
     assert len(edited) == len(modules) + len(models) > 180 / every
@@ -138,22 +140,18 @@ def test_every_package_of_the_tree_is_installed() -> None:
     rooms = {package.split(".")[1] for package in SETUP["packages"] if "." in package}
     assert rooms == {*PACKAGES, "benchmarks", "command"}
     # A folder without __init__.py would be left out of a wheel.
-    assert {
-        path.parent.relative_to(CHECKOUT) for package in PACKAGES for path in CHECKOUT.glob(f"{package}/**/*.py")
-    } <= found
+    modules = [path for package in PACKAGES for path in CHECKOUT.glob(f"{package}/**/*.py")]
+    assert {path.parent.relative_to(CHECKOUT) for path in modules} <= found
 
 
 def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
-    program = (
-        "import sys, palpate.data.clip; print(*(vars(each).get('__file__') for each in list(sys.modules.values())))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=CHECKOUT, check=True)
-    imported = {Path(name).relative_to(CHECKOUT).as_posix() for name in done.stdout.split() if f"{CHECKOUT}/" in name}
+    program = "import sys, palpate.data.clip; print(*(vars(each).get('__file__') for each in [*sys.modules.values()]))"
+    names = run(program, cwd=CHECKOUT).split()
+    imported = {Path(name).relative_to(CHECKOUT).as_posix() for name in names if f"{CHECKOUT}/" in name}
     ours = {name for name in imported if name.split("/")[0] in PACKAGES}
     assert "data/contact/motion.py" in ours
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
     # The helpers load modules, name sources, show names, read and list files and refuse settings, not arrays.
-    names = ("__init__", "lazy", "provenance", "doors", "settings", "files", "output")
-    helpers = {f"common/{name}.py" for name in names}
-    assert others - helpers == {"physics/__init__.py", *PREPARATION}
+    helpers = ("__init__", "lazy", "provenance", "doors", "settings", "files", "output")
+    assert others - {f"common/{name}.py" for name in helpers} == {"physics/__init__.py", *PREPARATION}

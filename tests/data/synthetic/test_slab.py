@@ -19,6 +19,7 @@ PRESS = SceneSettings(
     peak_displacement=(1e-4, 1e-4), press_seconds=(0.6, 0.6), slab_young=(600.0, 600.0), slab_damping=(60.0, 60.0),
 )  # fmt: skip
 """So small a dent that the law is linear, and so much damping that it comes to rest."""
+BRIEF = dataclasses.replace(PRESS, frames=10, press_seconds=(0.12, 0.12))
 PULL = dataclasses.replace(
     PRESS, action="grip", frames=12, onset_fraction=(0.0, 0.0), peak_displacement=(0.02, 0.02), max_tilt_deg=20.0
 )
@@ -59,16 +60,13 @@ def test_a_press_comes_to_rest_where_its_force_was_chosen_for() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damping", [30.0, 200.0])
-def test_a_blunt_tips_motion_hardly_depends_on_the_mesh(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As wide a tip as the suite's, whose pictures have twice as many pixels a side."""
-    wide = {"patch_radius": (4.0, 4.0), "slab_young": (200.0, 200.0), "slab_damping": (damping, damping)}
-    settings = dataclasses.replace(PRESS, frames=14, press_seconds=(0.28, 0.28), **wide)
-    found = []
+def test_a_blunt_tips_motion_hardly_depends_on_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As wide a tip as the suite's, whose pictures have twice as many pixels a side; less damped it depends less."""
+    wide = {"patch_radius": (4.0, 4.0), "slab_young": (200.0, 200.0), "slab_damping": (200.0, 200.0)}
+    settings, found = dataclasses.replace(PRESS, frames=14, press_seconds=(0.28, 0.28), **wide), []
     for cells in ((8, 8, 3), (12, 12, 4)):
         monkeypatch.setattr(slab, "CELLS", cells)
         scene, motion = drawn(settings)
-        assert isinstance(motion, PressedSlab)
         near = np.linalg.norm(scene.mesh.pixels[motion.moving] - scene.mesh.pixels[scene.vertex], axis=1) < 6
         found.append((motion.field[motion.onset_frame :, near] @ scene.direction, np.abs(motion.force).max()))
     (coarse, force), (fine, other) = found
@@ -77,11 +75,9 @@ def test_a_blunt_tips_motion_hardly_depends_on_the_mesh(damping: float, monkeypa
 
 
 def test_twice_the_modulus_and_the_density_take_twice_the_force_for_the_same_motion() -> None:
-    settings = dataclasses.replace(PRESS, peak_displacement=(0.02, 0.02))
+    settings = dataclasses.replace(BRIEF, peak_displacement=(0.02, 0.02))
     _, one = drawn(settings)
     _, two = drawn(dataclasses.replace(settings, slab_young=(1200.0, 1200.0), slab_density=2 * settings.slab_density))
-    assert isinstance(one, PressedSlab)
-    assert isinstance(two, PressedSlab)
     np.testing.assert_allclose(two.contact, one.contact, atol=1e-9)
     np.testing.assert_allclose(two.force, 2 * one.force)
 
@@ -95,10 +91,8 @@ def test_a_relaxing_branch_stiffens_until_it_relaxes() -> None:
 
 
 def test_a_stiff_ball_takes_more_force() -> None:
-    _, plain = drawn(PRESS)
-    _, stiff = drawn(dataclasses.replace(PRESS, slab_inclusion=4.0))
-    assert isinstance(plain, PressedSlab)
-    assert isinstance(stiff, PressedSlab)
+    _, plain = drawn(BRIEF)
+    _, stiff = drawn(dataclasses.replace(BRIEF, slab_inclusion=4.0))
     assert 1.05 < np.abs(stiff.force).max() / np.abs(plain.force).max() < 4
 
 
@@ -116,25 +110,19 @@ def test_a_pull_carries_the_contact_and_takes_a_force_its_way() -> None:
 
 def test_a_held_pull_relaxes_as_its_branch() -> None:
     """Once the tool holds still, the force goes on falling; without a branch it stays."""
-    held, gone = [], []
-    for branch in (0.0, 1.0):
-        damping = (60.0, 60.0) if branch == 0 else (5.0, 5.0)
-        settings = dataclasses.replace(
-            PULL, frames=30, slab_branch=(branch, branch), slab_branch_time=(0.2, 0.2), slab_damping=damping,
-            slab_young=(1200.0, 1200.0),
-        )  # fmt: skip
-        _, motion = drawn(settings)
-        assert isinstance(motion, GrippedSlab)
+    settings, gone = dataclasses.replace(PULL, frames=20, slab_young=(4800.0, 4800.0), slab_branch_time=(0.2, 0.2)), []
+    for branch, damping in ((0.0, 60.0), (1.0, 5.0)):
+        law = {"slab_branch": (branch, branch), "slab_damping": (damping, damping)}
+        _, motion = drawn(dataclasses.replace(settings, **law))
         size = np.linalg.norm(motion.reaction, axis=1)
         still = np.flatnonzero(np.linalg.norm(motion.contact - motion.contact[-1], axis=1) < 1e-6)[0]
-        held.append(size[-1])
         gone.append(size.max() / size[-1])
-        assert still < 29
+        assert still < 19
     assert gone[0] < 1.1
     assert gone[1] > 1.15
 
 
-@pytest.mark.parametrize("settings", [PRESS, dataclasses.replace(PULL, onset_fraction=(0.2, 0.2))])
+@pytest.mark.parametrize("settings", [BRIEF, dataclasses.replace(PULL, frames=8, onset_fraction=(0.2, 0.2))])
 def test_a_clips_files_tell_the_slab(settings: SceneSettings, tmp_path: Path) -> None:
     folder = write_clip(tmp_path, 1, settings, SEED)
     truth = json.loads((folder / "truth.json").read_text())

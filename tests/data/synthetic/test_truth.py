@@ -33,8 +33,8 @@ def motion(scene: Scene) -> PressedMotion:
 
 @pytest.fixture(scope="module")
 def drawn(scene: Scene) -> list[PressedMotion]:
-    """Three motions that begin at a frame."""
-    return [draw_motion(scene, np.random.default_rng(seed)) for seed in range(3)]
+    """Two motions that begin at a frame."""
+    return [draw_motion(scene, np.random.default_rng(seed)) for seed in range(2)]
 
 
 def fitted(scene: Scene, time_step: float, seconds: float, load_seconds: float) -> np.ndarray:
@@ -137,11 +137,9 @@ def test_a_drawn_shape_lies_in_its_ranges(scene: Scene) -> None:
     ends = {"patch_radius": (2.0, 3.0), "force_tilt_deg": (5.0, 9.0), "rise": (0.1, 0.2), "fall": (0.3, 0.4)}
     settings = with_settings(scene, profile="hold", **ends).settings
     shapes = [draw_shape(settings, 0.5, np.random.default_rng(seed)) for seed in range(50)]
-    for shape in shapes:
-        assert 2 <= shape.radius <= 3
-        assert 5 <= np.degrees(np.arctan(np.hypot(*shape.lean))) <= 9
-        assert 0.05 <= shape.rise <= 0.1
-        assert 0.15 <= shape.fall <= 0.2
+    tilts = np.degrees(np.arctan([np.hypot(*shape.lean) for shape in shapes]))
+    found = np.column_stack([[(shape.radius, shape.rise, shape.fall) for shape in shapes], tilts])
+    assert ((found >= [2, 0.05, 0.15, 5]) & (found <= [3, 0.1, 0.2, 9])).all()
     assert np.ptp([shape.radius for shape in shapes]) > 0.8
     assert min(shape.lean[0] for shape in shapes) < 0 < max(shape.lean[1] for shape in shapes)
 
@@ -150,7 +148,7 @@ def test_a_drawn_shape_lies_in_its_ranges(scene: Scene) -> None:
 def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMotion, share: float) -> None:
     delay = share / 25
     late = simulate_motion(scene, THETA, ONSET, RELEASE, delay=delay, release_delay=delay)
-    assert (late.delay, late.release_delay) == (delay, delay)
+    assert late.delay == late.release_delay == delay
     assert late.load_seconds == pytest.approx(motion.load_seconds)
     np.testing.assert_allclose(late.response, motion.response[: len(late.response)], atol=1e-6)
     # The delays are whole samples of the response: 5 ms are an eighth of a frame interval.
@@ -161,8 +159,7 @@ def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMoti
     where = np.flatnonzero(late.moving == scene.vertex)[0]
     np.testing.assert_allclose(late.field[:, where], late.contact, atol=1e-7)
     # Frames show the force that acts just after them: it starts after the onset's and ends after the release's.
-    first, last = (ONSET + 1, RELEASE + 1)
-    np.testing.assert_array_equal(late.force != 0, (np.arange(24) >= first) & (np.arange(24) < last))
+    np.testing.assert_array_equal(late.force != 0, (np.arange(24) > ONSET) & (np.arange(24) <= RELEASE))
 
 
 def test_a_late_ramp_rises_from_its_start(scene: Scene) -> None:
@@ -174,16 +171,12 @@ def test_a_late_ramp_rises_from_its_start(scene: Scene) -> None:
 @pytest.mark.slow
 def test_the_delay_has_a_random_stream_of_its_own(scene: Scene, drawn: list[PressedMotion]) -> None:
     waiting = with_settings(scene, onset_delay=(0.0, 1.0))
-    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in range(3)]
+    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in range(2)]
     for before, after in zip(drawn, late, strict=True):
         np.testing.assert_array_equal(after.theta, before.theta)
         assert (after.onset_frame, after.release_frame) == (before.onset_frame, before.release_frame)
         assert before.delay == 0 < after.delay < 1 / 25
-    assert len({motion.delay for motion in late}) == 3
-    half = draw_motion(
-        with_settings(scene, onset_delay=(0.5, 0.5), release_delay=(0.25, 0.25)), np.random.default_rng(0)
-    )
-    assert (half.delay, half.release_delay) == (pytest.approx(0.02), pytest.approx(0.01))
+    assert late[0].delay != late[1].delay
     both = with_settings(scene, onset_delay=(0.0, 1.0), release_delay=(0.0, 1.0))
     found = draw_motion(both, np.random.default_rng(0))
     assert found.delay == late[0].delay != found.release_delay
@@ -218,11 +211,9 @@ def test_mismatch_knobs_change_the_truth(scene: Scene, motion: PressedMotion) ->
 @given(seed=st.integers(0, 10_000), regime=st.sampled_from(["under-damped", "critical", "over-damped"]))
 def test_theta_stays_in_its_box_and_regime(seed: int, regime: str) -> None:
     wanted = dataclasses.replace(SMALL, regime=regime)
-    stiffness, damping, force = draw_theta(wanted, np.random.default_rng(seed))
-    assert 0.2 <= stiffness <= 1
-    assert 0.01 <= damping <= 0.3
-    assert -0.3 <= force <= -0.03
-    assert truths.regime_of(truths.damping_ratio(stiffness, damping, SMALL.mass)) == regime
+    theta = draw_theta(wanted, np.random.default_rng(seed))
+    assert ((theta >= [0.2, 0.01, -0.3]) & (theta <= [1, 0.3, -0.03])).all()
+    assert truths.regime_of(truths.damping_ratio(*theta[:2], SMALL.mass)) == regime
 
 
 def test_theta_is_log_uniform() -> None:
@@ -239,20 +230,17 @@ def test_peaks_are_those_asked_for(drawn: list[PressedMotion]) -> None:
     assert all(0.01 <= motion.peak <= 0.06 * 1.001 for motion in drawn)
 
 
-def test_impossible_wishes_are_refused(scene: Scene) -> None:
-    with pytest.raises(SceneError, match=r"scene\.peak_displacement"):
-        draw_motion(
-            with_settings(
-                scene,
-                stiffness=(1, 1),
-                damping=(0.3, 0.3),
-                force=(-0.03, -0.03),
-                peak_displacement=(0.5, 1),
-                press_seconds=(0.1, 0.1),
-            ),
-            np.random.default_rng(0),
-        )
-    with pytest.raises(SceneError, match="over-damped"):
-        draw_motion(with_settings(scene, regime="over-damped", damping=(0.01, 0.011)), np.random.default_rng(0))
-    with pytest.raises(SceneError, match="released"):
-        draw_motion(with_settings(scene, frames=9), np.random.default_rng(0))
+STIFF = {"stiffness": (1, 1), "damping": (0.3, 0.3), "force": (-0.03, -0.03), "press_seconds": (0.1, 0.1)}
+
+
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [
+        (STIFF | {"peak_displacement": (0.5, 1)}, r"scene\.peak_displacement"),
+        ({"regime": "over-damped", "damping": (0.01, 0.011)}, "over-damped"),
+        ({"frames": 9}, "released"),
+    ],
+)
+def test_impossible_wishes_are_refused(scene: Scene, wish: dict, said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        draw_motion(with_settings(scene, **wish), np.random.default_rng(0))

@@ -4,7 +4,6 @@ import multiprocessing
 import os
 import pickle
 import time
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -95,16 +94,15 @@ def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
 def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
     folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
     for name, age in ((".tmp-old", 90_000), (".tmp-young", 60), (".tmp-mine", 90_000), (".tmp-with-mine", 90_000)):
-        half = cache / name / "entry" / "0.npz"
-        half.parent.mkdir(parents=True)
-        half.write_bytes(b"half")
+        entry = cache / name / "entry"
+        entry.mkdir(parents=True)
+        (entry / "0.npz").write_bytes(b"half")
         if name != ".tmp-mine":
             (cache / name / MARKER).touch()
         if name == ".tmp-with-mine":
-            (half.parent / "notes.txt").write_text("precious")
-        stamp = time.time() - age
+            (entry / "notes.txt").write_text("precious")
         for path in (*(cache / name).rglob("*"), cache / name):
-            os.utime(path, (stamp, stamp))
+            os.utime(path, (time.time() - age,) * 2)
     clip = prepare(folder, SETTINGS, cache)
     assert entries(cache) == {".tmp-young", ".tmp-mine", ".tmp-with-mine", clip.folder.name}
     assert (cache / ".tmp-mine" / "entry" / "0.npz").read_bytes() == b"half"
@@ -121,45 +119,36 @@ def test_a_user_s_file_in_a_damaged_entry_stays(tmp_path):
     assert (entry / "notes.txt").read_text() == "precious"
 
 
-def one_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
+def one_byte(path: Path, content: bytes) -> None:
+    middle = len(content) // 2
+    path.write_bytes(content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :])
 
 
-def packed(path: Path) -> None:
+def packed(path: Path, _: bytes) -> None:
     """As small, and of gigabytes."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name in ("status", "sources", "depth"):
-            with file.open(f"{name}.npy", "w") as entry:
-                np.lib.format.write_array(entry, np.zeros(10**6))
+    np.savez_compressed(path, status=np.zeros(10**6), sources=np.zeros(10**6), depth=np.zeros(10**6))
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-100])
-
-
-def emptied(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def pipe(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def device(path: Path) -> None:
-    path.unlink()
-    path.symlink_to("/dev/zero")
+DAMAGES = {
+    "one byte": one_byte,
+    "packed": packed,
+    "cut": lambda path, content: path.write_bytes(content[:-100]),
+    "emptied": lambda path, _: path.write_bytes(b""),
+    "missing": lambda path, _: None,
+    "pipe": lambda path, _: os.mkfifo(path),
+    "device": lambda path, _: path.symlink_to("/dev/zero"),
+}
 
 
 @pytest.mark.parametrize("name", ["clip.npz", "2.npz"])
-@pytest.mark.parametrize("damage", [one_byte, packed, cut, emptied, Path.unlink, pipe, device])
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_entry_is_made_again(tmp_path, name, damage):
     folder, cache = write_clip(tmp_path / "clip", frames=4), tmp_path / "cache"
     clip = prepare(folder, SETTINGS, cache)
     before = {path.name: path.stat().st_size for path in clip.folder.iterdir()}
-    damage(clip.folder / name)
+    content = (clip.folder / name).read_bytes()
+    (clip.folder / name).unlink()
+    DAMAGES[damage](clip.folder / name, content)
     again = prepare(folder, SETTINGS, cache)
     assert {path.name: path.stat().st_size for path in again.folder.iterdir()} == before
     assert [again.depth(index).shape for index in range(4)] == [(GRID.height, GRID.width)] * 4
@@ -179,12 +168,13 @@ def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path, neste
 def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
     folder = write_clip(tmp_path / "clip", frames=3)
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="change the cache"):
-        prepare(folder, SETTINGS, tmp_path / "file" / "cache")
-    with pytest.raises(InputError, match="nowhere"):
-        prepare(tmp_path / "nowhere", SETTINGS, tmp_path / "cache")
-    with pytest.raises(InputError, match="masks 'guess' is unknown"):
-        prepare(folder, replace(SETTINGS, masks="guess"), tmp_path / "cache")
+    for asked, said in (
+        ((folder, SETTINGS, tmp_path / "file" / "cache"), "change the cache"),
+        ((tmp_path / "nowhere", SETTINGS, tmp_path / "cache"), "nowhere"),
+        ((folder, replace(SETTINGS, masks="guess"), tmp_path / "cache"), "masks 'guess' is unknown"),
+    ):
+        with pytest.raises(InputError, match=said):
+            prepare(*asked)
 
 
 def _prepare_at(barrier, folder: Path, cache: Path, results) -> None:
@@ -203,9 +193,7 @@ def test_two_processes_prepare_the_same_clip_at_once(tmp_path):
     found = [results.get(timeout=60) for _ in processes]
     for process in processes:
         process.join()
-    assert found[0] == found[1]
-    assert found[0][1] == 5
-    assert entries(cache) == {found[0][0]}
+    assert found[0] == found[1] == (*entries(cache), 5)
 
 
 def test_the_loser_of_a_race_discards_its_own(tmp_path):

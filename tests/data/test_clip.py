@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.contact.geometry import GeometrySettings
@@ -15,7 +16,9 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.data.windows import FrameWindow, future_indices, window_indices
-from tests.data.clips import DEPTH_STEP, FOCAL, GRID, SETTINGS, SLOPE, real_frames, remove_frame, write_clip
+from tests.conftest import CHECKOUT
+from tests.data import clips
+from tests.data.clips import FOCAL, GRID, SETTINGS, describe, real_frames, remove_depth, remove_frame, write_clip
 
 
 def run(folder: Path, settings: PrepareSettings = SETTINGS) -> list:
@@ -26,16 +29,20 @@ def statuses(frames: list) -> str:
     return " ".join(frame.status for frame in frames)
 
 
+def starts(frames: list) -> list[int]:
+    return [frame.track_start for frame in frames]
+
+
 def test_statuses_runs_and_positions_of_a_clean_clip(tmp_path):
     frames = run(write_clip(tmp_path / "video01_00000"))
     assert statuses(frames) == " ".join(["no_tool"] * 3 + ["ok"] * 5 + ["no_tool"] * 4)
-    assert [frame.track_start for frame in frames] == [-1] * 3 + [3] * 9
+    assert starts(frames) == [-1] * 3 + [3] * 9
     assert [frame.consecutive for frame in frames] == [True] * 11 + [False]
     first = frames[3]
     assert first.geometry.pixel[0] == 43  # last tissue column on the grid
     assert first.track_position == pytest.approx(first.geometry.tissue_point, abs=1e-6)
     assert first.depth.dtype == np.float32
-    assert first.depth[0, 0] == pytest.approx(0.5 + 3 * DEPTH_STEP + 0.5 * SLOPE, abs=1e-5)
+    assert first.depth[0, 0] == pytest.approx(0.5 + 3 * clips.DEPTH_STEP + 0.5 * clips.SLOPE, abs=1e-5)
 
 
 def test_observed_motion_follows_the_tissue(tmp_path):
@@ -46,9 +53,9 @@ def test_observed_motion_follows_the_tissue(tmp_path):
         u = grid_to_picture(np.array(frames[t].geometry.pixel), (48, 64), (128, 96))[0]
         expected_x = ((u - 1 - 63.5) * next_z - (u - 63.5) * z) / FOCAL
         # A fifth of a pixel of flow is 0.001 here.
-        assert frames[t].displacement == pytest.approx([expected_x, 0, DEPTH_STEP], abs=1e-3)
-        assert frames[t + 1].backward[2] == pytest.approx(-DEPTH_STEP, abs=1e-4)
-    assert frames[9].track_position[2] - frames[3].track_position[2] == pytest.approx(6 * DEPTH_STEP, abs=2e-4)
+        assert frames[t].displacement == pytest.approx([expected_x, 0, clips.DEPTH_STEP], abs=1e-3)
+        assert frames[t + 1].backward[2] == pytest.approx(-clips.DEPTH_STEP, abs=1e-4)
+    assert frames[9].track_position[2] - frames[3].track_position[2] == pytest.approx(6 * clips.DEPTH_STEP, abs=2e-4)
     # Re-detection sticks to the outline, which does not move.
     again = run(folder, replace(SETTINGS, geometry=replace(GRID, displacement="redetected")))
     expected = again[5].geometry.tissue_point - again[4].geometry.tissue_point
@@ -69,22 +76,20 @@ def test_rigid_motion_is_measured_and_can_be_subtracted(tmp_path):
     assert np.linalg.norm(still[9].track_position - still[3].track_position) < 3e-3
 
 
-def test_tracking_ends_after_its_time(tmp_path):
-    frames = run(write_clip(tmp_path / "clip"), replace(SETTINGS, track_seconds=0.2))
-    assert [frame.track_start for frame in frames] == [-1] * 3 + [3] * 7 + [-1] * 2  # 0.2 s and the bridge
-
-
-def test_flicker_is_bridged_and_a_second_contact_is_a_run_of_its_own(tmp_path):
-    frames = run(write_clip(tmp_path / "clip", contact=(2, 3, 5, 9, 10)))
-    assert [frame.track_start for frame in frames] == [-1, -1, 2, 2, 2, 2, 2, 2, 2, 9, 9, 9]
-    strict = run(tmp_path / "clip", replace(SETTINGS, bridge_frames=0))
-    assert [frame.track_start for frame in strict] == [-1, -1, 2, 2, 2, 5, 5, 5, 5, 9, 9, 9]
-
-
-def test_contact_from_the_first_frame_has_no_onset(tmp_path):
-    frames = run(write_clip(tmp_path / "clip", contact=(0, 1, 2, 8, 9)))
-    assert [frame.track_start for frame in frames] == [-1] * 8 + [8] * 4
-    assert np.isfinite(frames[0].displacement).all()
+@pytest.mark.parametrize(
+    ("contact", "settings", "expected"),
+    [
+        ((3, 4, 5, 6, 7), {"track_seconds": 0.2}, [-1] * 3 + [3] * 7 + [-1] * 2),
+        ((2, 3, 5, 9, 10), {}, [-1] * 2 + [2] * 7 + [9] * 3),
+        ((2, 3, 5, 9, 10), {"bridge_frames": 0}, [-1] * 2 + [2] * 3 + [5] * 4 + [9] * 3),
+        ((0, 1, 2, 8, 9), {}, [-1] * 8 + [8] * 4),
+    ],
+    ids=["it ends after 0.2 s and the bridge", "flicker is bridged", "or not", "from the first frame without onset"],
+)
+def test_runs_of_contact_are_followed_from_their_onset(tmp_path, contact, settings, expected):
+    frames = run(write_clip(tmp_path / "clip", contact=contact), replace(SETTINGS, **settings))
+    assert starts(frames) == expected
+    assert np.isfinite(frames[0].displacement).all() == (0 in contact)
 
 
 def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
@@ -93,9 +98,8 @@ def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
     frames = run(folder)
     assert [frame.frame.number for frame in frames][4:6] == [14, 16]
     assert not frames[4].consecutive
-    assert np.isnan(frames[4].displacement).all()
-    assert np.isnan(frames[5].backward).all()
-    assert [frame.track_start for frame in frames] == [-1, -1, -1, 3, 3] + [-1] * 6
+    assert np.isnan([frames[4].displacement, frames[5].backward]).all()
+    assert starts(frames) == [-1] * 3 + [3] * 2 + [-1] * 6
 
 
 def spoil(folder: Path) -> None:
@@ -103,7 +107,7 @@ def spoil(folder: Path) -> None:
     (folder / "frame_1_endo.png").write_bytes(b"")
     cv2.imwrite(str(folder / "frame_2_endo.png"), np.zeros((50, 60, 3), np.uint8))
     (folder / "frame_4_endo_color_mask.png").unlink()
-    cv2.imwrite(str(folder / "frame_5_endo_depth.png"), np.zeros((96, 128), np.uint16))
+    remove_depth(folder, 5)
     cv2.imwrite(str(folder / "frame_6_endo_color_mask.png"), np.zeros((20, 20, 3), np.uint8))
     three = np.zeros((96, 128, 3), np.uint8)
     three[40:56, 88:] = (0, 255, 170)
@@ -121,8 +125,7 @@ def test_every_bad_frame_gets_a_status_and_a_sentence_and_none_is_lost(tmp_path)
         assert bool(frame.detail) == (frame.status != "ok")
     assert "60x50 while the clip is 128x96" in frames[2].detail
     assert "zero everywhere" in frames[5].detail
-    assert not frames[5].has_depth
-    assert frames[4].has_depth
+    assert [frame.has_depth for frame in frames[4:6]] == [True, False]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 0.5])
@@ -139,8 +142,7 @@ def test_a_clip_without_any_usable_depth_gives_rows_not_an_error(tmp_path, value
 
 def test_depth_in_another_unit_than_its_scale_is_bad_depth_not_a_flat_wall(tmp_path):
     folder = write_clip(tmp_path / "clip", frames=4, contact=(1, 2))
-    description = (folder / "clip.json").read_text()
-    (folder / "clip.json").write_text(description.replace('"depth_scale": 1.0', '"depth_scale": 0.001'))
+    describe(folder, depth_scale=0.001)
     frames = run(folder)
     assert statuses(frames) == "no_tool bad_depth bad_depth no_tool"
     assert "beyond the clip's scale of 0.001 (median 0.50" in frames[1].detail
@@ -150,8 +152,8 @@ def test_depth_in_another_unit_than_its_scale_is_bad_depth_not_a_flat_wall(tmp_p
 
 def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
     folder = write_clip(tmp_path / "clip", frames=5)
-    text = (folder / "clip.json").read_text()
-    (folder / "clip.json").write_text(text.replace('"fx"', '"distortion": [2.0, 0, 0, 0, 0], "fx"'))
+    camera = {"fx": FOCAL, "fy": FOCAL, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96}
+    describe(folder, camera=camera | {"distortion": [2.0, 0, 0, 0, 0]})
     clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
     frames = list(clip)
     assert clip.camera.distortion == ()
@@ -164,18 +166,16 @@ def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
 def test_windows_repeat_the_first_frame_hold_bad_ones_and_stop_at_gaps():
     consecutive = np.array([True, True, False, True, True, False])
     usable = np.array([True, False, True, True, True, True])
-    assert window_indices(2, 4, consecutive, usable).tolist() == [0, 0, 0, 2]
-    assert window_indices(4, 4, consecutive, usable).tolist() == [3, 3, 3, 4]
-    assert window_indices(5, 2, consecutive, usable).tolist() == [4, 5]
-    assert future_indices(3, 4, consecutive, usable).tolist() == [5, 5, 4, 3]
-    assert future_indices(0, 2, consecutive, usable).tolist() == [0, 0]
+    for index, count, expected in ((2, 4, [0, 0, 0, 2]), (4, 4, [3, 3, 3, 4]), (5, 2, [4, 5])):
+        assert window_indices(index, count, consecutive, usable).tolist() == expected
+    for index, count, expected in ((3, 4, [5, 5, 4, 3]), (0, 2, [0, 0])):
+        assert future_indices(index, count, consecutive, usable).tolist() == expected
     assert window_indices(1, 1, consecutive, usable) is None
 
 
 def test_streamed_windows_equal_those_of_training(tmp_path):
     folder = write_clip(tmp_path / "clip", first=5)
-    spoil_depth = folder / "frame_9_endo_depth.png"
-    cv2.imwrite(str(spoil_depth), np.zeros((96, 128), np.uint16))
+    remove_depth(folder, 9)
     remove_frame(folder, 12)
     clip, window = prepare(folder, SETTINGS, tmp_path / "cache"), FrameWindow(3)
     for index, frame in enumerate(run(folder)):
@@ -204,15 +204,11 @@ def test_lift_reads_tissue_only():
 
 
 def test_rigid_motion_is_recovered_despite_a_deforming_part():
-    random = np.random.default_rng(0)
-    before = random.uniform(-0.5, 0.5, (60, 3))
-    angle = 0.05
-    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    after = before @ rotation.T + (0.01, -0.02, 0.03)
+    before, at = np.random.default_rng(0).uniform(-0.5, 0.5, (60, 3)), np.array([0.2, 0.1, 0.5])
+    rotation, shift = Rotation.from_rotvec([0, 0, 0.05]), np.array([0.01, -0.02, 0.03])
+    after = rotation.apply(before) + shift
     after[:8] += 0.1
-    at = np.array([0.2, 0.1, 0.5])
-    expected = rotation @ at + (0.01, -0.02, 0.03) - at
-    assert rigid_motion(before, after, at) == pytest.approx(expected, abs=1e-9)
+    assert rigid_motion(before, after, at) == pytest.approx(rotation.apply(at) + shift - at, abs=1e-9)
     assert np.isnan(rigid_motion(before[:5], after[:5], at)).all()
 
 
@@ -227,7 +223,7 @@ def test_real_clip_is_in_contact_where_the_tool_is(real_data, tmp_path):
 
 
 def test_real_stereo_sequence_runs_by_configuration(real_data, tmp_path):
-    layout = load_layout(Path(__file__).parents[2] / "configs" / "layouts" / "recover_tissue.yaml")
+    layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     settings = PrepareSettings(layout=layout, geometry=GeometrySettings())
     clip = prepare(real_data / "recover_tissue", settings, tmp_path)
     assert clip.counts["ok"] == 16

@@ -14,16 +14,8 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from tests.data.clips import stored
 
-SCENE = SceneSettings(
-    width=107,
-    height=60,
-    grid_width=107,
-    grid_height=60,
-    frames=14,
-    onset_fraction=(0.15, 0.2),
-    press_seconds=(0.2, 0.2),
-    depth_noise=0.001,
-)
+SIZE = {"width": 107, "height": 60, "grid_width": 107, "grid_height": 60}
+SCENE = SceneSettings(**SIZE, frames=14, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.001)
 SETTINGS = PrepareSettings(
     depth=DepthSettings(source="stored"),
     geometry=GeometrySettings(height=60, width=107, smoothing=3, rigid_motion="subtract"),

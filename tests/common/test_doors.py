@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from palpate.common.doors import interruptible, plain
+from tests.conftest import CHECKOUT
 
-ROOT = Path(__file__).resolve().parents[2]
 INTERRUPT = "os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(20)"
 
 SWALLOWED = f"""try:
@@ -26,7 +26,7 @@ def run(body: str, *, before: str = "", shell: str = "exec", **options: Any) -> 
     """Run a program of this body; `shell` says how it is started."""
     program = f"""
 import atexit, os, signal, sys, time
-sys.path.insert(0, {str(ROOT)!r})
+sys.path.insert(0, {str(CHECKOUT)!r})
 from palpate.common.doors import enter_door, run_door
 enter_door()
 {before}
@@ -40,9 +40,7 @@ run_door(main, "Interrupted; nothing is lost.")
 
 
 def test_the_exit_status_is_the_programs() -> None:
-    assert run("return 0").returncode == run("pass").returncode == 0
-    assert run("return 1").returncode == 1
-    assert run("sys.exit(2)").returncode == 2
+    assert [run(body).returncode for body in ("return 0", "pass", "return 1", "sys.exit(2)")] == [0, 0, 1, 2]
     failed = run("raise RuntimeError('a defect')")
     assert failed.returncode == 1
     assert b"RuntimeError: a defect" in failed.stderr

@@ -10,8 +10,8 @@ from palpate.common.lazy import exported
 from tests.conftest import CHECKOUT
 
 
-def run(program: str, folder: Path = CHECKOUT) -> str:
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=60)
+def run(*arguments: str, folder: Path = CHECKOUT) -> str:
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -34,7 +34,7 @@ import palpate.physics.load
 assert physics.mesh is palpate.physics.mesh and Press is palpate.physics.load.Press
 print(physics.mesh.__name__, physics.mesh.__spec__.name, Press.__module__)
 """
-    assert run(program) == "palpate.physics.mesh palpate.physics.mesh palpate.physics.load"
+    assert run("-c", program) == "palpate.physics.mesh palpate.physics.mesh palpate.physics.load"
 
 
 def test_a_module_that_is_not_there_is_missing_under_its_bare_name() -> None:
@@ -44,7 +44,7 @@ try:
 except ModuleNotFoundError as error:
     print(error)
 """
-    assert "physics.nothing" in run(program)
+    assert "physics.nothing" in run("-c", program)
 
 
 def test_a_users_own_package_of_the_same_name_stays_theirs(tmp_path: Path) -> None:
@@ -59,11 +59,8 @@ import data.clip
 import palpate.data.clip
 print(data.OWN, data.clip.CLIP, palpate.data.clip.ClipStream.__name__)
 """
-    assert run(program, tmp_path) == "1 2 ClipStream"
+    assert run("-c", program, folder=tmp_path) == "1 2 ClipStream"
 
 
 def test_a_program_of_a_room_runs_under_its_bare_name() -> None:
-    command = [sys.executable, "-m", "data.synthetic", "--help"]
-    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0
-    assert done.stdout.startswith("usage: python -m data.synthetic")
+    assert run("-m", "data.synthetic", "--help").startswith("usage: python -m data.synthetic")

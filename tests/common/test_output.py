@@ -111,16 +111,10 @@ def test_a_list_that_was_changed_owns_nothing(tmp_path: Path, listed: object) ->
 
 
 def test_a_huge_file_that_is_none_of_ours_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12 GB and in no list, or listed and larger than memory: its hash alone, in pieces."""
-    with (tmp_path / "a").open("wb") as file:
-        file.truncate(12 * 2**30)
+    """Of 12 GB and in no list, or listed and larger than memory: its hash alone, in pieces. Nor is such a list."""
     monkeypatch.setattr(output, "file_sha256", lambda path: pytest.fail("it was read"))
-    with pytest.raises(ForeignFile):
-        require_own(tmp_path / "a")
-
-
-def test_a_huge_list_is_none_of_ours(tmp_path: Path) -> None:
-    with (tmp_path / LIST).open("wb") as file:
-        file.truncate(12 * 2**30)
-    with pytest.raises(ForeignFile, match=LIST):
-        write(tmp_path / "a", "own")
+    for name, said in (("a", r"a is not"), (LIST, LIST)):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(12 * 2**30)
+        with pytest.raises(ForeignFile, match=said):
+            require_own(tmp_path / "a")

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from palpate.common.provenance import NOT_PREPARATION, PACKAGES, PREPARATION, code_digest
+from tests.conftest import CHECKOUT
 
-CHECKOUT = Path(__file__).resolve().parents[2]
 DECIDING = ("common", "data", "estimators", "models", "physics", "results")
 """Packages on which a user's results depend."""
 SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]

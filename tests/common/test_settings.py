@@ -53,11 +53,7 @@ def test_an_annotation_in_words(kind: object, words: str):
     [
         (DepthSettings, {"bits": 12}, "depth.bits is 12; give one of 8, 16."),
         (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of cpu, cuda."),
-        (
-            GeometrySettings,
-            {"displacement": "guessed"},
-            "geometry.displacement is 'guessed'; give one of tracked, redetected.",
-        ),
+        (GeometrySettings, {"displacement": "guessed"}, "geometry.displacement is 'guessed'; give one of tracked, "),
         (SampleSettings, {"observation": "all"}, "samples.observation is 'all'; give one of final, trajectory."),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),
         (SegmentationSettings, {"tool": (1,), "axes": "hwc"}, "axes is 'hwc'; give one of nchw, nhwc."),
@@ -68,22 +64,16 @@ def test_what_is_one_of_a_few_is_checked_from_python_too(kind: type, choice: dic
         kind(**choice)
 
 
-def in_itself() -> list:
-    circle: list = []
-    circle.append(circle)
-    return circle
-
-
-def doubled(levels: int) -> list:
-    """A list in a list, twice in each: few objects, and more to write than there is paper."""
-    return [doubled(levels - 1)] * 2 if levels else [1]
-
-
-def deep(levels: int) -> list:
+def nested(levels: int, times: int = 1) -> list:
+    """A list in a list, several times in each: few objects, and more to write than there is paper."""
     found: list = [1]
     for _ in range(levels):
-        found = [found]
+        found = [found] * times
     return found
+
+
+CIRCLE: list = []
+CIRCLE.append(CIRCLE)
 
 
 @pytest.mark.parametrize(
@@ -92,9 +82,9 @@ def deep(levels: int) -> list:
         ("a" * 10**6, "'aaaaa"),
         (10**5000, "a number beyond ±1e+15"),
         ([10**5000], "[a number beyond ±1e+15]"),
-        (in_itself(), "[[["),
-        (doubled(40), "[[["),
-        (deep(900), "[[["),
+        (CIRCLE, "[[["),
+        (nested(40, times=2), "[[["),
+        (nested(900), "[[["),
         ({"a": 1.5, "b": None}, "{'a': 1.5, 'b': None}"),
     ],
     ids=["long", "huge", "huge inside", "circle", "doubled", "deep", "plain"],
@@ -104,10 +94,10 @@ def test_a_value_is_shown_in_few_words(value: object, said: str):
     assert len(shown(value)) < 1000
 
 
-@pytest.mark.parametrize("value", [10**400, [math.nan], {"a": [math.inf]}, in_itself(), doubled(40), deep(900)])
+@pytest.mark.parametrize("value", [10**400, [math.nan], {"a": [math.inf]}, CIRCLE, nested(40, times=2), nested(900)])
 def test_what_nobody_means_is_not_sound(value: object):
     assert not sound({"model": value})
-    assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": doubled(3)}]})
+    assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": nested(3, times=2)}]})
 
 
 @pytest.mark.parametrize(

@@ -33,12 +33,8 @@ def die(_: int) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_every_task_is_done(workers):
+def test_every_task_is_done_in_order_where_that_is_asked_for(workers):
     assert sorted(run_tasks(square, range(5), workers)) == [0, 1, 4, 9, 16]
-
-
-@pytest.mark.parametrize("workers", [0, 2])
-def test_results_come_in_the_order_of_their_tasks_where_that_is_asked_for(workers):
     assert list(run_tasks(late_first, range(6), workers, ordered=True)) == [0, 1, 4, 9, 16, 25]
 
 

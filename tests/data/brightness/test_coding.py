@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from palpate.data.brightness.coding import CodedPictures, PictureRecorder, coding_error
@@ -26,10 +27,8 @@ def dent() -> np.ndarray:
 
 def drawn(change: np.ndarray) -> list[np.ndarray]:
     """Pictures of textured tissue that darkens so, with a sensor's noise."""
-    generator = np.random.default_rng(5)
-    height, width = 4 * GRID[0], 4 * GRID[1]
-    texture = 1 + 0.5 * gaussian_filter(generator.normal(size=(height, width)), 3) * 3
-    pictures = []
+    generator, pictures = np.random.default_rng(5), []
+    texture = 1 + 0.5 * gaussian_filter(generator.normal(size=ALL.shape), 3) * 3
     for each in [np.zeros((SIDE, SIDE))] * AT_REST + list(change):
         whole = np.zeros((FINE * GRID[0], FINE * GRID[1]))
         whole[FIRST[0] : FIRST[0] + SIDE, FIRST[1] : FIRST[1] + SIDE] = each
@@ -39,22 +38,29 @@ def drawn(change: np.ndarray) -> list[np.ndarray]:
     return pictures
 
 
-def kept(pictures: np.ndarray, quality: float) -> CodedPictures:
+ALL = np.full((4 * GRID[0], 4 * GRID[1]), TISSUE, np.uint8)
+
+
+def recorded(
+    pictures: np.ndarray, quality: float, labels: np.ndarray = ALL, first: ArrayLike = FIRST
+) -> PictureRecorder:
     """As a session keeps them of a video of that quality."""
-    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
     _, coding = recoded(pictures, quality, bidirectional=True)
     shape = (FINE * GRID[0], FINE * GRID[1])
-    recorder = PictureRecorder(coding, FIRST, SIDE, shape, [(each, labels) for each in pictures[:AT_REST]])
+    recorder = PictureRecorder(coding, np.array(first), SIDE, shape, [(each, labels) for each in pictures[:AT_REST]])
     for each in pictures[AT_REST:]:
         recorder.add((each, labels))
-    return recorder.pictures(np.arange(AFTER))
+    return recorder
+
+
+def kept(pictures: np.ndarray, quality: float) -> CodedPictures:
+    return recorded(pictures, quality).pictures(np.arange(AFTER))
 
 
 def light_of(pictures: np.ndarray) -> np.ndarray:
     """Change of the logarithm of light since rest, shape [AFTER, SIDE, SIDE]."""
-    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
     window = np.s_[FIRST[0] : FIRST[0] + SIDE, FIRST[1] : FIRST[1] + SIDE]
-    light = np.stack([log_light(each, labels, GRID)[window] for each in pictures])
+    light = np.stack([log_light(each, ALL, GRID)[window] for each in pictures])
     return light[AT_REST:] - np.median(light[:AT_REST], axis=0)
 
 
@@ -88,14 +94,9 @@ def test_finely_coded_light_stays_nearly_as_it_is():
 
 @pytest.mark.parametrize("first", [(-10, -8), (80, 110)], ids=["top left", "bottom right"])
 def test_what_lies_outside_the_picture_does_not_disturb(first):
-    pictures = drawn(dent())
-    labels = np.full(pictures[0].shape[:2], TISSUE, np.uint8)
+    labels = ALL.copy()
     labels[:40] = TOOL
-    _, coding = recoded(pictures, 22, bidirectional=True)
-    shape = (FINE * GRID[0], FINE * GRID[1])
-    recorder = PictureRecorder(coding, np.array(first), SIDE, shape, [(each, labels) for each in pictures[:AT_REST]])
-    for each in pictures[AT_REST:]:
-        recorder.add((each, labels))
+    recorder = recorded(drawn(dent()), 22, labels, first)
     recorder.add(None)  # a frame without a picture
     found = recorder.pictures(np.arange(3)).chosen(np.array([0, 2]))
     assert found.frames.tolist() == [0, 2]

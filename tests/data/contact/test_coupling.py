@@ -1,6 +1,7 @@
 """What one step tells of contact, against closed forms and a brute-force twin, and what a mask's leak doesn't fake."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -66,33 +67,25 @@ def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch
     weight = (observed.spacing / module.CORRELATION_LENGTH) ** 2
     own = observed.noise**2 + observed.background_sd**2
 
-    def density(off: np.ndarray, variance: float) -> float:
-        return math.exp(-(off[0] ** 2 + off[1] ** 2) / (2 * variance)) / (2 * math.pi * variance)
+    def density(off: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
+        """Of every point's [20, 2]."""
+        return np.exp(-np.square(off).sum(axis=1) / (2 * variance)) / (2 * math.pi * variance)
 
-    axis = [-1.8, -0.9, 0.0, 0.9, 1.8]
-    gauss = [math.exp(-value * value / 2) for value in axis]
+    axis = np.array([-1.8, -0.9, 0.0, 0.9, 1.8])
+    gauss = np.exp(-np.square(axis) / 2) / np.exp(-np.square(axis) / 2).sum()
     held, apart = 0.0, 0.0
-    for one, first in zip(axis, gauss, strict=True):
-        for two, second in zip(axis, gauss, strict=True):
-            error = observed.background_sd * np.array([one, two])
-            prior, tool = first * second / sum(gauss) ** 2, observed.tool - error
-            way = float(tool @ tool)
-            still = []
-            for moved in observed.moved - error:
-                leaked = density(moved - tool, own + observed.tool_sd**2 + module.TOOL_SPREAD**2 * way)
-                plain = (1 - module.LEAKED - module.OUTLIERS) * density(moved, own)
-                still.append(plain + module.LEAKED * leaked + module.OUTLIERS * density(moved, 4 * (own + way)))
-            apart += prior * math.exp(weight * sum(map(math.log, still)))
-            for three, third in zip(axis, gauss, strict=True):
-                longer = 1 + three * observed.tool_sd / math.sqrt(way)
-                for reach in (50.0, 90.0):
-                    for coupling in (0.5, 1.0):
-                        total = 0.0
-                        for moved, distance, other in zip(
-                            observed.moved - error, observed.distance, still, strict=True
-                        ):
-                            share = coupling * math.exp(-distance / reach) * longer
-                            found = density(moved - share * tool, own + (module.HELD_SPREAD * share) ** 2 * way)
-                            total += math.log(module.HELD * found + (1 - module.HELD) * other)
-                        held += prior * third / sum(gauss) / 4 * math.exp(weight * total)
+    for one, two in itertools.product(range(5), repeat=2):
+        error = observed.background_sd * axis[[one, two]]
+        prior, tool, moved = gauss[one] * gauss[two], observed.tool - error, observed.moved - error
+        way = tool @ tool
+        leaked = density(moved - tool, own + observed.tool_sd**2 + module.TOOL_SPREAD**2 * way)
+        plain = (1 - module.LEAKED - module.OUTLIERS) * density(moved, own)
+        still = plain + module.LEAKED * leaked + module.OUTLIERS * density(moved, 4 * (own + way))
+        apart += prior * math.exp(weight * np.log(still).sum())
+        for three, reach, coupling in itertools.product(range(5), (50.0, 90.0), (0.5, 1.0)):
+            longer = 1 + axis[three] * observed.tool_sd / math.sqrt(way)
+            share = coupling * np.exp(-observed.distance / reach) * longer
+            found = density(moved - share[:, None] * tool, own + (module.HELD_SPREAD * share) ** 2 * way)
+            total = np.log(module.HELD * found + (1 - module.HELD) * still).sum()
+            held += prior * gauss[three] / 4 * math.exp(weight * total)
     assert log_ratio(observed) == pytest.approx(math.log(held / apart), abs=1e-9)

@@ -55,16 +55,16 @@ def blurred(noise: np.ndarray, blur: float) -> np.ndarray:
     return mixed / mixed.std()
 
 
-def dent() -> np.ndarray:
-    """A dent around the contact that ends before the tissue that is far, shape [H, W]."""
-    apart = np.hypot(ROWS - CENTRE[0], COLUMNS - CENTRE[1])
-    return 0.03 * np.exp(-0.5 * (apart / 4) ** 2) * (apart < depth_sequence.FAR)
+APART = np.hypot(ROWS - CENTRE[0], COLUMNS - CENTRE[1])
+DENT = 0.03 * np.exp(-0.5 * (APART / 4) ** 2) * (APART < depth_sequence.FAR)
+"""Around the contact; it ends before the tissue that is far."""
+SEEN = DENT[depth_sequence.window_around(CENTRE)]
 
 
 def test_the_change_of_a_still_camera_is_the_dent_itself() -> None:
-    change = recorder().frame(REST + dent(), TISSUE_ALL)
+    change = recorder().frame(REST + DENT, TISSUE_ALL)
     assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
-    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=2e-7)
+    np.testing.assert_allclose(change, SEEN, atol=2e-7)
     assert change[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03, abs=2e-7)
 
 
@@ -73,19 +73,18 @@ def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, fl
     """Relative to the distance, as a camera or a depth network changes them."""
     scale, down, across = motion
     moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / depth_sequence.FAR
-    change = recorder().frame(REST * (1 + moved) + dent(), TISSUE_ALL)
-    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=3e-7)
+    change = recorder().frame(REST * (1 + moved) + DENT, TISSUE_ALL)
+    np.testing.assert_allclose(change, SEEN, atol=3e-7)
 
 
 def test_some_far_tissue_may_move_otherwise() -> None:
-    depth = REST * 1.01 + dent()
+    depth = REST * 1.01 + DENT
     depth[:10, :40] += 0.05
-    change = recorder().frame(depth, TISSUE_ALL)
-    np.testing.assert_allclose(change, dent()[depth_sequence.window_around(CENTRE)], atol=3e-7)
+    np.testing.assert_allclose(recorder().frame(depth, TISSUE_ALL), SEEN, atol=3e-7)
 
 
 def test_what_is_hidden_is_not_a_number() -> None:
-    depth, labels = REST + dent(), TISSUE_ALL.copy()
+    depth, labels = REST + DENT, TISSUE_ALL.copy()
     row, column = CENTRE
     labels[row, column : column + 40] = TOOL
     depth[row - 3, column - 2] = 0
@@ -94,7 +93,7 @@ def test_what_is_hidden_is_not_a_number() -> None:
     hidden[depth_sequence.REACH - 3, depth_sequence.REACH - 2] = True
     change = recorder().frame(depth, labels)
     np.testing.assert_array_equal(np.isnan(change), hidden)
-    np.testing.assert_allclose(change[~hidden], dent()[depth_sequence.window_around(CENTRE)][~hidden], atol=2e-7)
+    np.testing.assert_allclose(change[~hidden], SEEN[~hidden], atol=2e-7)
 
 
 @pytest.mark.parametrize("corner", [(3, 2), (HEIGHT - 4, WIDTH - 1)])
@@ -110,10 +109,8 @@ def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int
 
 
 def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
-    labels = np.where(
-        np.abs(np.stack([ROWS, COLUMNS]) - CENTRE[:, None, None]).max(axis=0) < depth_sequence.FAR, TISSUE, TOOL
-    )
-    labels = labels.astype(np.uint8)
+    apart = np.maximum(np.abs(ROWS - CENTRE[0]), np.abs(COLUMNS - CENTRE[1]))
+    labels = np.where(apart < depth_sequence.FAR, TISSUE, TOOL).astype(np.uint8)
     made = recorder()
     assert made.frame(REST, labels) is None
     labels[0, : depth_sequence.MIN_FAR - 100] = labels[-1, :99] = TISSUE
@@ -141,8 +138,7 @@ def test_what_is_rounded_stays_in_its_place() -> None:
 
 @pytest.mark.parametrize("share", [0.4, 0.8])
 def test_noise_in_time_and_in_place_are_told_apart(share: float) -> None:
-    in_place = SIGMA * math.sqrt(share)
-    in_time = SIGMA * math.sqrt(1 - share)
+    in_place, in_time = SIGMA * math.sqrt(share), SIGMA * math.sqrt(1 - share)
     noise = noise_of(in_time * white(1) + in_place * white(2, 1))
     assert noise.in_time == pytest.approx(in_time, rel=0.01)
     assert noise.in_place == pytest.approx(in_place, rel=0.01)
@@ -182,10 +178,9 @@ def test_noise_is_not_that_of_tissue_that_moves() -> None:
 
 def test_before_a_second_frame_all_noise_counts_as_new() -> None:
     made = recorder()
-    assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
-    made.frame(REST, TISSUE_ALL)
-    assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
-    made.frame(REST, TISSUE_ALL)
+    for _ in range(2):
+        assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
+        made.frame(REST, TISSUE_ALL)
     assert made.noise == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
 
 
@@ -201,19 +196,17 @@ def test_a_frame_without_much_tissue_is_passed_over() -> None:
 
 def test_a_sequence_holds_frames_times_and_size() -> None:
     made = recorder()
-    changes = [made.frame(REST + amount * dent(), TISSUE_ALL) for amount in (0.5, 1.0, 0.25)]
+    changes = [made.frame(REST + amount * DENT, TISSUE_ALL) for amount in (0.5, 1.0, 0.25)]
     sequence = made.sequence(np.array([0.04, 0.08, 0.12]), changes, 2)
     np.testing.assert_array_equal(sequence.change, np.stack(changes))
     assert sequence.times.tolist() == [0.04, 0.08, 0.12]
-    assert sequence.size == (WIDTH, HEIGHT)
-    assert sequence.noise == made.noise
+    assert (sequence.size, sequence.noise) == ((WIDTH, HEIGHT), made.noise)
     for chosen in (np.array([True, False, True]), np.array([0, 2])):
         part = sequence.chosen(chosen)
         assert part.times.tolist() == [0.04, 0.12]
         np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
         assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
     empty = made.sequence(np.array([]), [], 0)
-    assert isinstance(empty, depth_sequence.DepthSequence)
     assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
 
 

@@ -27,9 +27,8 @@ def contact() -> Interaction:
 
 
 def test_parts(contact: Interaction) -> None:
-    features = contact_features(contact)
+    features, spacing = contact_features(contact), contact_spacing(contact.mesh, contact.vertex)
     assert features.shape == (FEATURES,)
-    spacing = contact_spacing(contact.mesh, contact.vertex)
     along, scaled, known, loaded = features[: 4 * SLOTS].reshape(4, SLOTS)
     np.testing.assert_allclose(along, np.arange(1, 26) / 1000 / spacing / 8, rtol=1e-5)
     np.testing.assert_allclose(scaled, np.arcsinh(np.arange(1, 26) / 2) / 5, rtol=1e-5)

@@ -40,10 +40,16 @@ def noisy(seed: int) -> np.ndarray:
     return PLANE + np.random.default_rng(seed).normal(0, NOISE, PLANE.shape)
 
 
-def test_averaging_takes_the_noise_down_by_the_root_of_the_frames() -> None:
+def rest_of(*depths: np.ndarray) -> RestDepth:
+    """At rest in frames of such depth."""
     rest = RestDepth()
-    for index in range(FRAMES + 5):
-        rest.push(frame(index, noisy(index)))
+    for index, depth in enumerate(depths):
+        rest.push(frame(index, depth))
+    return rest
+
+
+def test_averaging_takes_the_noise_down_by_the_root_of_the_frames() -> None:
+    rest = rest_of(*(noisy(index) for index in range(FRAMES + 5)))
     depth, known, _ = rest.at(frame(FRAMES + 5, noisy(99)))
     assert known.all()
     assert (depth - PLANE).std() == pytest.approx(NOISE / np.sqrt(FRAMES + 1), rel=0.05)
@@ -51,31 +57,19 @@ def test_averaging_takes_the_noise_down_by_the_root_of_the_frames() -> None:
 
 def test_a_shift_of_the_picture_is_undone() -> None:
     """Frames seen 2 pixels to the left of where they lie now: a plane with a slope would be off by 2 slopes."""
-    rest = RestDepth()
-    step = 0.02 * (COLUMNS > 40)
-    for index in range(4):
-        rest.push(frame(index, 0.5 + step))
-    moved = 0.5 + 0.02 * (COLUMNS - 2 > 40)
+    rest, moved = rest_of(*4 * [0.5 + 0.02 * (COLUMNS > 40)]), 0.5 + 0.02 * (COLUMNS - 2 > 40)
     depth, known, _ = rest.at(frame(4, moved, shift=2))
     assert known.all()
     np.testing.assert_allclose(depth, moved, atol=1e-6)
 
 
 def test_a_larger_shift_is_left_out() -> None:
-    rest = RestDepth()
-    for index in range(4):
-        rest.push(frame(index, PLANE + 0.1 * (COLUMNS > 40)))
-    now = noisy(3)
-    depth = rest.at(frame(4, now, shift=8)).depth
-    np.testing.assert_allclose(depth, now, atol=1e-6)
+    rest, now = rest_of(*4 * [PLANE + 0.1 * (COLUMNS > 40)]), noisy(3)
+    np.testing.assert_allclose(rest.at(frame(4, now, shift=8)).depth, now, atol=1e-6)
 
 
 def test_a_change_of_the_distance_is_undone() -> None:
-    rest = RestDepth()
-    for index in range(4):
-        rest.push(frame(index, PLANE - 0.05))
-    depth = rest.at(frame(4, PLANE)).depth
-    np.testing.assert_allclose(depth, PLANE, atol=1e-6)
+    np.testing.assert_allclose(rest_of(*4 * [PLANE - 0.05]).at(frame(4, PLANE)).depth, PLANE, atol=1e-6)
 
 
 def test_beside_the_tool_earlier_frames_alone_count() -> None:
@@ -83,11 +77,8 @@ def test_beside_the_tool_earlier_frames_alone_count() -> None:
     beside = np.zeros((HEIGHT, WIDTH), bool)
     beside[8:27, 28:47] = True
     onset = frame(3, np.where(beside, 0.3, PLANE), tool=True)
-    rest = RestDepth()
-    assert rest.at(onset).depth[9, 29] == np.float32(0.3)  # nothing else is known
-    for index in range(3):
-        rest.push(frame(index, PLANE))
-    np.testing.assert_allclose(rest.at(onset).depth, PLANE, atol=1e-6)
+    assert rest_of().at(onset).depth[9, 29] == np.float32(0.3)  # nothing else is known
+    np.testing.assert_allclose(rest_of(*3 * [PLANE]).at(onset).depth, PLANE, atol=1e-6)
 
 
 def test_tissue_behind_the_tool_is_filled() -> None:
@@ -95,18 +86,14 @@ def test_tissue_behind_the_tool_is_filled() -> None:
     unseen = RestDepth().at(onset).known
     assert not unseen[TOOL_AREA].any()
     assert unseen.sum() == unseen.size - 15 * 15
-    rest = RestDepth()
-    for index in range(3):
-        rest.push(frame(index, PLANE))
-    depth, known, _ = rest.at(onset)
+    depth, known, _ = rest_of(*3 * [PLANE]).at(onset)
     assert known.all()
     np.testing.assert_allclose(depth, PLANE, atol=1e-6)
 
 
 @pytest.mark.parametrize("what", ["contact", "no mask", "no depth"])
 def test_whatever_is_not_at_rest_ends_it(what: str) -> None:
-    rest = RestDepth()
-    rest.push(frame(0, PLANE + 0.1 * (COLUMNS > 40)))
+    rest = rest_of(PLANE + 0.1 * (COLUMNS > 40))
     interrupting = frame(1, np.zeros_like(PLANE) if what == "no depth" else PLANE, contact=what == "contact")
     if what == "no mask":
         interrupting.picture_labels = None

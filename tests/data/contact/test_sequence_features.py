@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve
 
 from palpate.data.contact import sequence_features as module
 from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
@@ -23,12 +24,10 @@ MIX = np.array([0.03, -0.01, 0.02, 0.004, -0.006, 0.01])
 
 def sequence_of(amounts: np.ndarray, times: np.ndarray, hidden: np.ndarray | None = None) -> DepthSequence:
     """A depth-change sequence that holds so much of the shapes [N, SHAPES]."""
-    change = (np.asarray(amounts) @ dent_shapes().T).reshape(-1, SIDE, SIDE)
+    change = (np.asarray(amounts) @ dent_shapes().T).reshape(-1, SIDE, SIDE).astype(np.float32)
     if hidden is not None:
-        change = np.where(hidden, np.nan, change)
-    return DepthSequence(
-        np.asarray(times, np.float64), change.astype(np.float32), SequenceNoise(NOISE, 0.0), (214, 120)
-    )
+        change[hidden] = np.nan
+    return DepthSequence(np.asarray(times, np.float64), change, SequenceNoise(NOISE, 0.0), (214, 120))
 
 
 def parts(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,18 +55,11 @@ def test_shapes_are_orthonormal_and_symmetric() -> None:
 def test_a_static_dent_lies_in_the_shapes(foundation: float) -> None:
     """The answer of a sheet of springs on a foundation, relaxed node by node."""
     side = 2 * (REACH + module.MARGIN) + 1
-    neighbours = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
-    inside = np.ones((side, side))
-
-    def beside(values: np.ndarray) -> np.ndarray:
-        padded = np.pad(values, 1)
-        return sum(padded[1 + r : side + 1 + r, 1 + c : side + 1 + c] for r, c in neighbours)
-
-    weight = beside(inside) + foundation
-    press, sunk = np.zeros((side, side)), np.zeros((side, side))
+    press, sunk, neighbours = np.zeros((side, side)), np.zeros((side, side)), [[1, 1, 0], [1, 0, 1], [0, 1, 1]]
+    weight = convolve(np.ones((side, side)), neighbours, mode="constant") + foundation
     press[side // 2, side // 2] = 1
     for _ in range(6000):
-        sunk = (press + beside(sunk)) / weight
+        sunk = (press + convolve(sunk, neighbours, mode="constant")) / weight
     seen = sunk[module.MARGIN : -module.MARGIN, module.MARGIN : -module.MARGIN].ravel()
     shapes = dent_shapes()
     np.testing.assert_allclose(shapes @ (shapes.T @ seen), seen, atol=1e-6 * seen.max())

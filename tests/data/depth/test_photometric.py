@@ -97,16 +97,13 @@ def test_highlights_and_vessels_are_suppressed(run):
     for row, column in zip(rng.integers(30, 210, 25), rng.integers(30, 398, 25), strict=True):
         spotted[row - 2 : row + 3, column - 2 : column + 3] = 1.0
     spotted[:, 100:104] *= 0.5
-    clean = relative_error(run(encode(brightness)), z)
-    disturbed = relative_error(run(encode(spotted)), z)
-    assert clean.max() < 0.01
-    assert disturbed.max() < 0.05
+    assert relative_error(run(encode(spotted)), z).max() < 0.05
 
 
 def test_noise_is_averaged_away(run):
     z, brightness = plane(0.0)
-    noisy = brightness * np.random.default_rng(2).normal(1, 0.05, brightness.shape)
-    assert relative_error(run(encode(noisy)), z).mean() < 0.01
+    noise = np.random.default_rng(2).normal(1, 0.05, brightness.shape)
+    assert relative_error(run(encode(brightness * noise)), z).mean() < 0.01
 
 
 def test_dark_pixels_are_invalid_and_do_not_spread(run):
@@ -142,11 +139,14 @@ def test_impossible_field_of_view_is_refused(degrees):
         build_photometric(degrees)
 
 
+def built() -> bytes:
+    return build_photometric().SerializeToString()
+
+
 def test_the_shipped_file_is_what_the_function_builds():
     picture = np.random.default_rng(3).uniform(0, 1, (1, 3, 120, 214)).astype(np.float32)
     path = PRESET_FOLDER.parent / "photometric.onnx"
-    shipped, built = session_of(str(path)), session_of(build_photometric().SerializeToString())
-    assert np.array_equal(shipped(picture), built(picture))
+    assert np.array_equal(session_of(str(path))(picture), session_of(built())(picture))
     assert path.stat().st_size < 20_000
 
 
@@ -175,7 +175,6 @@ def test_another_file_is_never_replaced(tmp_path, content):
 def test_writing_replaces_the_file_at_once(tmp_path):
     path = tmp_path / "x.onnx"
     write_photometric(path, 90.0)
-    old = path.read_bytes()
+    assert path.read_bytes() != built()
     write_photometric(path)
-    assert path.read_bytes() != old
-    assert path.read_bytes() == build_photometric().SerializeToString()
+    assert path.read_bytes() == built()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.depth.sources import StoredDepth, check_map, from_inverse, from_relative_inverse, positive
+from palpate.data.depth.sources import StoredDepth, check_map, from_inverse, from_relative_inverse
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 
@@ -100,9 +100,7 @@ def test_disparity_is_inverted_with_the_factor(tmp_path):
 
 def test_partial_validity_keeps_the_rest(tmp_path):
     array = RAMP.copy()
-    array[:4] = np.nan
-    array[4:8] = np.inf
-    array[8:12] = -1
+    array[:12] = np.repeat([np.nan, np.inf, -1], 4)[:, None]
     depth = stored(tmp_path, array)
     assert (depth[:12] == 0).all()
     assert np.array_equal(depth[12:], RAMP[12:])
@@ -137,31 +135,27 @@ def test_one_unusable_file_is_that_frames_error(tmp_path, array, expected):
     assert np.array_equal(StoredDepth(NPY, tmp_path)(frame_of(tmp_path, "8")), RAMP)
 
 
-def test_missing_empty_and_broken_files_are_named(tmp_path):
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda path: None, "does not exist"),
+        (lambda path: path.write_bytes(b""), "can't be read"),
+        (lambda path: path.write_bytes(b"PK\x03\x04 not an archive"), "can't be read"),
+        (os.mkfifo, "is no file; put the depth itself there"),
+    ],
+    ids=["missing", "empty", "broken", "pipe"],
+)
+def test_what_is_no_file_of_depth_is_named(tmp_path, make, said):
+    make(tmp_path / "7.npy")
     np.save(tmp_path / "8.npy", RAMP)
-    source = StoredDepth(NPY, tmp_path)
-    with pytest.raises(InputError, match=r"7.npy does not exist"):
-        source(frame_of(tmp_path))
-    (tmp_path / "7.npy").write_bytes(b"")
-    with pytest.raises(InputError, match=r"7.npy can't be read"):
-        source(frame_of(tmp_path))
-    (tmp_path / "7.npy").write_bytes(b"PK\x03\x04 not an archive")
-    with pytest.raises(InputError, match=r"7.npy can't be read"):
-        source(frame_of(tmp_path))
-
-
-def test_a_pipe_in_place_of_depth_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "7.npy")
-    with pytest.raises(InputError, match=r"7\.npy is no file; put the depth itself there"):
+    with pytest.raises(InputError, match=rf"7\.npy {said}"):
         StoredDepth(NPY, tmp_path)(frame_of(tmp_path))
 
 
 def test_broken_and_coloured_pngs_are_named(tmp_path):
     layout = replace(NPY, depth="{number}_depth.png")
-    colour = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    colour[..., 2] = 9
     with pytest.raises(InputError, match=r"7_depth.png is a colour picture"):
-        stored(tmp_path, colour, layout)
+        stored(tmp_path, np.full((HEIGHT, WIDTH, 3), (0, 0, 9), np.uint8), layout)
     grey = np.repeat(np.rint(RAMP * 255).astype(np.uint8)[..., None], 3, axis=2)
     assert stored(tmp_path, grey, layout) == pytest.approx(grey[..., 0] / 255, rel=1e-6)
     (tmp_path / "7_depth.png").write_bytes(b"")
@@ -171,11 +165,10 @@ def test_broken_and_coloured_pngs_are_named(tmp_path):
 
 def test_identity_follows_how_files_are_read(tmp_path):
     np.save(tmp_path / "7.npy", RAMP)
-    first = StoredDepth(NPY, tmp_path).identity
-    assert StoredDepth(NPY, tmp_path).identity == first
-    assert StoredDepth(replace(NPY, depth_factor=2.0), tmp_path).identity != first
+    layouts = (NPY, NPY, replace(NPY, depth_factor=2.0))
+    first, same, other = (StoredDepth(layout, tmp_path).identity for layout in layouts)
     (tmp_path / "clip.json").write_text('{"depth_scale": 2.0}')
-    assert StoredDepth(NPY, tmp_path).identity != first
+    assert first == same not in (other, StoredDepth(NPY, tmp_path).identity)
 
 
 @pytest.mark.parametrize("scale", ["0", "-1", '"far"', "true", "NaN"])
@@ -191,7 +184,7 @@ def test_impossible_declared_scale_is_named(tmp_path, scale):
 
 def test_inverse_depth():
     values = np.array([[0.5, 2.0, 0.0, -1.0, np.nan, np.inf]], np.float32)
-    assert from_inverse(values).tolist() == [[2.0, 0.5, 0, 0, 0, 0]]
+    assert from_inverse(values).tolist() == [[2.0, 0.5, 0, 0, 0, 0]]  # what is not positive has none
 
 
 def test_relative_inverse_depth_meets_near_and_far():
@@ -215,10 +208,6 @@ def test_relative_inverse_depth_is_positive_bounded_and_falls(values, low, width
     assert (depth > 0).all()
     assert (depth <= near * ratio * (1 + 1e-6)).all()
     assert (np.diff(depth) <= 1e-6 * depth[:, :-1]).all()
-
-
-def test_positive_is_zero_elsewhere():
-    assert positive(np.array([1.5, 0, -2, np.nan, np.inf])).tolist() == [1.5, 0, 0, 0, 0]
 
 
 def test_check_map_accepts_signed_maps_where_they_mean_something():

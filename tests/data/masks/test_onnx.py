@@ -1,7 +1,6 @@
 """Segmentation models plug in by settings; what can't be used gets a sentence."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,16 +15,7 @@ WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
 """Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""
 
 
-def save_model(
-    path: Path,
-    *,
-    weights: np.ndarray = WEIGHTS,
-    size: tuple = ("h", "w"),
-    nhwc: bool = False,
-    labels: bool = False,
-    metadata: dict | None = None,
-    values: str = "float",
-) -> Path:
+def save_model(path, metadata=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=False, labels=False, values="float"):
     """A 1x1 convolution as a segmentation model, of a picture of `values`."""
     height, width = size
     taken = f"1, {height}, {width}, 3" if nhwc else f"1, 3, {height}, {width}"
@@ -42,6 +32,7 @@ def save_model(
 
 
 PLAIN = {"mean": [0, 0, 0], "std": [1, 1, 1]}
+BOTH = PLAIN | {"tool": [2], "tissue": [1]}
 
 
 def scene() -> tuple[Frame, np.ndarray]:
@@ -64,7 +55,7 @@ def scene() -> tuple[Frame, np.ndarray]:
     ],
 )
 def test_models_of_every_form_find_tool_and_tissue(tmp_path, model, settings):
-    path = save_model(tmp_path / "m.onnx", metadata={"tool": [2], "tissue": [1], **PLAIN, **settings}, **model)
+    path = save_model(tmp_path / "m.onnx", BOTH | settings, **model)
     frame, expected = scene()
     found = open_masks(str(path), ClipLayout(), MaskClasses(), tmp_path)(frame)
     if settings.get("output") == "labels":
@@ -75,7 +66,7 @@ def test_models_of_every_form_find_tool_and_tissue(tmp_path, model, settings):
 
 
 def test_input_of_another_size_is_resized_and_back(tmp_path):
-    path = save_model(tmp_path / "m.onnx", size=(48, 64), metadata={"tool": [2], "tissue": [1], **PLAIN})
+    path = save_model(tmp_path / "m.onnx", BOTH, size=(48, 64))
     frame, expected = scene()
     found = OnnxMasks(path)(frame)
     assert found.shape == expected.shape
@@ -83,7 +74,7 @@ def test_input_of_another_size_is_resized_and_back(tmp_path):
 
 
 def test_settings_beside_the_model_win_and_sigmoid_of_one_channel(tmp_path):
-    path = save_model(tmp_path / "m.onnx", weights=WEIGHTS[2:], metadata={"tool": [5]})
+    path = save_model(tmp_path / "m.onnx", {"tool": [5]}, weights=WEIGHTS[2:])
     (tmp_path / "m.yaml").write_text("tool: [0]\noutput: sigmoid_logits\nthreshold: 0.9\nmean: [0,0,0]\nstd: [1,1,1]\n")
     frame, expected = scene()
     found = OnnxMasks(path)(frame)
@@ -93,10 +84,9 @@ def test_settings_beside_the_model_win_and_sigmoid_of_one_channel(tmp_path):
 
 
 def test_identity_follows_the_file_and_the_settings(tmp_path):
-    first = OnnxMasks(save_model(tmp_path / "a.onnx", metadata={"tool": [2]}))
-    second = OnnxMasks(save_model(tmp_path / "b.onnx", metadata={"tool": [1]}))
+    first, second = (OnnxMasks(save_model(tmp_path / f"{tool}.onnx", {"tool": [tool]})) for tool in (2, 1))
     assert first.identity != second.identity
-    assert first.identity == OnnxMasks(tmp_path / "a.onnx").identity
+    assert first.identity == OnnxMasks(tmp_path / "2.onnx").identity
     first.reset()
 
 
@@ -117,7 +107,7 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
     ],
 )
 def test_wrong_settings_get_a_sentence(tmp_path, metadata, message):
-    path = save_model(tmp_path / "m.onnx", size=(96, 128), metadata=metadata)
+    path = save_model(tmp_path / "m.onnx", metadata, size=(96, 128))
     with pytest.raises(InputError, match=message) as caught:
         OnnxMasks(path)
     assert "m.onnx" in str(caught.value)
@@ -135,7 +125,7 @@ def test_wrong_settings_get_a_sentence(tmp_path, metadata, message):
     ],
 )
 def test_wrong_outputs_get_a_sentence(tmp_path, model, settings, message):
-    masks = OnnxMasks(save_model(tmp_path / "m.onnx", metadata=settings, **model))
+    masks = OnnxMasks(save_model(tmp_path / "m.onnx", settings, **model))
     with pytest.raises(InputError, match=message) as caught:
         masks(scene()[0])
     assert "\n" not in str(caught.value)
@@ -145,9 +135,8 @@ def test_files_that_are_no_models(tmp_path):
     with pytest.raises(InputError, match=r"absent\.onnx does not exist; check the path"):
         mask_source_file(str(tmp_path / "absent.onnx"))
     (tmp_path / "text.onnx").write_text("hello")
-    with pytest.raises(
-        InputError, match=r"can't be opened as an ONNX model \(Protobuf parsing failed\); export or download it again\."
-    ):
+    said = r"can't be opened as an ONNX model \(Protobuf parsing failed\); export or download it again\."
+    with pytest.raises(InputError, match=said):
         OnnxMasks(tmp_path / "text.onnx")
 
 
@@ -159,20 +148,14 @@ def test_model_with_other_inputs(tmp_path):
 
 
 def test_a_model_of_8_bit_pictures_is_refused_since_its_input_would_be_rounded(tmp_path):
-    model = save_model(tmp_path / "raw.onnx", metadata={"tool": [1]}, values="uint8")
+    model = save_model(tmp_path / "raw.onnx", {"tool": [1]}, values="uint8")
     with pytest.raises(InputError, match=r"picture tensor\(uint8\).*not one colour picture"):
         OnnxMasks(model)
 
 
 def test_labels_may_be_any_numbers(tmp_path):
     """Not a map for every number up to the largest, which would be gigabytes."""
-    frame, _ = scene()
-    plain = save_model(
-        tmp_path / "plain.onnx", labels=True, metadata=PLAIN | {"tool": [1], "tissue": [2], "output": "labels"}
-    )
-    large = save_model(
-        tmp_path / "large.onnx",
-        labels=True,
-        metadata=PLAIN | {"tool": [1, 2**40], "tissue": [2, 65535], "output": "labels"},
-    )
-    np.testing.assert_array_equal(OnnxMasks(large)(frame), OnnxMasks(plain)(frame))
+    frame, expected = scene()
+    settings = PLAIN | {"tool": [2, 2**40], "tissue": [1, 65535], "output": "labels"}
+    large = save_model(tmp_path / "large.onnx", settings, labels=True)
+    np.testing.assert_array_equal(OnnxMasks(large)(frame), expected)

@@ -13,8 +13,8 @@ from palpate.data.masks.outlined import OutlinedMasks
 from palpate.data.masks.sources import AnnotationMasks, MaskClasses, open_masks
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
+from tests.conftest import CHECKOUT
 
-CHECKOUT = Path(__file__).resolve().parents[3]
 WIDTH, HEIGHT = 480, 320
 LENGTH, THICK = 500.0, 30.0
 
@@ -69,9 +69,8 @@ def overlap(labels: np.ndarray, mask: np.ndarray) -> float:
 
 def test_a_shaft_is_followed_as_it_comes_in_and_turns(tmp_path):
     path = [((110 + 6 * step, 150 + 2 * step), 0.15 + 0.01 * step) for step in range(25)]
-    masks = open_masks(
-        str(outlines(tmp_path, {0: [visible(*path[0])]})), ClipLayout(), MaskClasses(), tmp_path / "clip.mp4"
-    )
+    drawn = outlines(tmp_path, {0: [visible(*path[0])]})
+    masks = open_masks(str(drawn), ClipLayout(), MaskClasses(), tmp_path / "clip.mp4")
     for number, place in enumerate(path):
         image, mask = picture(place)
         labels = masks(frame(number, image))

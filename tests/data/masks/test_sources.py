@@ -14,10 +14,9 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.masks.sources import MaskClasses, MaskError, open_masks, read_class_mask
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
+from tests.conftest import CHECKOUT
 
-LAYOUT, CLASSES_USED = ClipLayout(), MaskClasses()
 SIZE = (20, 30)
-CHECKOUT = Path(__file__).resolve().parents[3]
 
 
 def color_mask() -> np.ndarray:
@@ -34,6 +33,13 @@ def expected_labels() -> np.ndarray:
     labels = np.zeros(SIZE, np.uint8)
     labels[5:15, 5:12], labels[5:15, 12:18] = 1, 2
     return labels
+
+
+LAYOUT, CLASSES_USED = ClipLayout(), MaskClasses()
+
+
+def opened(kind: str, clip: Path, layout: ClipLayout = LAYOUT, classes: MaskClasses = CLASSES_USED):
+    return open_masks(kind, layout, classes, clip)
 
 
 def write(path: Path, image: np.ndarray) -> Path:
@@ -107,11 +113,11 @@ def test_impossible_classes_are_refused(values, message):
 def test_brush_strokes_are_never_read_and_watershed_stands_in(tmp_path):
     write(tmp_path / "frame_80_endo_mask.png", color_mask())
     with pytest.raises(InputError, match="holds no annotation masks") as caught:
-        open_masks("annotation", LAYOUT, CLASSES_USED, tmp_path)
+        opened("annotation", tmp_path)
     assert not isinstance(caught.value, MaskError)
     grey = np.full(SIZE, CLASSES["gallbladder"].grey, np.uint8)
     write(tmp_path / "frame_80_endo_watershed_mask.png", grey)
-    masks = open_masks("annotation", LAYOUT, CLASSES_USED, tmp_path)
+    masks = opened("annotation", tmp_path)
     assert (masks(frame_in(tmp_path)) == 1).all()
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
     assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
@@ -119,45 +125,42 @@ def test_brush_strokes_are_never_read_and_watershed_stands_in(tmp_path):
 
 def test_one_frames_bad_mask_is_that_frames_error(tmp_path):
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    masks = open_masks("auto", LAYOUT, CLASSES_USED, tmp_path)
+    masks = opened("auto", tmp_path)
     assert np.array_equal(masks(frame_in(tmp_path)), expected_labels())
-    with pytest.raises(MaskError, match=r"frame_81_endo_color_mask\.png does not exist; add the mask of frame 81"):
-        masks(frame_in(tmp_path, 81))
-    path = tmp_path / "frame_82_endo_color_mask.png"
-    path.write_bytes(b"")
-    with pytest.raises(MaskError, match=r"empty file \(0 bytes\)"):
-        masks(frame_in(tmp_path, 82))
-    write(path, color_mask()[:-2])
-    with pytest.raises(MaskError, match="is 30x18 while its frame is 30x20"):
-        masks(frame_in(tmp_path, 82))
-    path.write_bytes(cv2.imencode(".png", np.zeros(SIZE, np.uint16))[1].tobytes())
-    with pytest.raises(MaskError, match="not an 8-bit mask"):
-        masks(frame_in(tmp_path, 82))
-
-
-def test_video_has_no_annotation(tmp_path):
-    video = tmp_path / "video.mp4"
-    with pytest.raises(InputError, match="use --masks automatic"):
-        open_masks("annotation", LAYOUT, CLASSES_USED, video)
-    with pytest.raises(InputError, match="the layout names no annotation masks"):
-        open_masks("annotation", ClipLayout(color_mask=None, class_mask=None), CLASSES_USED, tmp_path)
-    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, video), AutomaticMasks)
+    write(tmp_path / "frame_83_endo_color_mask.png", color_mask()[:-2])
+    for number, content in ((82, b""), (84, cv2.imencode(".png", np.zeros(SIZE, np.uint16))[1].tobytes())):
+        (tmp_path / f"frame_{number}_endo_color_mask.png").write_bytes(content)
+    for number, said in {
+        81: r"frame_81_endo_color_mask\.png does not exist; add the mask of frame 81",
+        82: r"empty file \(0 bytes\)",
+        83: "is 30x18 while its frame is 30x20",
+        84: "not an 8-bit mask",
+    }.items():
+        with pytest.raises(MaskError, match=said):
+            masks(frame_in(tmp_path, number))
 
 
 def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
-    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), AutomaticMasks)
+    assert isinstance(opened("auto", tmp_path / "video.mp4"), AutomaticMasks)
+    assert isinstance(opened("auto", tmp_path), AutomaticMasks)
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    assert isinstance(open_masks("auto", LAYOUT, CLASSES_USED, tmp_path), sources.AnnotationMasks)
-
-
-def test_kinds_and_identities(tmp_path):
-    write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    assert isinstance(open_masks("automatic", LAYOUT, CLASSES_USED, tmp_path), AutomaticMasks)
-    with pytest.raises(InputError, match="choose annotation, automatic, auto"):
-        open_masks("watershed", LAYOUT, CLASSES_USED, tmp_path)
+    assert isinstance(opened("auto", tmp_path), sources.AnnotationMasks)
+    assert isinstance(opened("automatic", tmp_path), AutomaticMasks)
     other = MaskClasses(tool=("l-hook electrocautery",))
-    identities = {open_masks("auto", LAYOUT, classes, tmp_path).identity for classes in (CLASSES_USED, other)}
-    assert len(identities) == 2
+    assert opened("auto", tmp_path).identity != opened("auto", tmp_path, classes=other).identity
+
+
+@pytest.mark.parametrize(
+    ("kind", "clip", "layout", "said"),
+    [
+        ("annotation", "video.mp4", LAYOUT, "use --masks automatic"),
+        ("annotation", "", ClipLayout(color_mask=None, class_mask=None), "the layout names no annotation masks"),
+        ("watershed", "", LAYOUT, "choose annotation, automatic, auto"),
+    ],
+)
+def test_masks_that_are_not_there_get_a_sentence(tmp_path, kind, clip, layout, said):
+    with pytest.raises(InputError, match=said):
+        opened(kind, tmp_path / clip, layout)
 
 
 def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
@@ -175,7 +178,7 @@ def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
 
 def test_real_clip_annotation(real_data):
     source = open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", LAYOUT)
-    masks = open_masks("auto", LAYOUT, CLASSES_USED, source.path)
+    masks = opened("auto", source.path)
     tool = {frame.number: int((masks(frame) == 2).sum()) for frame in source if frame.number in (80, 148, 149, 159)}
     assert tool == {80: 0, 148: 0, 149: 283, 159: 7059}
 
@@ -183,7 +186,7 @@ def test_real_clip_annotation(real_data):
 def test_real_recover_masks(real_data):
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     frame = next(iter(open_source(real_data / "recover_tissue", layout)))
-    labels = open_masks("annotation", layout, CLASSES_USED, real_data / "recover_tissue")(frame)
+    labels = opened("annotation", real_data / "recover_tissue", layout)(frame)
     counts = np.bincount(labels.ravel(), minlength=3)
     assert counts[1] == 303301
     assert 0.99 * 96299 < counts[2] <= 96299

@@ -10,10 +10,14 @@ from palpate.data.source import video
 from palpate.data.source.video import open_video
 
 
-@pytest.mark.parametrize("h264", [True, False])
-def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, h264: bool) -> None:
-    if not h264:
+@pytest.fixture(params=[True, False], ids=["H.264", "without"])
+def h264(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    if not request.param:
         monkeypatch.setattr(video.H264, "encoder", "none")
+    return request.param
+
+
+def test_video_keeps_rate_count_and_size(tmp_path: Path, h264: bool) -> None:
     path = tmp_path / "overlay.mp4"
     opened = open_video(path, (642, 482), 30000 / 1001)
     for level in range(12):
@@ -27,11 +31,8 @@ def test_video_keeps_rate_count_and_size(tmp_path: Path, monkeypatch: pytest.Mon
     assert [abs(float(frame.mean()) - 20 * level) < 6 for level, frame in enumerate(frames)] == [True] * 12
 
 
-@pytest.mark.parametrize("h264", [True, False])
-def test_missing_folder_is_an_os_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, h264: bool) -> None:
-    if not h264:
-        monkeypatch.setattr(video.H264, "encoder", "none")
-
+@pytest.mark.usefixtures("h264")
+def test_missing_folder_is_an_os_error(tmp_path: Path) -> None:
     def attempt() -> None:
         opened = open_video(tmp_path / "nowhere" / "overlay.mp4", (640, 360), 25.0)
         opened.write(np.full((360, 640, 3), 90, np.uint8))

@@ -14,10 +14,10 @@ from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
 from palpate.data.synthetic.tool import tip_offset
 from palpate.data.synthetic.truth import TrueMotion, simulate_motion
 
-SMALL = SceneSettings(
-    width=214, height=120, frames=24, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.3), image_noise=0.0
-)
+COURSE = {"frames": 24, "onset_fraction": (0.15, 0.2), "press_seconds": (0.2, 0.3)}
+SMALL = SceneSettings(width=214, height=120, **COURSE, image_noise=0.0)
 DOUBLE = dataclasses.replace(SMALL, width=428, height=240)
+FLAT = dataclasses.replace(SMALL, curvature=(0.0, 0.0), relief=0.0)
 THETA = np.array([0.5, 0.03, -0.06])
 ONSET, RELEASE = 4, 12
 
@@ -45,8 +45,7 @@ def projected(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
 
 
 def test_the_rest_depth_of_a_plane_is_the_planes() -> None:
-    flat = dataclasses.replace(SMALL, curvature=(0.0, 0.0), relief=0.0, max_tilt_deg=20.0)
-    scene = draw_scene(flat, np.random.default_rng(0))
+    scene = draw_scene(dataclasses.replace(FLAT, max_tilt_deg=20.0), np.random.default_rng(0))
     camera, normal = scene.camera, scene.sheet.normal
     contact = scene.sheet.distance * np.append(scene.sheet.contact_ray, 1)
     columns, rows = np.meshgrid(np.arange(214), np.arange(120))
@@ -92,14 +91,12 @@ def test_a_frame_at_rest_is_the_rest_view(case: tuple[Scene, TrueMotion, SheetVi
 
 
 def test_masks_partition_the_picture(clip: SyntheticClip) -> None:
-    for labels in clip.labels:
-        assert set(np.unique(labels)) <= {GREY[n] for n in ("gallbladder", "liver", "abdominal wall", "grasper")}
+    assert set(np.unique(clip.labels)) <= {GREY[n] for n in ("gallbladder", "liver", "abdominal wall", "grasper")}
     assert (clip.labels == GREY["gallbladder"]).sum(axis=(1, 2)).min() > 5000
-    assert clip.depth.min() > 0.1
-    assert clip.depth.max() < 1
+    assert 0.1 < clip.depth.min() < clip.depth.max() < 1
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_contact_is_found_in_exactly_the_frames_of_contact(seed: int) -> None:
     clip = make_clip(SMALL, seed)
     scene, motion = clip.scene, clip.motion
@@ -108,9 +105,8 @@ def test_contact_is_found_in_exactly_the_frames_of_contact(seed: int) -> None:
         labels = tissue_tool(clip.labels[frame])
         if motion.onset_frame <= frame < motion.release_frame:
             geometry = frame_geometry(clip.depth[frame], labels, clip.camera, settings)
-            assert geometry.touching
+            assert (geometry.touching, tip_offset(scene, motion, frame).any()) == (True, False)
             assert geometry.distance < 0.01
-            assert not tip_offset(scene, motion, frame).any()
         else:
             with pytest.raises(GeometryStatus, match=r"more than|fewer than"):
                 frame_geometry(clip.depth[frame], labels, clip.camera, settings)
@@ -130,9 +126,7 @@ def test_the_observed_contact_depth_follows_the_truth(clip: SyntheticClip) -> No
 def test_light_falls_with_the_square_of_the_distance(clip: SyntheticClip) -> None:
     means = []
     for distance in (0.4, 0.6):
-        flat = dataclasses.replace(
-            SMALL, distance=(distance, distance), curvature=(0.0, 0.0), relief=0.0, highlights=0.0
-        )
+        flat = dataclasses.replace(FLAT, distance=(distance, distance), highlights=0.0)
         scene = draw_scene(flat, np.random.default_rng(0))
         renderer = Renderer(scene, clip.motion, np.random.default_rng(0))  # at rest, whatever the motion
         means.append(renderer._tissue_light(renderer.rest, np.s_[0:120, 0:214]).mean())

@@ -56,8 +56,7 @@ def test_points_are_a_grid_away_from_the_tool() -> None:
     follower = PointFollower(texture(), left_of(40))
     columns, rows = follower.points.T
     assert follower.spacing == SPACING
-    assert sorted(set(columns)) == [48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 128, 136, 144, 152, 160]
-    assert sorted(set(rows)) == [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112]
+    assert (sorted(set(columns)), sorted(set(rows))) == ([*range(48, 161, 8)], [*range(8, 113, 8)])
     np.testing.assert_allclose(follower.distance, columns - 39, atol=0.2)
     assert follower.followed.all()
     np.testing.assert_array_equal(follower.moved, 0)
@@ -82,10 +81,15 @@ def test_distance_is_from_the_tools_nearest_pixel() -> None:
     assert tool_distance(NO_TOOL).min() > 1000
 
 
+def after(picture: np.ndarray, following: np.ndarray, tool: np.ndarray = NO_TOOL) -> PointFollower:
+    """Points of one picture, followed to another."""
+    follower = PointFollower(picture, tool)
+    follower.step(following, tool)
+    return follower
+
+
 def test_a_shift_is_followed() -> None:
-    picture = texture()
-    follower = PointFollower(picture, NO_TOOL)
-    follower.step(warped(picture, shift(4.25, -2.5)), NO_TOOL)
+    follower = after(texture(), warped(texture(), shift(4.25, -2.5)))
     assert follower.followed.mean() > 0.9
     off = (follower.moved - [4.25, -2.5])[follower.followed]
     assert np.abs(off).max() < 0.3
@@ -173,9 +177,7 @@ def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
 
 
 def test_points_whose_window_holds_the_tools_edge_are_noisy() -> None:
-    tool = left_of(40)
-    follower = PointFollower(texture(), tool)
-    follower.step(texture(), tool)
+    follower = after(texture(), texture(), left_of(40))
     beside = follower.distance < following.EDGED
     assert beside.any()
     assert follower.followed.all()
@@ -190,9 +192,7 @@ def test_points_that_a_model_finds_are_measured_again_without_their_neighbours()
     def pulled(places: np.ndarray) -> np.ndarray:
         return 6.0 * np.exp(-(places[:, :1] - 40) / 16) * [0.0, 1.0]
 
-    tool = left_of(40)
-    follower = PointFollower(texture(), tool)
-    follower.step(warped(texture(), pulled), tool)
+    follower = after(texture(), warped(texture(), pulled), left_of(40))
     true = pulled(follower.points.astype(np.float64))
     model = 1.1 * pulled(follower.everywhere.reshape(-1, 2).astype(np.float64)).reshape(follower.everywhere.shape)
     asked = np.flatnonzero(follower.distance < 40)
@@ -222,10 +222,7 @@ def test_points_that_leave_the_picture_are_lost() -> None:
 
 def test_what_flow_back_does_not_return_is_lost_or_noisy() -> None:
     """Half of the picture becomes another one."""
-    picture = texture(4)
-    other = np.where(left_of(WIDTH // 2)[..., None], texture(5), picture)
-    follower = PointFollower(picture, NO_TOOL)
-    follower.step(other, NO_TOOL)
+    follower = after(texture(4), np.where(left_of(WIDTH // 2)[..., None], texture(5), texture(4)))
     columns = follower.points[:, 0]
     changed, same = columns < WIDTH / 2 - 16, columns > WIDTH / 2 + 16
     assert follower.followed[changed].mean() < 0.8
@@ -249,17 +246,14 @@ def test_a_round_field_is_lit_up_to_its_rim() -> None:
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_one_bright_channel_is_a_picture(channel: int) -> None:
     picture = np.zeros((40, 60, 3), np.uint8)
-    assert not lit_field(picture).any()
-    picture[..., channel] = 20
-    assert not lit_field(picture).any()
-    picture[..., channel] = 21
-    assert lit_field(picture).all()
+    for value in (0, 20, 21):
+        picture[..., channel] = value
+        assert (lit_field(picture) == (value > 20)).all()
 
 
 def test_a_dark_picture_has_no_points_and_goes_on() -> None:
     dark = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    follower = PointFollower(dark, NO_TOOL)
-    follower.step(dark, NO_TOOL)
+    follower = after(dark, dark)
     assert len(follower.points) == len(follower.moved) == len(follower.followed) == 0
 
 

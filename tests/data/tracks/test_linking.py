@@ -7,6 +7,7 @@ from palpate.data.tracks import linking
 from tests.data.tracks.test_following import HEIGHT, WIDTH, shift, texture, warped
 
 PLACES = np.array([[40.0, 40.0], [88.0, 64.0], [120.0, 90.0]], np.float32)
+WIDE = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
 
 
 def gray(picture: np.ndarray) -> np.ndarray:
@@ -63,10 +64,9 @@ def test_a_guess_of_hundredths_of_a_pixel_is_undone() -> None:
     faint = (128 + (texture(1).astype(float) - 128) / 4).round().astype(np.uint8)
     linker = linking.Linker(spacing=8)
     one, other = prepared(linker, faint, faint)
-    wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
     for guess in (0.05, 0.1, 0.2):
-        there, _ = linker.refine(one, other, wide, grid_of((guess, 0.0)), np.ones(len(wide), bool))
-        assert abs((there - wide)[:, 0].mean()) < 0.1 * guess
+        there, _ = linker.refine(one, other, WIDE, grid_of((guess, 0.0)), np.ones(len(WIDE), bool))
+        assert abs((there - WIDE)[:, 0].mean()) < 0.1 * guess
 
 
 def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_known_roughly() -> None:
@@ -95,9 +95,8 @@ def test_what_leads_astray_is_not_found() -> None:
     places, returned = linker.refine(plain, plain, PLACES, still, ALL)
     np.testing.assert_array_equal(places, PLACES)
     assert np.isinf(returned).all()
-    wide = np.stack(np.meshgrid(np.arange(20.0, 150, 5), np.arange(20.0, 110, 5)), axis=-1).reshape(-1, 2)
-    places, returned = linker.refine(one, other, wide, still, np.ones(len(wide), bool))
-    assert np.abs(places - wide).max() <= linking.MAX_STEP
+    places, returned = linker.refine(one, other, WIDE, still, np.ones(len(WIDE), bool))
+    assert np.abs(places - WIDE).max() <= linking.MAX_STEP
     assert np.isinf(returned).any()
 
 
@@ -150,8 +149,7 @@ def test_no_places_are_no_places() -> None:
     nowhere = np.zeros((0, 2), np.float32)
     refined = linker.refine(picture, picture, nowhere, np.zeros((1, 1, 2), np.float32), np.zeros(0, bool))
     for places, returned in (linker.link(picture, picture, nowhere), refined):
-        assert places.shape == (0, 2)
-        assert returned.shape == (0,)
+        assert (places.shape, returned.shape) == ((0, 2), (0,))
     assert alike(gray(texture()), gray(texture()), nowhere).shape == (0,)
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.tracks.measuring import Fine, Measured, fine, measure
+from palpate.data.tracks.measuring import Fine, fine, measure
 from tests.data.tracks.test_following import HEIGHT, NO_TOOL, WIDTH, Motion, bulge, shift, texture, warped
 
 POINTS = np.stack(np.meshgrid(np.arange(24, WIDTH - 20, 8), np.arange(24, HEIGHT - 20, 8)), axis=-1).reshape(-1, 2)
@@ -19,8 +19,9 @@ def unmasked(picture: np.ndarray) -> Fine:
     return Fine(prepared(picture).gray, np.ones((HEIGHT, WIDTH), np.float32))
 
 
-def found(picture: np.ndarray, motion: np.ndarray = STILL, tool: np.ndarray = NO_TOOL) -> Measured:
-    return measure(prepared(texture(), tool), prepared(picture, tool), POINTS, motion)
+def found(picture: np.ndarray, motion: np.ndarray = STILL, tool: np.ndarray = NO_TOOL) -> np.ndarray:
+    """Motion of the points from one texture to another picture."""
+    return measure(prepared(texture(), tool), prepared(picture, tool), POINTS, motion).moved
 
 
 def everywhere(motion: Motion) -> np.ndarray:
@@ -46,14 +47,14 @@ def grainy(picture: np.ndarray, size: float, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("way", [(0.05, 0.0), (0.1, -0.3), (0.5, 0.5), (-0.8, 0.2)])
 def test_shifts_below_a_pixel_are_found_without_bias(way: tuple[float, float]) -> None:
-    off = found(exactly_shifted(*way)).moved - way
+    off = found(exactly_shifted(*way)) - way
     assert np.abs(np.nanmean(off, axis=0)).max() < 0.01
     assert np.isfinite(off).all(axis=1).mean() > 0.95
 
 
 def test_what_a_model_leaves_of_a_swelling_is_found() -> None:
     picture, true = warped(texture(), bulge(1.0)), bulge(1.0)(POINTS.astype(np.float64))
-    off = found(picture, everywhere(bulge(0.9))).moved - true
+    off = found(picture, everywhere(bulge(0.9))) - true
     assert np.sqrt(np.nanmean(np.square(off))) < 0.03
 
 
@@ -66,8 +67,7 @@ def test_a_wrong_guess_is_undone(guess: float) -> None:
 
 @pytest.mark.parametrize("light", [0.8, 1.2])
 def test_light_that_changes_moves_nothing(light: float) -> None:
-    picture = (texture() * np.float32(light)).clip(0, 255).astype(np.uint8)
-    moved = found(picture).moved
+    moved = found((texture() * np.float32(light)).clip(0, 255).astype(np.uint8))
     assert np.abs(np.nanmean(moved, axis=0)).max() < 0.01
     assert np.nanmax(np.abs(moved)) < 0.2
 
@@ -105,18 +105,16 @@ def test_highlights_that_stay_hold_no_window_back() -> None:
 
 @pytest.mark.parametrize("size", [2.0, 8.0])
 def test_the_noise_is_the_errors_whatever_pictures_noise_is(size: float) -> None:
-    pictures = (
-        grainy(dull(picture), size, seed) for seed, picture in enumerate((texture(), exactly_shifted(0.3, 0.2)))
-    )
-    variance = measure(*map(prepared, pictures), POINTS, STILL)
-    off = (variance.moved - [0.3, 0.2]) / variance.noise[:, None]
+    pictures = [grainy(dull(each), size, seed) for seed, each in enumerate((texture(), exactly_shifted(0.3, 0.2)))]
+    moved, noise = measure(*map(prepared, pictures), POINTS, STILL)
+    off = (moved - [0.3, 0.2]) / noise[:, None]
     assert 0.55 < np.sqrt(np.nanmean(np.square(off))) < 1.0
 
 
 def test_a_window_of_which_less_is_seen_than_needed_is_not_found() -> None:
     """Points at a tool's edge or under it see 10 of their window's 21 columns, or 11; those a spacing away 18."""
     tool = np.broadcast_to(np.arange(WIDTH) < 88, (HEIGHT, WIDTH))
-    moved = measure(prepared(texture(), tool), prepared(exactly_shifted(0.3, 0.0), tool), POINTS, STILL).moved
+    moved = found(exactly_shifted(0.3, 0.0), tool=tool)
     assert np.isnan(moved[POINTS[:, 0] <= 88]).all()
     assert np.isfinite(moved[POINTS[:, 0] == 96]).all()
 
@@ -147,12 +145,12 @@ def test_no_points_are_no_points() -> None:
 
 
 def test_another_tissue_is_not_found() -> None:
-    assert np.isfinite(found(texture(seed=1)).moved).all(axis=1).mean() < 0.05
+    assert np.isfinite(found(texture(seed=1))).all(axis=1).mean() < 0.05
 
 
 def test_points_that_leave_the_picture_are_not_found() -> None:
     away = POINTS[:, 0] > WIDTH - 30
-    moved = found(warped(texture(), shift(24.0, 0.0)), everywhere(shift(24.0, 0.0))).moved
+    moved = found(warped(texture(), shift(24.0, 0.0)), everywhere(shift(24.0, 0.0)))
     assert away.any()
     assert np.isnan(moved[away]).all()
     assert np.abs(moved[POINTS[:, 0] < WIDTH - 60] - [24.0, 0.0]).max() < 0.1

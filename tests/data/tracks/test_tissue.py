@@ -26,29 +26,20 @@ def shifted(image: np.ndarray, du: float, dv: float) -> np.ndarray:
 
 
 TISSUE = np.ones((HEIGHT, WIDTH), np.uint8)
-
-
 POINTS = np.array([[100.0, 120.0], [201.5, 80.25]])
 
 
-def followed(
-    first: np.ndarray,
-    second: np.ndarray,
-    labels_first: np.ndarray,
-    labels_second: np.ndarray,
-    points: np.ndarray,
-    tracker: TissueTracker | None = None,
-) -> np.ndarray:
+def followed(first: np.ndarray, second: np.ndarray, points=POINTS, labels=(TISSUE, TISSUE)) -> np.ndarray:
     """Points by the tissue around them."""
-    tracker = TissueTracker() if tracker is None else tracker
-    return np.array([tracker.near((first, labels_first), (second, labels_second), point) for point in points])
+    tracker = TissueTracker()
+    return np.array([tracker.near((first, labels[0]), (second, labels[1]), point) for point in points])
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.integers(0, 5))
 def test_translation_is_followed_below_a_third_of_a_pixel(du, dv, seed):
     image = texture(seed)
-    moved = followed(image, shifted(image, du, dv), TISSUE, TISSUE, POINTS)
+    moved = followed(image, shifted(image, du, dv))
     assert np.abs(moved - POINTS - [du, dv]).max() < 0.3
 
 
@@ -58,9 +49,8 @@ def test_local_deformation_is_followed_where_it_is():
     bump = 4 * np.exp(-((u - 100) ** 2 + (v - 120) ** 2) / (2 * 35.0**2)).astype(np.float32)
     # The inverse warp moves the top of the bump by d = 4 exp(-d²/2450) = 3.97 px.
     deformed = cv2.remap(image, u, v - bump, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    moved = followed(image, deformed, TISSUE, TISSUE, np.array([[100.0, 120.0], [280.0, 30.0]]))
-    assert moved[0] == pytest.approx([100, 123.97], abs=0.3)
-    assert moved[1] == pytest.approx([280, 30], abs=0.3)
+    moved = followed(image, deformed, np.array([[100.0, 120.0], [280.0, 30.0]]))
+    assert moved == pytest.approx(np.array([[100, 123.97], [280, 30]]), abs=0.3)
 
 
 @pytest.mark.parametrize("speed", [3, 8])
@@ -74,35 +64,27 @@ def test_moving_tool_does_not_drag_static_tissue(speed):
         labels[rows, : 160 + offset] = 2
         return picture, labels
 
-    (first, labels_first), (second, labels_second) = scene(0), scene(speed)
+    pictures, labels = zip(scene(0), scene(speed), strict=True)
     contact = np.array([[163.0 + speed, 115.0]])
-    moved = followed(first, second, labels_first, labels_second, contact)
-    assert np.abs(moved - contact).max() < 0.5
+    assert np.abs(followed(*pictures, contact, labels) - contact).max() < 0.5
 
 
 def test_swapped_arguments_lead_back():
-    image = texture(2)
-    following = shifted(image, 3.4, -2.2)
-    tracker = TissueTracker()
-    moved = followed(image, following, TISSUE, TISSUE, POINTS, tracker)
-    back = followed(following, image, TISSUE, TISSUE, moved, tracker)
-    assert np.abs(back - POINTS).max() < 0.3
+    image, following = texture(2), shifted(texture(2), 3.4, -2.2)
+    assert np.abs(followed(following, image, followed(image, following)) - POINTS).max() < 0.3
 
 
 def test_point_that_leaves_the_picture_is_lost():
     image = texture(4)
-    points = np.array([[4.0, 120.0], [90, 90]])
-    moved = followed(image, shifted(image, -8, 0), TISSUE, TISSUE, points)
-    assert np.isfinite(moved).all(axis=1).tolist() == [False, True]
-    assert np.isnan(moved[0]).all()
+    moved = followed(image, shifted(image, -8, 0), np.array([[4.0, 120.0], [90, 90]]))
+    assert np.isnan(moved).tolist() == [[True, True], [False, False]]
 
 
 def test_point_without_tissue_around_is_lost():
     image = texture(5)
     labels = TISSUE.copy()
     labels[80:170, 60:150] = 0
-    points = np.array([[105.0, 125.0], [250.0, 200.0], [np.nan, 3]])
-    moved = followed(image, image, labels, labels, points)
+    moved = followed(image, image, np.array([[105.0, 125.0], [250.0, 200.0], [np.nan, 3]]), (labels, labels))
     assert np.isfinite(moved).all(axis=1).tolist() == [False, True, False]
 
 
@@ -110,8 +92,7 @@ def test_unrelated_pictures_fail_the_forward_backward_check(monkeypatch):
     rng = np.random.default_rng(0)
     first, second = (rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(2))
     monkeypatch.setattr(linking, "RETURNED", 0.2)
-    moved = followed(first, second, TISSUE, TISSUE, POINTS)
-    assert np.isnan(moved).all()
+    assert np.isnan(followed(first, second)).all()
 
 
 def test_points_that_are_followed_each_for_itself_are_lost_each_for_itself():

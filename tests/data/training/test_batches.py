@@ -46,7 +46,12 @@ def clip(written):
 
 def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> dict:
     dataset = SampleDataset([clip], [(0, frame) for frame in frames], settings)
-    return collate([dataset[index] for index in range(len(dataset))])
+    return collate([dataset[index] for index in range(len(frames))])
+
+
+def told(batch: dict, side: str) -> list[torch.Tensor]:
+    load, seen = batch[f"known_load_{side}"], batch[f"known_observation_{side}"]
+    return [batch[f"contact_features_{side}"], load.direction, load.factor, load.vertices, seen.displacement]
 
 
 def test_features_are_those_of_the_contact_cut_off_at_the_frame(clip):
@@ -78,19 +83,13 @@ def test_nothing_that_is_told_comes_from_later_frames(clip, frame: int):
     now = batch_of(clip, [frame], along)
     assert not torch.equal(now["observation_a"].displacement, known["observation_a"].displacement)
     for side in ("a", "b"):
-        assert torch.equal(now[f"contact_features_{side}"], known[f"contact_features_{side}"])
-        for name in ("direction", "factor", "vertices"):
-            ours, theirs = (getattr(batch[f"known_load_{side}"], name) for batch in (now, known))
+        for ours, theirs in zip(told(now, side), told(known, side), strict=True):
             assert torch.equal(ours, theirs)
-        ours, theirs = (batch[f"known_observation_{side}"].displacement for batch in (now, known))
-        assert torch.equal(ours, theirs)
 
 
 def test_without_a_known_noise_or_a_trajectory_nothing_is_told(clip, tmp_path):
     plain = prepare(write_clip(tmp_path / "plain"), SETTINGS, tmp_path / "cache")
-    trajectory = replace(TOLD, geometry=GRID)
-    final = SampleSettings(geometry=SMOOTH)
-    for prepared, settings in ((plain, trajectory), (clip, final)):
+    for prepared, settings in ((plain, replace(TOLD, geometry=GRID)), (clip, SampleSettings(geometry=SMOOTH))):
         batch = batch_of(prepared, [3, 4], settings)
         assert not [key for key in batch if key.startswith(KEYS)]
         assert make_sample(prepared, 3, settings).known is None
@@ -98,9 +97,8 @@ def test_without_a_known_noise_or_a_trajectory_nothing_is_told(clip, tmp_path):
 
 def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
     assert list_frames(clip, replace(TOLD, onset_within=None))[0] == [3, 4]
-    frames, left_out = list_frames(clip, replace(TOLD, onset_within=6))
-    assert frames == [3, 4, 5, 6, 7, 8]
-    assert left_out == {"no_tool": 3, "onset too far back": 3}
+    expected = [3, 4, 5, 6, 7, 8], {"no_tool": 3, "onset too far back": 3}
+    assert list_frames(clip, replace(TOLD, onset_within=6)) == expected
     assert make_sample(clip, 8, TOLD).known.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
 
 
@@ -108,8 +106,7 @@ def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(cli
     clip.noise = clip.noise.copy()
     clip.noise[3] = np.nan
     frames, left_out = list_frames(clip, TOLD)
-    assert frames == []
-    assert left_out["noise not known"] == 8
+    assert (frames, left_out["noise not known"]) == ([], 8)
 
 
 def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:

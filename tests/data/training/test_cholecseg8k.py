@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,10 @@ from palpate.data.masks.sources import MaskClasses
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.data.training.cholecseg8k import check_clip, list_clips, main
 from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
+from tests.conftest import CHECKOUT
 from tests.data.clips import real_frames, remove_frame, write_clip
+
+ANNOTATED = ["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]
 
 
 @pytest.fixture
@@ -53,9 +55,7 @@ def test_part_sizes_add_up_and_leave_no_part_empty_needlessly(total, fractions):
 
 
 def test_the_papers_split_is_seven_two_one():
-    assert part_sizes(10, FRACTIONS) == [7, 2, 1]
-    assert part_sizes(3, FRACTIONS) == [1, 1, 1]
-    assert part_sizes(2, FRACTIONS) == [1, 1, 0]
+    assert [part_sizes(total, FRACTIONS) for total in (10, 3, 2)] == [[7, 2, 1], [1, 1, 1], [1, 1, 0]]
 
 
 def test_splits_by_video_are_disjoint_complete_and_repeatable():
@@ -83,39 +83,25 @@ def test_a_check_counts_what_is_wrong(tmp_path):
     rgba = cv2.cvtColor(cv2.imread(str(folder / "frame_6_endo_color_mask.png")), cv2.COLOR_BGR2BGRA)
     cv2.imwrite(str(folder / "frame_6_endo_color_mask.png"), rgba)
     check = check_clip(folder, ClipLayout(), MaskClasses())
-    assert check.size == (128, 96)
-    assert check.unknown_share == pytest.approx(0.5 / 9)
+    assert (check.size, check.unknown_share) == ((128, 96), pytest.approx(0.5 / 9))
     assert ["frame_2_endo.png" in check.problems[0], "frame_3_endo_color_mask.png" in check.problems[1]] == [True] * 2
     assert check.problems[2:] == ["1 frame numbers are missing between 0 and 11", "unreadable: 1 of 11 frames"]
 
 
 def test_the_door_prepares_and_reports(narrow, capsys):
     write_clip(narrow / "data" / "video01" / "video01_00000")
-    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 0
+    assert main(ANNOTATED) == 0
     out = capsys.readouterr().out
-    assert "video01_00000" in out
-    assert "128x96" in out
-    assert "7 no_tool" in out
+    assert [said in out for said in ("video01_00000", "128x96", "7 no_tool")] == [True] * 3
     assert len(list((narrow / "cache").iterdir())) == 1
 
 
-def test_the_door_goes_on_after_a_bad_clip_and_names_it(narrow, capsys):
-    write_clip(narrow / "data" / "video01" / "video01_00000", frames=4)
-    bad = write_clip(narrow / "data" / "video02" / "video02_00000", frames=4)
-    for path in bad.glob("*_color_mask.png"):
-        path.unlink()
-    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 1
-    captured = capsys.readouterr()
-    assert "video01_00000" in captured.out
-    assert "video02_00000 failed" in captured.err
-
-
-def test_names_do_nothing_to_the_terminal(narrow, capsys):
+def test_the_door_goes_on_after_a_bad_clip_and_names_do_nothing_to_the_terminal(narrow, capsys):
     for name in ("video01/good", "video02/bad"):
         write_clip(narrow / "data" / f"{name}\x1b[31m\x07[red]", frames=4)
     for path in (narrow / "data" / "video02").rglob("*_color_mask.png"):
         path.unlink()
-    assert main(["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]) == 1
+    assert main(ANNOTATED) == 1
     captured = capsys.readouterr()
     assert not {letter for letter in captured.out + captured.err if not letter.isprintable()} - {"\n"}
     assert r"good\x1b[31m\x07[red]" in captured.out
@@ -131,7 +117,6 @@ def test_wrong_usage_is_one_sentence(narrow, capsys, arguments):
     assert main(arguments) == 2
     error = capsys.readouterr().err.strip()
     assert error.endswith(".")
-    assert "Traceback" not in error
     assert "\n" not in error
 
 
@@ -143,14 +128,14 @@ def test_without_contact_the_door_says_so(narrow, capsys):
 
 def test_the_module_runs_as_a_program_without_torch(tmp_path):
     write_clip(tmp_path / "video01_00000", frames=3)
-    root = Path(__file__).parents[3]
-    code = (
-        "import sys; from palpate.data.training.cholecseg8k import main; "
-        f"status = main([{str(tmp_path)!r}, '--cache', {str(tmp_path / 'cache')!r}]); "
-        "assert not {'torch', 'lightning', 'matplotlib', 'scipy.stats'} & set(sys.modules); sys.exit(status)"
-    )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60, check=False)
+    code = f"""
+import sys
+from palpate.data.training.cholecseg8k import main
+status = main([{str(tmp_path)!r}, "--cache", {str(tmp_path / "cache")!r}])
+assert not {{"torch", "lightning", "matplotlib", "scipy.stats"}} & set(sys.modules)
+sys.exit(status)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=CHECKOUT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
 
 
@@ -158,5 +143,4 @@ def test_real_data_set_has_no_unknown_colours(real_data, tmp_path):
     folder = real_frames(real_data, tmp_path / "clip", range(140, 160))
     check = check_clip(folder, ClipLayout(), MaskClasses())
     assert (check.size, check.problems) == ((854, 480), [])
-    assert check.unknown_share < 1e-3
-    assert np.isfinite(check.unknown_share)
+    assert 0 <= check.unknown_share < 1e-3

@@ -17,9 +17,8 @@ def test_even_an_unforeseen_error_costs_only_its_own_clip(tmp_path, monkeypatch)
     monkeypatch.setattr(preparation, "prepare", fails_on_one)
     clips, failures = prepare_all({bad: (), good: ()}, SETTINGS, tmp_path / "cache", show=False)
     assert [clip.name for clip in clips] == ["good"]
-    assert failures == {
-        bad: "unexpected OverflowError (Python int too large to convert); report it with the clip's files."
-    }
+    said = "unexpected OverflowError (Python int too large to convert); report it with the clip's files."
+    assert failures == {bad: said}
 
 
 def test_a_refused_clip_is_told_in_its_own_sentence(tmp_path):

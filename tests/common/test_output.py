@@ -98,8 +98,7 @@ def test_a_list_that_is_none_of_ours_is_named_and_stays(tmp_path: Path, content:
     (tmp_path / LIST).write_text(content)
     with pytest.raises(ForeignFile, match=LIST):
         write(tmp_path / "a", "own")
-    assert [path.name for path in tmp_path.iterdir()] == [LIST]
-    assert (tmp_path / LIST).read_text() == content
+    assert ([path.name for path in tmp_path.iterdir()], (tmp_path / LIST).read_text()) == ([LIST], content)
 
 
 @pytest.mark.parametrize("listed", [1, [1, None], {"a": "b"}])

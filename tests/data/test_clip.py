@@ -36,8 +36,7 @@ def starts(frames: list) -> list[int]:
 def test_statuses_runs_and_positions_of_a_clean_clip(tmp_path):
     frames = run(write_clip(tmp_path / "video01_00000"))
     assert statuses(frames) == " ".join(["no_tool"] * 3 + ["ok"] * 5 + ["no_tool"] * 4)
-    assert starts(frames) == [-1] * 3 + [3] * 9
-    assert [frame.consecutive for frame in frames] == [True] * 11 + [False]
+    assert (starts(frames), [frame.consecutive for frame in frames]) == ([-1] * 3 + [3] * 9, [True] * 11 + [False])
     first = frames[3]
     assert first.geometry.pixel[0] == 43  # last tissue column on the grid
     assert first.track_position == pytest.approx(first.geometry.tissue_point, abs=1e-6)
@@ -88,8 +87,7 @@ def test_rigid_motion_is_measured_and_can_be_subtracted(tmp_path):
 )
 def test_runs_of_contact_are_followed_from_their_onset(tmp_path, contact, settings, expected):
     frames = run(write_clip(tmp_path / "clip", contact=contact), replace(SETTINGS, **settings))
-    assert starts(frames) == expected
-    assert np.isfinite(frames[0].displacement).all() == (0 in contact)
+    assert (starts(frames), np.isfinite(frames[0].displacement).all()) == (expected, (0 in contact))
 
 
 def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
@@ -156,8 +154,7 @@ def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):
     describe(folder, camera=camera | {"distortion": [2.0, 0, 0, 0, 0]})
     clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
     frames = list(clip)
-    assert clip.camera.distortion == ()
-    assert frames[3].status == "ok"
+    assert (clip.camera.distortion, frames[3].status) == ((), "ok")
     # Column 87.5 is 0.24 from the axis, which is the distorted place of x with x·(1 + 2x²) = 0.24: x = 0.218.
     row = frames[3].picture_labels[48]
     assert np.flatnonzero(row == 1).max() == pytest.approx(63.5 + 21.8, abs=1)

@@ -93,8 +93,7 @@ def test_nothing_is_found_where_nothing_is_pressed(errors: dict) -> None:
         frames, runs = prepared(seen)
         assert not runs
         assert [frame.status for frame in frames] == ["no_contact"] * 14
-        assert [frame.detail for frame in frames[-3:]] == [NO_DENT] * 3
-        assert frames[0].detail == EARLY
+        assert ([frame.detail for frame in frames[-3:]], frames[0].detail) == ([NO_DENT] * 3, EARLY)
 
 
 HEIGHT, WIDTH = 60, 80
@@ -178,8 +177,7 @@ def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
 def test_a_frame_without_depth_ends_what_is_known() -> None:
     frames = [frame(index, 0.01 * (index > 7)) for index in range(14)]
     frames[10].status = "bad_depth"
-    assert [item.in_contact for item in told(frames)] == contacts(7, 9, 14)
-    assert frames[10].status == "bad_depth"
+    assert ([item.in_contact for item in told(frames)], frames[10].status) == (contacts(7, 9, 14), "bad_depth")
 
 
 def test_change_is_told_without_the_camera_s_and_with_its_noise() -> None:

@@ -95,8 +95,5 @@ def test_a_contacts_light_at_the_slots() -> None:
     assert known.tolist() == [15]
     wanted = light_amounts(pictured(np.eye(SHAPES)[:1])).amounts[0]
     np.testing.assert_allclose(found.amounts[0, :15], slot_times()[:15, None] * wanted, atol=1e-6)
-    assert found.load[0] == pytest.approx(contact.load_seconds)
-    assert found.focal[0] == pytest.approx(160)
-    assert found.distance[0] == pytest.approx(0.4)
-    assert found.rim[0] == 12
-    assert found.step[0] == 0
+    assert (found.load[0], found.focal[0]) == (pytest.approx(contact.load_seconds), pytest.approx(160))
+    assert (found.distance[0], found.rim[0], found.step[0]) == (pytest.approx(0.4), 12, 0)

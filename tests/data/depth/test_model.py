@@ -112,8 +112,7 @@ def test_preprocessing_is_scale_mean_std_in_the_presets_order():
     assert tensor[0, :, 0, 0] == pytest.approx([1.0, 0.5, -2.0], rel=1e-5)
     other = DepthPreset(name="a", kind="metric", resize="none", value_scale=255, layout="NHWC", channels="BGR")
     tensor = preprocess(picture, other, place(4, 6, other))
-    assert tensor.shape == (1, 4, 6, 3)
-    assert tensor[0, 0, 0].tolist() == [0, 51, 255]
+    assert (tensor.shape, tensor[0, 0, 0].tolist()) == ((1, 4, 6, 3), [0, 51, 255])
 
 
 def resized(shape: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -165,8 +164,7 @@ def test_canonical_inverse_depth_with_a_field_of_view(tmp_path):
     depth, source, settings = opened(tmp_path, FIELD_OF_VIEW, focal=90.0)
     # 90 degrees: f = w/2, so D = 0.5/C.
     np.testing.assert_allclose(depth(next(iter(source))), 0.5 / LEVELS, rtol=1e-5)
-    assert depth.focal == pytest.approx(0.5)
-    assert estimate_scale(source, depth, settings)[1] == pytest.approx(WIDTH / 2)
+    assert (depth.focal, estimate_scale(source, depth, settings)[1]) == (pytest.approx(0.5), pytest.approx(WIDTH / 2))
 
 
 def test_focal_length_on_its_own_grid(tmp_path):

@@ -131,15 +131,13 @@ def test_resize_keeps_a_cell_only_with_half_of_its_label_valid():
     depth[:3, :4] = 0  # a quarter valid
     depth[:2, 4:] = 0  # a half valid
     result, labels = resize_depth(depth, np.ones((4, 8), np.uint8), (1, 2))
-    assert result.tolist() == [[0, 0.5]]
-    assert labels.tolist() == [[1, 1]]
+    assert (result.tolist(), labels.tolist()) == ([[0, 0.5]], [[1, 1]])
 
 
 def test_resize_prefers_the_tool_when_equal_and_drops_the_outside():
     labels = np.array([[1, 2, 255, 255], [1, 2, 255, 255]], np.uint8)
     depth, grid = resize_depth(np.full((2, 4), 0.5, np.float32), labels, (1, 2))
-    assert grid.tolist() == [[2, 255]]
-    assert depth.tolist() == [[0.5, 0]]
+    assert (grid.tolist(), depth.tolist()) == ([[2, 255]], [[0.5, 0]])
 
 
 def test_resize_refuses_maps_of_two_sizes():

@@ -7,38 +7,15 @@ import pytest
 from palpate.data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
 from palpate.data.source.layout import InputError
 
-SHIPPED = [
-    "depth-anything-v2",
-    "depth-anything-v2-metric",
-    "depthpro",
-    "depthpro-canonical",
-    "metric3d",
-    "midas-small",
-    "photometric",
-]
-
 
 def test_shipped_presets_are_the_documented_ones():
-    assert preset_names() == SHIPPED
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_preset_loads(name):
-    preset = load_preset(name)
-    assert preset.name == name
-    assert preset.model or preset.obtain
-
-
-def test_facts_of_the_networks():
-    depthpro = load_preset("depthpro")
-    assert (depthpro.size, depthpro.focal_output, depthpro.focal_grid) == ((1536, 1536), "focallength_px", 1536)
-    anything = load_preset("depth-anything-v2")
-    assert (anything.resize, anything.size, anything.multiple) == ("shorter", 518, 14)
-    assert anything.kind == "relative_inverse"
-    midas = load_preset("midas-small")
-    assert (midas.resize, midas.size, midas.multiple) == ("longer", 256, 32)
-    metric3d = load_preset("metric3d")
-    assert metric3d.letterbox
+    presets = {name: load_preset(name) for name in preset_names()}
+    networks = "depth-anything-v2 depth-anything-v2-metric depthpro depthpro-canonical metric3d midas-small photometric"
+    assert [preset.name for preset in presets.values()] == list(presets) == networks.split()
+    assert all(preset.model or preset.obtain for preset in presets.values())
+    depthpro, metric3d = presets["depthpro"], presets["metric3d"]
+    assert (depthpro.focal_output, depthpro.focal_grid) == ("focallength_px", 1536)
+    assert presets["depth-anything-v2"].kind == "relative_inverse"
     assert (metric3d.value_scale, metric3d.mean, metric3d.canonical_focal_px) == (255, (0.0, 0.0, 0.0), 1000)
 
 
@@ -87,12 +64,17 @@ def test_identity_changes_with_every_fact():
 
 
 def test_missing_model_says_where_to_get_it():
-    with pytest.raises(InputError, match=r"depthpro needs a model file; download onnx/model.onnx .* depth\.model\."):
-        resolve_model("depthpro", None, None)
-    with pytest.raises(InputError, match=r"nowhere.onnx \(for depth preset depthpro\) does not exist; .*, or download"):
-        resolve_model("depthpro", "nowhere.onnx", None)
-    with pytest.raises(InputError, match=r"nowhere\.onnx does not exist"):
-        resolve_model("nowhere.onnx", None, "depthpro")
+    for asked, said in {
+        ("depthpro", None, None): r"depthpro needs a model file; download onnx/model.onnx .* depth\.model\.",
+        (
+            "depthpro",
+            "nowhere.onnx",
+            None,
+        ): r"nowhere.onnx \(for depth preset depthpro\) does not exist; .*, or download",
+        ("nowhere.onnx", None, "depthpro"): r"nowhere\.onnx does not exist",
+    }.items():
+        with pytest.raises(InputError, match=said):
+            resolve_model(*asked)
 
 
 def test_onnx_path_needs_a_preset_or_a_file_beside_it(tmp_path):
@@ -108,5 +90,4 @@ def test_onnx_path_needs_a_preset_or_a_file_beside_it(tmp_path):
 def test_photometric_ships_its_model():
     path, preset = resolve_model("photometric", None, None)
     assert path.is_file()
-    assert path.parent == Path(resolve_model.__code__.co_filename).parent
-    assert preset.kind == "relative"
+    assert (path.parent, preset.kind) == (Path(resolve_model.__code__.co_filename).parent, "relative")

@@ -154,8 +154,7 @@ def test_pallor_compares_equal_brightness():
     red, bright = module.redness(image), brightest_channel(image)
     pale = pallor(red, bright, np.ones((40, 40), bool))
     # Redness is 55/208 and 60/108 of the two tissues and 0 of the patch.
-    assert red[5, 5] == pytest.approx(55 / 208)
-    assert pale[27, 12] == pytest.approx(60 / 108)
+    assert (red[5, 5], pale[27, 12]) == (pytest.approx(55 / 208), pytest.approx(60 / 108))
     assert pale[5, 5] == pale[36, 36] == 0
     assert (pallor(red, bright, np.zeros((40, 40), bool)) == 0).all()
 

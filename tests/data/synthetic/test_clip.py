@@ -255,8 +255,7 @@ def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.Cap
     assert [folder.name for folder in folders] == ["video01_00000", "video02_00000"]
     truths = [json.loads((folder / "truth.json").read_text(encoding="utf-8")) for folder in folders]
     assert truths[0]["theta"] != truths[1]["theta"]
-    assert truths[0]["seed"] == clip_seed(0, 0)
-    assert truths[0]["settings"]["press_seconds"] == [0.2, 0.3]
+    assert (truths[0]["seed"], truths[0]["settings"]["press_seconds"]) == (clip_seed(0, 0), [0.2, 0.3])
     assert cv2.imread(str(folders[0] / "frame_0_endo_depth.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint8
     assert "2 clips with truth" in " ".join(capsys.readouterr().err.split())
 
@@ -288,8 +287,7 @@ def test_bad_usage_gets_a_sentence(tmp_path, monkeypatch, capsys, options, statu
 
 
 def test_sizes() -> None:
-    assert picture_size("full") == (854, 480)
-    assert picture_size("640x360") == (640, 360)
+    assert (picture_size("full"), picture_size("640x360")) == ((854, 480), (640, 360))
     with pytest.raises(ValueError, match="give full, medium, small or WIDTHxHEIGHT"):
         picture_size("640")
 

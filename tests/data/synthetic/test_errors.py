@@ -76,6 +76,5 @@ def test_mask_error_displaces_outlines_by_its_size() -> None:
 def test_focal_error_changes_the_claimed_focal_length_only() -> None:
     camera = Camera.from_field_of_view(60, 214, 120)
     claimed = reported_camera(camera, dataclasses.replace(SMALL, focal_error=1.1))
-    assert claimed.fx == pytest.approx(1.1 * camera.fx)
-    assert claimed.fy == pytest.approx(1.1 * camera.fy)
+    assert (claimed.fx, claimed.fy) == (pytest.approx(1.1 * camera.fx), pytest.approx(1.1 * camera.fy))
     assert (claimed.cx, claimed.cy, claimed.width) == (camera.cx, camera.cy, camera.width)

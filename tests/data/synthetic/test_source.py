@@ -28,8 +28,7 @@ def test_memory_and_files_give_the_same_clip(tmp_path: Path) -> None:
     clip = make_clip(SCENE, SEED)
     memory = stored(open_synthetic(clip, SETTINGS), tmp_path / "memory")
     files = prepare(write_clip(tmp_path / "set", 1, SCENE, SEED), SETTINGS, tmp_path / "cache")
-    assert memory.name == f"synthetic-{SEED}"
-    assert memory.status.tolist() == files.status.tolist()
+    assert (memory.name, memory.status.tolist()) == (f"synthetic-{SEED}", files.status.tolist())
     onset = clip.motion.onset_frame
     assert (memory.contact & (memory.track_start == onset)).sum() >= 4
     for name in ("usable", "consecutive", "vertex", "track_start"):

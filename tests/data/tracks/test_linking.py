@@ -24,8 +24,7 @@ def test_a_prepared_picture_has_lost_its_local_mean() -> None:
     np.testing.assert_allclose(linker.prepared(bright).exact[inside], linking.GREY, atol=1)
     prepared = linker.prepared(flecked)
     assert prepared.exact[200, 300] == linking.GREY + 10
-    assert np.abs(prepared.exact.astype(int) - linking.GREY).sum() == 10
-    assert prepared.rough.shape == (120, 213)
+    assert (np.abs(prepared.exact.astype(int) - linking.GREY).sum(), prepared.rough.shape) == (10, (120, 213))
 
 
 def prepared(linker: linking.Linker, *pictures: np.ndarray) -> list[linking.Prepared]:

@@ -69,11 +69,6 @@ def test_moving_tool_does_not_drag_static_tissue(speed):
     assert np.abs(followed(*pictures, contact, labels) - contact).max() < 0.5
 
 
-def test_swapped_arguments_lead_back():
-    image, following = texture(2), shifted(texture(2), 3.4, -2.2)
-    assert np.abs(followed(following, image, followed(image, following)) - POINTS).max() < 0.3
-
-
 def test_point_that_leaves_the_picture_is_lost():
     image = texture(4)
     moved = followed(image, shifted(image, -8, 0), np.array([[4.0, 120.0], [90, 90]]))

@@ -207,8 +207,7 @@ def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
     near, far = (prepare(folder, replace(SETTINGS, geometry=g), tmp_path / "cache") for g in (GRID, NEAREST))
     assert list_frames(near, SampleSettings(geometry=GRID))[0] == [2]
     frames, left_out = list_frames(far, SampleSettings(geometry=NEAREST))
-    assert frames == [2, 3, 4, 5]
-    assert left_out == {"no_tool": 4, "next frame not in contact": 1}
+    assert (frames, left_out) == ([2, 3, 4, 5], {"no_tool": 4, "next frame not in contact": 1})
     released = make_interaction(far, 4, SampleSettings(geometry=NEAREST))
     stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST))
     points = [frame.contact.tissue_point for frame in stream if frame.in_contact]

@@ -45,8 +45,7 @@ def test_no_pair_crosses_a_gap(tmp_path):
     remove_frame(folder, 5)
     clip = prepare(folder, SETTINGS, tmp_path / "cache")
     frames, left_out = list_frames(clip, PAIRS)
-    assert clip.times[frames].tolist() == pytest.approx([0.12, 0.24])
-    assert left_out["no next frame"] == 1
+    assert (clip.times[frames].tolist(), left_out["no next frame"]) == (pytest.approx([0.12, 0.24]), 1)
 
 
 def test_a_pair_observes_one_displacement_at_one_step(clip):
@@ -54,11 +53,9 @@ def test_a_pair_observes_one_displacement_at_one_step(clip):
     assert np.array_equal(sample.window_a, [clip.depth(2), clip.depth(3), clip.depth(4)])
     assert np.array_equal(sample.window_b, [clip.depth(7), clip.depth(6), clip.depth(5)])
     for contact, frame, sign in ((sample.interaction_a, 4, 1), (sample.interaction_b, 5, -1)):
-        assert steps_of(contact) == [199]
-        assert load_steps(contact) == 50
+        assert (steps_of(contact), load_steps(contact)) == ([199], 50)
         assert contact.moved[0, 2] == pytest.approx(sign * DEPTH_STEP, abs=2e-4)
-        assert contact.vertex == clip.vertex[frame]
-        assert contact.direction == pytest.approx(clip.normal[frame])
+        assert (contact.vertex, contact.direction) == (clip.vertex[frame], pytest.approx(clip.normal[frame]))
         assert len(contact.mesh.vertices) == len(clip.mesh(frame).vertices)
 
 
@@ -86,8 +83,7 @@ def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
     assert steps_of(run.build(TRAJECTORY.mechanics, 3)) == [7, 15, 23]
     assert steps_of(run.build(TRAJECTORY.mechanics, "press")) == [7, 15, 23, 31]  # contact in frames 3 to 7
     brief = make_interaction(clip, 4, replace(TRAJECTORY, mechanics=Mechanics(steps=20, load_steps=5)))
-    assert steps_of(brief) == [7, 15]
-    assert load_steps(brief) == 20
+    assert (steps_of(brief), load_steps(brief)) == ([7, 15], 20)
 
 
 def test_contact_that_never_ends_loads_the_whole_rollout(tmp_path):

@@ -61,20 +61,15 @@ DENT = 0.03 * np.exp(-0.5 * (APART / 4) ** 2) * (APART < depth_sequence.FAR)
 SEEN = DENT[depth_sequence.window_around(CENTRE)]
 
 
-def test_the_change_of_a_still_camera_is_the_dent_itself() -> None:
-    change = recorder().frame(REST + DENT, TISSUE_ALL)
-    assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
-    np.testing.assert_allclose(change, SEEN, atol=2e-7)
-    assert change[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03, abs=2e-7)
-
-
-@pytest.mark.parametrize("motion", [(0.02, 0, 0), (0, 0.01, -0.004), (-0.013, -0.006, 0.009)], ids=str)
+@pytest.mark.parametrize("motion", [(0, 0, 0), (0.02, 0, 0), (0, 0.01, -0.004), (-0.013, -0.006, 0.009)], ids=str)
 def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, float, float]) -> None:
     """Relative to the distance, as a camera or a depth network changes them."""
     scale, down, across = motion
     moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / depth_sequence.FAR
     change = recorder().frame(REST * (1 + moved) + DENT, TISSUE_ALL)
-    np.testing.assert_allclose(change, SEEN, atol=3e-7)
+    assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
+    np.testing.assert_allclose(change, SEEN, atol=3e-7 if any(motion) else 2e-7)
+    assert SEEN[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03)
 
 
 def test_some_far_tissue_may_move_otherwise() -> None:
@@ -117,12 +112,6 @@ def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
     assert made.frame(REST, labels) is None
     labels[-1, 99] = TISSUE
     assert made.frame(REST, labels) is not None
-
-
-def test_of_white_noise_all_is_new_in_every_frame() -> None:
-    noise = noise_of(SIGMA * white(0))
-    assert noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
-    assert noise.total == SIGMA
 
 
 def test_what_is_rounded_stays_in_its_place() -> None:

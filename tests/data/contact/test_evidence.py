@@ -180,9 +180,9 @@ def pressing(depth: float, **options: bool) -> list[PreparedFrame]:
 def test_a_tool_that_comes_to_a_stand_is_not_called_hovering() -> None:
     """It may press from the frame in which it arrives; nothing tells."""
     frames = pressing(0.0)
-    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5
     assert [frame.status for frame in frames] == ["ok"] + ["no_contact"] * 3 + ["ok"] * 5
-    assert [frame.undecided for frame in frames] == [False] * 4 + [True] * 5
+    for index, frame in enumerate(frames):
+        assert (frame.hovers, frame.undecided) == (0 < index < 4, index >= 4)
     for frame in frames[4:]:
         assert frame.contact_probability == pytest.approx(PRIOR, abs=0.12)
         assert (frame.in_contact, frame.detail) == (True, "")
@@ -190,10 +190,9 @@ def test_a_tool_that_comes_to_a_stand_is_not_called_hovering() -> None:
 
 def test_tissue_that_sinks_beside_a_tool_is_pressed() -> None:
     """Where depth is measured; what is guessed from pictures leaves it undecided."""
-    frames = pressing(0.004)
-    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5
-    assert [frame.contact_probability > CERTAIN for frame in frames] == [False] * 5 + [True] * 4
-    assert [frame.undecided for frame in frames] == [False] * 4 + [True] + [False] * 4
+    for index, frame in enumerate(pressing(0.004)):
+        found = frame.hovers, frame.undecided, frame.contact_probability > CERTAIN
+        assert found == (0 < index < 4, index == 4, index > 4)
     guessed = pressing(0.004, measured=False)
     assert all(frame.undecided and frame.contact_probability < CERTAIN for frame in guessed[4:])
 

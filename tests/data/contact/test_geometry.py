@@ -126,22 +126,16 @@ def test_undistortion_moves_a_point_to_its_pinhole_place():
     assert set(np.unique(depth)) <= {0.0, 0.25}
 
 
-def test_touching_masks_are_in_contact_whatever_the_tools_depth():
-    for tool_depth in (0.5, 0.9, 0.05):
-        depth, labels = scene(tool_depth=tool_depth)
-        geometry = frame_geometry(depth, labels, CAMERA, SETTINGS)
-        u, v = geometry.pixel
-        assert (geometry.touching, u in (38, 39), 18 <= v <= 30) == (True, True, True)
-        assert geometry.mesh.vertices[geometry.vertex] == pytest.approx(geometry.tissue_point)
-        assert geometry.normal == pytest.approx([0, 0, -1], abs=1e-6)
-        assert geometry.distance == pytest.approx(np.linalg.norm(geometry.tool_point - geometry.tissue_point))
-
-
-def test_a_tool_without_depth_still_touches():
-    depth, labels = scene(tool_depth=0.0)
-    geometry = frame_geometry(depth, labels, CAMERA, SETTINGS)
-    assert geometry.pixel[0] == 39
-    assert np.isnan(geometry.distance)
+@pytest.mark.parametrize("tool_depth", [0.5, 0.9, 0.05, 0.0])
+def test_touching_masks_are_in_contact_whatever_the_tools_depth(tool_depth):
+    """Also without any."""
+    geometry = frame_geometry(*scene(tool_depth=tool_depth), CAMERA, SETTINGS)
+    u, v = geometry.pixel
+    assert (geometry.touching, u in (38, 39), 18 <= v <= 30) == (True, True, True)
+    assert geometry.mesh.vertices[geometry.vertex] == pytest.approx(geometry.tissue_point)
+    assert geometry.normal == pytest.approx([0, 0, -1], abs=1e-6)
+    apart = np.linalg.norm(geometry.tool_point - geometry.tissue_point) if tool_depth else np.nan
+    assert geometry.distance == pytest.approx(apart, nan_ok=True)
 
 
 def test_depth_holes_along_the_outline_fall_back_to_the_nearest_depth():

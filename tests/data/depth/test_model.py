@@ -272,15 +272,6 @@ def test_only_the_bad_frame_is_bad(tmp_path):
 # Files that don't fit
 
 
-def test_what_is_no_onnx_model_is_named(tmp_path):
-    path = tmp_path / "x.onnx"
-    for content in (b"", b"not a model", b"\x00" * 100):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=r"x.onnx can't be opened as an ONNX model") as caught:
-            DepthModel(path, DepthPreset(name="a", kind="metric"))
-        assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("preset", "network", "expected"),
     [

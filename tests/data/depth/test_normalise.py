@@ -197,14 +197,6 @@ def test_a_given_scale_is_taken_as_it_is_and_nothing_is_read():
     assert planes.seen == []
 
 
-def test_flicker_shows_because_nothing_is_normalised_by_the_frame():
-    flicker = [1.0, 0.95, 1.0, 1.05]
-    source, planes = blank(4), Planes(lambda index: tilted(2.0) * flicker[index])
-    scale, _ = estimate_scale(source, planes, DepthSettings())
-    means = [normalise(planes(frame), 1.2 * scale)[:, :20].mean() for frame in source]
-    assert np.array(means) / means[0] == pytest.approx(flicker, rel=1e-3)
-
-
 # Choice of the source
 
 

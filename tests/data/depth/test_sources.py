@@ -73,37 +73,36 @@ def test_png_is_divided_by_its_types_largest_value(tmp_path, dtype):
     assert (depth[0, :5] == 0).all()
 
 
-def test_npy_is_taken_as_it_is(tmp_path):
-    assert np.array_equal(stored(tmp_path, RAMP.astype(np.float64)), RAMP)
-    millimetres = (RAMP * 100).astype(np.int16)
-    metres = stored(tmp_path, millimetres, replace(NPY, depth_factor=0.001))
-    assert metres == pytest.approx(millimetres / 1000, rel=1e-6)
-    assert np.array_equal(stored(tmp_path, RAMP[None]), RAMP)
+TWO = {"z": RAMP, "other": RAMP * 2}
+NPZ = replace(NPY, depth="{number}.npz")
+INVALID = np.repeat([np.nan, np.inf, -1, 0], 2)[:, None] * np.ones(WIDTH)
+"""Eight rows of what is no depth."""
 
 
-def test_npz_by_key_or_by_its_only_array(tmp_path):
-    layout = replace(NPY, depth="{number}.npz")
-    assert np.array_equal(stored(tmp_path, {"z": RAMP}, layout), RAMP)
-    two = {"z": RAMP, "other": RAMP * 2}
-    assert np.array_equal(stored(tmp_path, two, replace(layout, depth_key="other")), RAMP * 2)
+@pytest.mark.parametrize(
+    ("array", "layout", "expected"),
+    [
+        (RAMP.astype(np.float64), NPY, RAMP),
+        (RAMP[None], NPY, RAMP),
+        ((RAMP * 100).astype(np.int16), replace(NPY, depth_factor=0.001), (RAMP * 100).astype(np.int16) / 1000),
+        ({"z": RAMP}, NPZ, RAMP),
+        (TWO, replace(NPZ, depth_key="other"), RAMP * 2),
+        (RAMP * 100, replace(NPY, depth_kind="disparity", depth_factor=10.0), 0.1 / RAMP),
+    ],
+    ids=["doubles", "one channel", "millimetres", "the only array", "by its key", "disparity"],
+)
+def test_arrays_are_read_as_the_layout_says_and_invalid_parts_keep_the_rest(tmp_path, array, layout, expected):
+    np.testing.assert_allclose(stored(tmp_path, array, layout), expected, rtol=1e-6)
+    if isinstance(array, np.ndarray) and array.dtype.kind == "f":
+        array = np.concatenate([INVALID, array.reshape(HEIGHT, WIDTH)[8:]])
+        depth = stored(tmp_path, array, layout)
+        assert (depth[:8] == 0).all()
+        np.testing.assert_allclose(depth[8:], expected[8:], rtol=1e-6)
+
+
+def test_one_of_two_arrays_must_be_named(tmp_path):
     with pytest.raises(InputError, match=r"7.npz holds z, other; name one of them as layout.depth_key"):
-        stored(tmp_path, two, layout)
-
-
-def test_disparity_is_inverted_with_the_factor(tmp_path):
-    disparity = RAMP * 100
-    disparity[3, :4] = 0
-    depth = stored(tmp_path, disparity, replace(NPY, depth_kind="disparity", depth_factor=10.0))
-    assert depth[5] == pytest.approx(10.0 / disparity[5], rel=1e-6)
-    assert (depth[3, :4] == 0).all()
-
-
-def test_partial_validity_keeps_the_rest(tmp_path):
-    array = RAMP.copy()
-    array[:12] = np.repeat([np.nan, np.inf, -1], 4)[:, None]
-    depth = stored(tmp_path, array)
-    assert (depth[:12] == 0).all()
-    assert np.array_equal(depth[12:], RAMP[12:])
+        stored(tmp_path, TWO, NPZ)
 
 
 def test_depth_of_another_resolution_takes_the_nearest_pixel(tmp_path):

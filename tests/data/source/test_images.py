@@ -24,12 +24,6 @@ def test_cut_image_is_refused_silently(tmp_path, capfd, suffix, kept):
     assert capfd.readouterr().err == ""
 
 
-def test_channels_come_as_rgb(tmp_path):
-    path = tmp_path / "red.png"
-    path.write_bytes(cv2.imencode(".png", np.full((2, 2, 3), (0, 0, 200), np.uint8))[1].tobytes())
-    assert read_image(path)[0, 0].tolist() == [200, 0, 0]
-
-
 def chunk(kind: bytes, content: bytes) -> bytes:
     return len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from palpate.data.masks.sources import MaskClasses
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.data.training.cholecseg8k import check_clip, list_clips, main
-from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, split_in_time, video_of
+from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, video_of
 from tests.conftest import CHECKOUT
 from tests.data.clips import real_frames, remove_frame, write_clip
 
@@ -65,10 +65,6 @@ def test_splits_by_video_are_disjoint_complete_and_repeatable():
     assert sorted(video for part in split.values() for video in part) == videos
     assert split == split_by_video(reversed(videos), FRACTIONS, seed=3)
     assert split != split_by_video(videos, FRACTIONS, seed=4)
-
-
-def test_a_split_in_time_keeps_the_order():
-    assert split_in_time(range(10), FRACTIONS) == {"train": list(range(7)), "val": [7, 8], "test": [9]}
 
 
 def test_a_check_counts_what_is_wrong(tmp_path):

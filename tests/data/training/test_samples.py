@@ -59,13 +59,6 @@ def test_a_pair_observes_one_displacement_at_one_step(clip):
         assert len(contact.mesh.vertices) == len(clip.mesh(frame).vertices)
 
 
-def test_the_first_frame_is_repeated_at_a_clips_start(tmp_path):
-    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=3), SETTINGS, tmp_path / "cache")
-    sample = make_sample(clip, 0, replace(PAIRS, window=4))
-    assert np.array_equal(sample.window_a, [clip.depth(0)] * 4)
-    assert np.array_equal(sample.window_b, [clip.depth(2), clip.depth(2), clip.depth(2), clip.depth(1)])
-
-
 def test_a_trajectory_is_observed_at_the_frames_time_stamps(clip):
     assert list_frames(clip, TRAJECTORY) == ([3, 4, 5, 6], {"no_tool": 3, "onset outside the window": 5})
     sample = make_sample(clip, 5, TRAJECTORY)
@@ -84,11 +77,6 @@ def test_a_trajectory_ends_with_its_horizon_and_with_the_rollout(clip):
     assert steps_of(run.build(TRAJECTORY.mechanics, "press")) == [7, 15, 23, 31]  # contact in frames 3 to 7
     brief = make_interaction(clip, 4, replace(TRAJECTORY, mechanics=Mechanics(steps=20, load_steps=5)))
     assert (steps_of(brief), load_steps(brief)) == ([7, 15], 20)
-
-
-def test_contact_that_never_ends_loads_the_whole_rollout(tmp_path):
-    clip = prepare(write_clip(tmp_path / "clip", contact=(2, 3, 4), frames=5), SETTINGS, tmp_path / "cache")
-    assert load_steps(make_interaction(clip, 2, TRAJECTORY)) == 200
 
 
 def spoiled(tmp_path, frames: tuple[int, ...], what: str, contact: tuple[int, ...] = (3, 4, 5, 6, 7)):
@@ -128,11 +116,6 @@ def test_a_longer_unknown_stretch_ends_the_run(tmp_path):
     contact = make_interaction(clip, 3, TRAJECTORY)
     assert (load_steps(contact), steps_of(contact)) == (200, [7])
     assert clip.track_start.tolist() == [-1] * 3 + [3] * 5 + [-1] * 4
-
-
-def test_contact_without_onset_gives_no_trajectory(tmp_path):
-    clip = prepare(write_clip(tmp_path / "clip", contact=(0, 1, 2), frames=6), SETTINGS, tmp_path / "cache")
-    assert list_frames(clip, TRAJECTORY) == ([], {"onset not observed": 3, "no_tool": 3})
 
 
 def test_direction_of_the_observed_motion(clip):

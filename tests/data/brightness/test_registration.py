@@ -26,11 +26,20 @@ def labels(tool: slice | None = None) -> np.ndarray:
     return found
 
 
-def test_a_camera_that_stands_leaves_every_pixel_as_it_is():
-    registration, picture = Registration(GRID), texture()
-    registration.push(picture, labels())
-    noise = np.random.default_rng(2).normal(0, 2, picture.shape)
-    noisy = (picture + noise).clip(0, 255).astype(np.uint8)
+PICTURE = texture()
+
+
+@pytest.fixture
+def registration() -> Registration:
+    """That of a clip which begins with the picture."""
+    begun = Registration(GRID)
+    begun.push(PICTURE, labels())
+    return begun
+
+
+def test_a_camera_that_stands_leaves_every_pixel_as_it_is(registration):
+    noise = np.random.default_rng(2).normal(0, 2, PICTURE.shape)
+    noisy = (PICTURE + noise).clip(0, 255).astype(np.uint8)
     view, shown, named = registration.push(noisy, labels())
     assert view.reference == 1
     assert np.array_equal(view.matrix, np.eye(3))
@@ -38,37 +47,29 @@ def test_a_camera_that_stands_leaves_every_pixel_as_it_is():
     assert (named == TISSUE).all()
 
 
-def test_places_of_a_moved_picture_are_found_in_the_reference_and_back():
-    turn = cv2.getRotationMatrix2D((160, 120), 4, 1.03)
-    matrix = np.vstack([turn, [0, 0, 1]])
+def test_places_of_a_moved_picture_are_found_in_the_reference_and_back(registration):
+    matrix = np.vstack([cv2.getRotationMatrix2D((160, 120), 4, 1.03), [0, 0, 1]])
     matrix[:2, 2] += [6, -3]
-    registration, picture = Registration(GRID), texture()
-    registration.push(picture, labels())
-    view, shown, _ = registration.push(moved(picture, matrix), labels(slice(150, 170)))
+    view, shown, _ = registration.push(moved(PICTURE, matrix), labels(slice(150, 170)))
     assert view.reference == 1
     column, row = (matrix @ [100.0, 80.0, 1.0])[:2]
     place = (np.array([row, column]) + 0.5) / 4 - 0.5
     assert view.moved(place) == pytest.approx((np.array([80.0, 100.0]) + 0.5) / 4 - 0.5, abs=0.05)
     assert view.back(view.moved(place)) == pytest.approx(place)
     inner = np.s_[40:-40, 60:-60]
-    assert np.abs(shown[inner].astype(float) - picture[inner]).mean() < 2
+    assert np.abs(shown[inner].astype(float) - PICTURE[inner]).mean() < 2
 
 
-def test_the_instrument_is_warped_with_its_picture():
+def test_the_instrument_is_warped_with_its_picture(registration):
     matrix = np.array([[1, 0, 10.0], [0, 1, 0], [0, 0, 1]])
-    registration, picture = Registration(GRID), texture()
-    registration.push(picture, labels())
-    _, _, named = registration.push(moved(picture, matrix), labels(slice(150, 170)))
+    _, _, named = registration.push(moved(PICTURE, matrix), labels(slice(150, 170)))
     assert (named[120] == TOOL).nonzero()[0][[0, -1]] == pytest.approx([140, 159], abs=1)
 
 
 @pytest.mark.parametrize("other", ["scene", "far"])
-def test_another_scene_and_a_view_far_away_have_another_reference(other):
-    registration, picture = Registration(GRID), texture()
-    registration.push(picture, labels())
-    following = texture(2) if other == "scene" else picture
-    view = None
+def test_another_scene_and_a_view_far_away_have_another_reference(registration, other):
+    following, speed = (texture(2), 0.0) if other == "scene" else (PICTURE, 10.0)
     for step in range(1, 12):
-        shift = np.array([[1, 0, 10.0 * step], [0, 1, 0], [0, 0, 1]])
-        view, _, _ = registration.push(moved(following, shift if other == "far" else np.eye(3)), labels())
+        shift = np.array([[1, 0, speed * step], [0, 1, 0], [0, 0, 1]])
+        view, _, _ = registration.push(moved(following, shift), labels())
     assert view.reference == 2

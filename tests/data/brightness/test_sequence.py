@@ -10,8 +10,11 @@ SHAPE = (120, 160)
 SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 
 
-def texture() -> np.ndarray:
-    return np.random.default_rng(1).normal(-1, 0.3, SHAPE)
+TEXTURE = np.random.default_rng(1).normal(-1, 0.3, SHAPE)
+
+
+def recorder(row: int = 30, column: int = 40) -> BrightnessRecorder:
+    return BrightnessRecorder(TEXTURE, np.array([row, column]))
 
 
 def test_rest_is_the_median_of_what_was_seen():
@@ -38,14 +41,13 @@ def test_rest_is_that_of_the_frames_that_show_a_place(count):
 
 
 def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
-    rest, noise = texture(), np.random.default_rng(2).normal(0, 0.01, SHAPE)
-    rows, columns = np.indices(SHAPE) / 160
+    noise, (rows, columns) = np.random.default_rng(2).normal(0, 0.01, SHAPE), np.indices(SHAPE) / 160
     dent = np.zeros(SHAPE)
     dent[58:66, 76:84] = -0.5
-    light = rest + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
-    np.testing.assert_allclose(change_of_light(light, rest), dent + noise, atol=0.003)
-    recorder = BrightnessRecorder(rest, np.array([30, 40]))
-    found = recorder.sequence(np.array([1]), np.array([0.04]), [recorder.frame(light)])
+    light = TEXTURE + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
+    np.testing.assert_allclose(change_of_light(light, TEXTURE), dent + noise, atol=0.003)
+    made = recorder()
+    found = made.sequence(np.array([1]), np.array([0.04]), [made.frame(light)])
     first = FINE * (np.array([30, 40]) - REACH - MARGIN)
     window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
     np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
@@ -53,8 +55,7 @@ def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
 
 
 def test_what_lies_outside_the_picture_is_not_known():
-    recorder = BrightnessRecorder(texture(), np.array([2, 3]))
-    found = recorder.frame(texture())
+    found = recorder(2, 3).frame(TEXTURE)
     outside = FINE * (REACH + MARGIN - np.array([2, 3]))
     assert np.isnan(found[: outside[0]]).all()
     assert np.isnan(found[:, : outside[1]]).all()
@@ -62,15 +63,15 @@ def test_what_lies_outside_the_picture_is_not_known():
 
 
 def test_a_frame_that_shows_too_little_tells_no_gain():
-    light = texture()
+    light = TEXTURE.copy()
     light[:, 20:] = np.nan
-    assert BrightnessRecorder(texture(), np.array([30, 40])).frame(light) is None
-    assert change_of_light(np.full(SHAPE, np.nan), texture()) is None
+    assert recorder().frame(light) is None
+    assert change_of_light(np.full(SHAPE, np.nan), TEXTURE) is None
 
 
 def test_some_frames_of_a_sequence():
-    recorder = BrightnessRecorder(texture(), np.array([30, 40]))
-    frames = [recorder.frame(texture() + gain) for gain in (0.0, 0.1, 0.2)]
-    found = recorder.sequence(np.arange(3), np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
+    made = recorder()
+    frames = [made.frame(TEXTURE + gain) for gain in (0.0, 0.1, 0.2)]
+    found = made.sequence(np.arange(3), np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
     assert found.light.shape == (2, SIDE, SIDE)

@@ -66,9 +66,8 @@ def test_no_point_begins_at_the_tool() -> None:
     tool = NO_TOOL.copy()
     tool[40:60, 60:90] = True
     follower = PointFollower(texture(), tool, 1)
-    away = tool_distance(tool)
     assert follower.distance.min() > following.MARGIN
-    expected = (away[1:-1, 1:-1] > following.MARGIN) & lit_field(texture())[1:-1, 1:-1]
+    expected = ((tool_distance(tool) > following.MARGIN) & lit_field(texture()))[1:-1, 1:-1]
     assert len(follower.points) == expected.sum() < expected.size
 
 
@@ -125,21 +124,18 @@ def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
     picture = texture(6)
     follower = PointFollower(picture, NO_TOOL)
     hidden = np.hypot(*(follower.points - [96, 64]).T) < 24
-    for index in range(1, RELINKED + 1):
-        tool = np.hypot(*np.meshgrid(np.arange(WIDTH) - 96, np.arange(HEIGHT) - 64)) < 30
+    tool = np.hypot(*np.meshgrid(np.arange(WIDTH) - 96, np.arange(HEIGHT) - 64)) < 30
+    for index in range(1, RELINKED):
         now = warped(picture, shift(2.0 * index, -index))
         now[tool] = 30
-        if index < RELINKED:
-            follower.step(now, tool)
-            assert not follower.followed[hidden].any()
-            # Where it was last seen is a step behind by now.
-            off = follower.expected - follower.points - [2.0 * index, -index]
-            assert np.abs(np.median(off[hidden], axis=0)).max() < 0.3
-        else:
-            follower.step(warped(picture, shift(2.0 * index, -index)), NO_TOOL)
+        follower.step(now, tool)
+        assert not follower.followed[hidden].any()
+        # Where it was last seen is a step behind by now.
+        off = follower.expected - follower.points - [2.0 * index, -index]
+        assert np.abs(np.median(off[hidden], axis=0)).max() < 0.3
+    follower.step(warped(picture, shift(2.0 * RELINKED, -RELINKED)), NO_TOOL)
     assert follower.followed[hidden].mean() > 0.9
-    expected = np.broadcast_to([2.0 * RELINKED, -RELINKED], follower.points.shape)
-    off = np.linalg.norm(follower.moved - expected, axis=1)[hidden & follower.followed]
+    off = np.linalg.norm(follower.moved - [2.0 * RELINKED, -RELINKED], axis=1)[hidden & follower.followed]
     assert np.median(off) < 0.3
 
 
@@ -157,12 +153,11 @@ def test_another_tissue_is_not_taken_for_a_lost_point() -> None:
 def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
     """There and back by half pixels twenty times; the noise given is that of the last links alone."""
     picture = texture(8)
-    follower = PointFollower(picture, NO_TOOL)
+    follower, way = PointFollower(picture, NO_TOOL), (0.0, 0.0)
     for index in range(1, 4 * RELINKED + 1):
-        follower.step(warped(picture, shift(1.5 * np.sin(index), 0.7 * np.cos(index))), NO_TOOL)
-    last = 4 * RELINKED
-    expected = [1.5 * np.sin(last), 0.7 * np.cos(last)]
-    off = (follower.moved - expected)[follower.followed]
+        way = 1.5 * np.sin(index), 0.7 * np.cos(index)
+        follower.step(warped(picture, shift(*way)), NO_TOOL)
+    off = (follower.moved - way)[follower.followed]
     assert np.sqrt(np.square(off).mean()) < 0.12
     assert np.median(follower.noise) < 2 * following.NOISE
     follower.step(picture, NO_TOOL)

@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
-from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.data.windows import FrameWindow, future_indices, window_indices
 from tests.conftest import CHECKOUT
 from tests.data import clips
-from tests.data.clips import FOCAL, GRID, SETTINGS, describe, real_frames, remove_depth, remove_frame, write_clip
+from tests.data.clips import FOCAL, GRID, SETTINGS, describe, remove_depth, remove_frame, write_clip
 
 
 def run(folder: Path, settings: PrepareSettings = SETTINGS) -> list:
@@ -207,16 +206,6 @@ def test_rigid_motion_is_recovered_despite_a_deforming_part():
     after[:8] += 0.1
     assert rigid_motion(before, after, at) == pytest.approx(rotation.apply(at) + shift - at, abs=1e-9)
     assert np.isnan(rigid_motion(before[:5], after[:5], at)).all()
-
-
-@pytest.mark.slow
-def test_real_clip_is_in_contact_where_the_tool_is(real_data, tmp_path):
-    settings = PrepareSettings(masks="annotation", depth=DepthSettings(source="photometric"))
-    folder = real_frames(real_data, tmp_path / "video01" / "video01_00139", range(139, 160))
-    clip = prepare(folder, settings, tmp_path / "cache")
-    assert clip.counts["no_tool"] == 10
-    assert set(clip.status[:10]) == {"no_tool"}
-    assert clip.counts["ok"] >= 9
 
 
 def test_real_stereo_sequence_runs_by_configuration(real_data, tmp_path):

@@ -1,11 +1,13 @@
 """What coding does to a dent's light, found without knowing what the light was before."""
 
+import functools
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.brightness.coding import CodedPictures, PictureRecorder, coding_error
+from palpate.data.brightness.coding import PictureRecorder, coding_error
 from palpate.data.brightness.light import FINE, log_light
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.coding import recoded
@@ -25,11 +27,15 @@ def dent() -> np.ndarray:
     return -0.35 * course[:, None, None] * np.exp(-0.5 * (rows**2 + columns**2) / 4**2)
 
 
-def drawn(change: np.ndarray) -> list[np.ndarray]:
+CHANGE = dent()
+
+
+@functools.cache
+def drawn() -> list[np.ndarray]:
     """Pictures of textured tissue that darkens so, with a sensor's noise."""
     generator, pictures = np.random.default_rng(5), []
     texture = 1 + 0.5 * gaussian_filter(generator.normal(size=ALL.shape), 3) * 3
-    for each in [np.zeros((SIDE, SIDE))] * AT_REST + list(change):
+    for each in [np.zeros((SIDE, SIDE))] * AT_REST + list(CHANGE):
         whole = np.zeros((FINE * GRID[0], FINE * GRID[1]))
         whole[FIRST[0] : FIRST[0] + SIDE, FIRST[1] : FIRST[1] + SIDE] = each
         light = 0.25 * texture * np.exp(whole.repeat(2, axis=0).repeat(2, axis=1))
@@ -53,8 +59,11 @@ def recorded(
     return recorder
 
 
-def kept(pictures: np.ndarray, quality: float) -> CodedPictures:
-    return recorded(pictures, quality).pictures(np.arange(AFTER))
+@functools.cache
+def coded(quality: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pictures as a video of that quality has them, and what coding is found to have done to their light."""
+    after, _ = recoded(drawn(), quality, bidirectional=True)
+    return after, coding_error(recorded(after, quality).pictures(np.arange(AFTER)), CHANGE)
 
 
 def light_of(pictures: np.ndarray) -> np.ndarray:
@@ -64,19 +73,16 @@ def light_of(pictures: np.ndarray) -> np.ndarray:
     return light[AT_REST:] - np.median(light[:AT_REST], axis=0)
 
 
-def course_error(change: np.ndarray, true: np.ndarray) -> np.ndarray:
+def course_error(change: np.ndarray) -> np.ndarray:
     """By which share of the true change another one is off, frame by frame, shape [AFTER]."""
-    return np.nansum((change - true) * true, axis=(1, 2)) / np.square(true).sum(axis=(1, 2))
+    return np.nansum((change - CHANGE) * CHANGE, axis=(1, 2)) / np.square(CHANGE).sum(axis=(1, 2))
 
 
 def test_light_of_coarsely_coded_tissue_is_nearer_to_the_truth_without_what_coding_adds():
-    change = dent()
-    before = drawn(change)
-    after, _ = recoded(before, 26, bidirectional=True)
+    after, error = coded(26)
     observed = light_of(after)
-    error = coding_error(kept(after, 26), change)
-    assert error.shape == change.shape
-    off, left = course_error(observed, change), course_error(observed - error, change)
+    assert error.shape == CHANGE.shape
+    off, left = course_error(observed), course_error(observed - error)
     # Coded, the dent seems to recover more slowly: its last frames are too dark against its first ones.
     late, early = slice(AFTER - 8, None), slice(2, 8)
     assert off[late].mean() - off[early].mean() > 0.02
@@ -84,10 +90,7 @@ def test_light_of_coarsely_coded_tissue_is_nearer_to_the_truth_without_what_codi
 
 
 def test_finely_coded_light_stays_nearly_as_it_is():
-    change, size = dent(), []
-    for quality in (4, 26):
-        after, _ = recoded(drawn(change), quality, bidirectional=True)
-        size.append(np.sqrt(np.square(coding_error(kept(after, quality), change)).mean()))
+    size = [np.sqrt(np.square(coded(quality)[1]).mean()) for quality in (4, 26)]
     assert size[0] < 0.01
     assert size[0] < 0.5 * size[1]
 
@@ -96,12 +99,12 @@ def test_finely_coded_light_stays_nearly_as_it_is():
 def test_what_lies_outside_the_picture_does_not_disturb(first):
     labels = ALL.copy()
     labels[:40] = TOOL
-    recorder = recorded(drawn(dent()), 22, labels, first)
+    recorder = recorded(drawn(), 22, labels, first)
     recorder.add(None)  # a frame without a picture
     found = recorder.pictures(np.arange(3)).chosen(np.array([0, 2]))
     assert found.frames.tolist() == [0, 2]
     assert [side % 2 for side in found.pictures[0].shape[:2]] == [0, 0]
     np.testing.assert_array_equal(found.pictures[-1], found.pictures[-2])
-    error = coding_error(found, dent()[:2])
+    error = coding_error(found, CHANGE[:2])
     assert error.shape == (2, SIDE, SIDE)
     assert np.isfinite(error).all()

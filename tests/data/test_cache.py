@@ -60,6 +60,11 @@ def test_cache_is_reused_and_invalidated_by_files_settings_and_code(tmp_path, mo
     changes = [{"geometry": replace(GRID, max_edge=0.04)}, {"masks": "automatic"}, {"track_seconds": 0.5}]
     for changed in [*changes, {"depth": DepthSettings(bits=8)}, {"depth": DepthSettings(source="photometric")}]:
         assert cache_key(folder, replace(SETTINGS, **changed)) != known
+    (folder / "sub").mkdir()
+    assert cache_key(folder, SETTINGS) == known
+    (folder / "sub" / "file").touch()
+    assert cache_key(folder, SETTINGS) != known
+    (folder / "sub" / "file").unlink()
     os.utime(folder / "frame_2_endo.png", ns=(1, 1))
     assert cache_key(folder, SETTINGS) != known
     monkeypatch.setattr("palpate.data.cache.code_digest", lambda part: "another")
@@ -145,16 +150,6 @@ def test_a_damaged_entry_is_made_again(tmp_path, name, damage):
     assert {path.name: path.stat().st_size for path in again.folder.iterdir()} == before
     assert [again.depth(index).shape for index in range(4)] == [(GRID.height, GRID.width)] * 4
     assert again.counts == clip.counts
-
-
-def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path, nested):
-    folder = write_clip(tmp_path / "clip", frames=3)
-    key = cache_key(folder, SETTINGS)
-    nested(folder, "d")
-    assert cache_key(folder, SETTINGS) == key
-    (folder / "d" / "file").touch()
-    assert cache_key(folder, SETTINGS) != key
-    (folder / "d" / "file").unlink()
 
 
 def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):

@@ -101,6 +101,8 @@ CAMERA = Camera(100.0, 100.0, 39.5, 29.5, WIDTH, HEIGHT)
 GRID = GeometrySettings(height=HEIGHT, width=WIDTH, smoothing=3.0, contact="motion")
 PLACE = 33, 41
 """Row and column."""
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
+PRESSED = np.exp(-(np.square(ROWS - PLACE[0]) + np.square(COLUMNS - PLACE[1])) / 8)
 
 
 def frame(index: int, dent: float = 0.0, number: int | None = None) -> PreparedFrame:
@@ -110,9 +112,7 @@ def frame(index: int, dent: float = 0.0, number: int | None = None) -> PreparedF
     picture = cv2.resize(picture, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
     labels = np.full((HEIGHT, WIDTH), TISSUE, np.uint8)
     labels[:10, :10] = TOOL
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    apart = np.square(rows - PLACE[0]) + np.square(columns - PLACE[1])
-    depth = 0.5 + generator.normal(0, 5e-4, labels.shape) + dent * np.exp(-apart / 8)
+    depth = 0.5 + generator.normal(0, 5e-4, labels.shape) + dent * PRESSED
     # What the tool's pixels show is no tissue that sinks.
     depth[:10, :10] = 0.3 + 0.05 * (index % 2)
     shown = Frame(index, index if number is None else number, index / 25, picture)
@@ -125,23 +125,34 @@ def told(frames: list[PreparedFrame]) -> list[PreparedFrame]:
     return [each for given in frames for each in finder.push(given)] + finder.finish()
 
 
-def found(dents: list[float]) -> list[bool]:
+def pressed(frames: list[PreparedFrame]) -> list[int]:
+    """Indices of the frames in contact."""
+    return [each.frame.index for each in frames if each.in_contact]
+
+
+@pytest.mark.parametrize(
+    ("dents", "expected"),
+    [
+        ([0.0] * 6 + [0.005, 0.008, 0.01, 0.012, 0.014, 0.016, 0.018, 0.01, 0.006, 0.003] + [0.0] * 6, [*range(5, 12)]),
+        ([0.0] * 8 + [0.02] + [0.0] * 8, []),
+        ([0.0] * 8 + [-0.02] * 8, []),
+        ([0.02] * 16, []),
+        (2 * ([0.0] * 8 + [0.01] * 5) + [0.0] * 6, [*range(7, 12), *range(20, 25)]),
+        ([0.0] * 8 + [0.01] * 8, [*range(7, 16)]),
+        (
+            [0.0] * 8 + [0.02] * 4 + [0.012, 0.009, 0.007, 0.005] + [0.0] * 5 + [0.006] * 5 + [0.0] * 4,
+            [*range(7, 11), *range(20, 25)],
+        ),
+    ],
+    ids=["growing", "one frame", "bump", "there already", "two presses", "to the end", "a press on what is left"],
+)
+def test_contact_lasts_from_the_last_frame_without_a_dent_to_the_one_before_the_deepest(dents, expected) -> None:
+    """A growing dent is deepest when the force has ended; of one that is going back what is left is no rest."""
     frames = told([frame(index, dent) for index, dent in enumerate(dents)])
-    assert [item.frame.index for item in frames] == list(range(len(dents)))
-    for item in frames:
-        if item.in_contact:
-            assert max(abs(item.contact.pixel[0] - PLACE[1]), abs(item.contact.pixel[1] - PLACE[0])) <= 1
-    return [item.in_contact for item in frames]
-
-
-def contacts(first: int, last: int, count: int) -> list[bool]:
-    return [first <= index <= last for index in range(count)]
-
-
-def test_contact_lasts_from_the_last_frame_without_a_dent_to_the_one_before_the_deepest() -> None:
-    """The dent grows up to frame 12: the force has ended by then."""
-    course = [0.0] * 6 + [0.005, 0.008, 0.01, 0.012, 0.014, 0.016, 0.018, 0.01, 0.006, 0.003] + [0.0] * 6
-    assert found(course) == contacts(5, 11, len(course))
+    assert [each.frame.index for each in frames] == list(range(len(dents)))
+    assert pressed(frames) == expected
+    for index in expected:
+        assert np.abs(np.subtract(frames[index].contact.pixel[::-1], PLACE)).max() <= 1
 
 
 def test_frames_wait_longer_under_a_press() -> None:
@@ -151,24 +162,9 @@ def test_frames_wait_longer_under_a_press() -> None:
     assert len(finder.finish()) == LATE
 
 
-@pytest.mark.parametrize(
-    "dents",
-    [[0.0] * 8 + [0.02] + [0.0] * 8, [0.0] * 8 + [-0.02] * 8, [0.02] * 16],
-    ids=["a dent of one frame", "a bump", "a press that is there already"],
-)
-def test_what_is_no_press_is_no_contact(dents: list[float]) -> None:
-    assert not any(found(dents))
-
-
-def test_a_second_press_is_found_once_the_first_dent_has_gone() -> None:
-    one = [0.0] * 8 + [0.01] * 5
-    assert found(one + one + [0.0] * 6) == contacts(7, 11, 32)[:13] + contacts(7, 11, 19)
-
-
-def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
-    assert found([0.0] * 8 + [0.01] * 8) == contacts(7, 15, 16)
+def test_a_press_ends_with_what_is_known_before_a_gap() -> None:
     frames = told([frame(index, 0.01 * (index > 7), number=index + (index > 11)) for index in range(20)])
-    assert [item.in_contact for item in frames] == contacts(7, 11, 20)
+    assert pressed(frames) == [*range(7, 12)]
     rested = MIN_REST + EARLIER
     early = [index < rested or 12 <= index < 12 + rested for index in range(20)]
     assert [item.detail == EARLY for item in frames] == early
@@ -177,15 +173,13 @@ def test_a_press_on_its_way_through_a_gap_or_the_end_goes_on() -> None:
 def test_a_frame_without_depth_ends_what_is_known() -> None:
     frames = [frame(index, 0.01 * (index > 7)) for index in range(14)]
     frames[10].status = "bad_depth"
-    assert ([item.in_contact for item in told(frames)], frames[10].status) == (contacts(7, 9, 14), "bad_depth")
+    assert (pressed(told(frames)), frames[10].status) == ([7, 8, 9], "bad_depth")
 
 
 def test_change_is_told_without_the_camera_s_and_with_its_noise() -> None:
     resting, generator = np.full((HEIGHT, WIDTH), 0.5), np.random.default_rng(3)
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    known = np.ones((HEIGHT, WIDTH), bool)
-    dent = 0.01 * np.exp(-(np.square(rows - 33) + np.square(columns - 41)) / 8)
-    tilted = 0.003 + 1e-4 * rows - 2e-4 * columns
+    known, dent = np.ones((HEIGHT, WIDTH), bool), 0.01 * PRESSED
+    tilted = 0.003 + 1e-4 * ROWS - 2e-4 * COLUMNS
     seen = resting + dent + tilted + generator.normal(0, 1e-3, known.shape)
     change = changes.depth_change(seen, resting, known)
     # White noise of a blur of width s: σ / (2 √π s).
@@ -234,9 +228,3 @@ def test_a_contact_lies_on_the_mesh() -> None:
 def test_a_noise_level_is_needed() -> None:
     with pytest.raises(ValueError, match=r"geometry\.contact motion needs a rest shape and its noise"):
         GeometrySettings(contact="motion")
-
-
-def test_what_is_left_of_a_dent_is_not_taken_for_rest() -> None:
-    """A second press on a dent that is going back is none, and one after it is told by the shape before both."""
-    course = [0.0] * 8 + [0.02] * 4 + [0.012, 0.009, 0.007, 0.005, 0.0] + [0.0] * 4 + [0.006] * 5 + [0.0] * 4
-    assert found(course) == contacts(7, 10, 19) + contacts(1, 5, len(course) - 19)

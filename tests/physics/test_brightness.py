@@ -22,11 +22,6 @@ def test_a_plane_has_its_closed_form(tilt):
     np.testing.assert_allclose(sum(log_brightness(depth, rays)), expected, atol=1e-9)
 
 
-def test_facing_tissue_loses_light_by_the_square_of_its_distance():
-    (near, rays), (far, _) = plane(np.array([0.0, 0, -1]), 0.5), plane(np.array([0.0, 0, -1]), 1.0)
-    np.testing.assert_allclose(sum(log_brightness(near, rays)) - sum(log_brightness(far, rays)), np.log(4), rtol=1e-12)
-
-
 def uneven(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Depth that isn't plane, and its rays."""
     depth, rays = plane(np.array([0.3, -0.2, -0.9]), 0.6)

@@ -6,34 +6,22 @@ import subprocess
 import sys
 import textwrap
 import tomllib
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from palpate.physics import jit
-from palpate.physics.jit import Kernel, say_slow
+from palpate.physics.jit import Kernel
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.grid_kernel import MOBILE
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
-from tests.physics.sheets import gripped, pressed, sheet, whole_field
+from tests.physics.sheets import gripped, pressed, sheet
 
 ROOT = Path(__file__).resolve().parents[2]
 THETA, MESH = (0.7, 0.05, -0.1), sheet(6, 6)
 ARGUMENTS = (THETA, MESH, pressed(MESH, 14, 10, 40, np.array([0.0, 0.0, -1.0])), Mechanics())
 GRIPPED = (THETA, MESH, gripped(MESH, [14, 15], 0.1, 40), Mechanics(scheme="dkd"))
-
-
-def run(code: str, **environment: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests' / 'physics'}", **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
 
 
 def test_numba_is_installed_with_the_program():
@@ -43,48 +31,33 @@ def test_numba_is_installed_with_the_program():
 
 
 def test_without_numba_everything_works_and_says_once_that_it_is_slower():
-    expected = simulate(*ARGUMENTS, dtype=np.float64)
-    result = run("""
+    code = """
         import sys, warnings
         sys.modules["numba"] = None
         warnings.simplefilter("always")
         import numpy as np, torch
-        from test_jit import ARGUMENTS
         from tests.physics.batches import batch_of
+        from tests.physics.test_jit import ARGUMENTS, GRIPPED
         from palpate.physics.msd.rollouts import rollout
         from palpate.physics.msd.simulation import simulate, simulate_sensitivities
-        trajectory = simulate(*ARGUMENTS, dtype=np.float64)
-        simulate_sensitivities(*ARGUMENTS)
+        found = [simulate(*ARGUMENTS, dtype=np.float64)[-1]]
+        for arguments in (ARGUMENTS, GRIPPED):
+            found += [each[-1] for each in simulate_sensitivities(*arguments, dtype=np.float64)]
         mesh, load = batch_of([ARGUMENTS[1]], [14])
         theta = torch.tensor([ARGUMENTS[0]], requires_grad=True)
         rollout(theta, mesh, load).sum().backward()
         assert torch.isfinite(theta.grad).all()
-        print(repr(trajectory[-1].tolist()))
-    """)
-    assert result.returncode == 0, result.stderr
-    assert result.stderr.count("numba isn't installed") == 1
-    np.testing.assert_allclose(np.array(eval(result.stdout)), expected[-1], rtol=1e-10)
-
-
-def test_plain_and_compiled_doors_agree(monkeypatch):
-    watch = np.array([15, 22])
-
-    def doors():
-        yield whole_field(*ARGUMENTS)
-        yield from simulate_sensitivities(*ARGUMENTS)
-        yield simulate(*ARGUMENTS, watch=watch)
-        yield from simulate_sensitivities(*GRIPPED, watch=watch)
-
-    compiled = [simulate(*ARGUMENTS), *doors()]
-    monkeypatch.setattr(jit, "COMPILED", False)
-    say_slow.cache_clear()
-    with pytest.warns(RuntimeWarning, match="numba isn't installed"):
-        plain = [simulate(*ARGUMENTS)]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        plain += doors()
-    for seen, expected in zip(compiled, plain, strict=True):
-        np.testing.assert_allclose(seen, expected, atol=1e-5 * np.abs(expected).max())
+        print([each.tolist() for each in found])
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("numba isn't installed") == 1
+    expected = [simulate(*ARGUMENTS, dtype=np.float64)]
+    expected += [*simulate_sensitivities(*ARGUMENTS, dtype=np.float64)]
+    expected += [*simulate_sensitivities(*GRIPPED, dtype=np.float64)]
+    for seen, own in zip(eval(done.stdout), expected, strict=True):
+        np.testing.assert_allclose(seen, own[-1], rtol=1e-10, atol=1e-12 * np.abs(own).max())
 
 
 @pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")

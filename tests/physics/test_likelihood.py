@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from palpate.physics.identifiability import fisher_information, log_jacobian
+from palpate.physics.identifiability import log_jacobian
 from palpate.physics.likelihood import Likelihood
 from palpate.physics.load import Press, ramped
 from palpate.physics.mechanics import Mechanics, theta_of
@@ -88,16 +88,6 @@ def test_points_add_up_and_every_instant_is_at_the_nearest_step():
     assert np.linalg.eigvalsh(field - together).min() > 0
     late = Observation(POINTS, TIMES + 0.4 * MECHANICS.time_step, observed().displacement, NOISE)
     np.testing.assert_array_equal(Likelihood(MESH, PRESS, late, MECHANICS).information(LOGS), together)
-
-
-def test_the_bound_of_a_contact_is_that_of_its_own_vertex():
-    press, noise = pressed(MESH, 40, 60, 120), 1e-3
-    seen = Observation.of_point(40, TIMES, np.zeros((4, 3)), noise)
-    theta = theta_of(LOGS)
-    _, slopes = simulate_sensitivities(theta, MESH, press, MECHANICS, dtype=np.float64)
-    expected = fisher_information(log_jacobian(slopes[STEPS], theta), noise)
-    found = Likelihood(MESH, press, seen, MECHANICS).information(np.log(np.abs(theta)))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_a_chaotic_motion_tells_nothing():

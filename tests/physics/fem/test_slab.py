@@ -23,8 +23,9 @@ def middle(mesh: Mesh) -> int:
     return int(np.flatnonzero((mesh.pixels == SIDE // 2).all(axis=1))[0])
 
 
-def bowl() -> np.ndarray:
-    down, across = (PIXELS[..., axis] - SIDE / 2 for axis in (0, 1))
+def bowl(rows: np.ndarray = PIXELS[..., 0], columns: np.ndarray = PIXELS[..., 1]) -> np.ndarray:
+    """Its depth at places of the picture."""
+    down, across = rows - SIDE / 2, columns - SIDE / 2
     return 0.5 + 2e-5 * (down**2 + across * down)
 
 
@@ -34,10 +35,10 @@ def test_a_slab_lies_under_its_surface_with_the_contact_in_the_middle() -> None:
     slab = slab_beneath(mesh, vertex, NORMAL, THICKNESS)
     rest, top = slab.solid.rest, slab.top
     np.testing.assert_allclose(rest[top[5, 5]], mesh.vertices[vertex], atol=1e-7)
-    rows, columns = slab.rows, slab.columns
-    expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns[:, None] - SIDE / 2) * (rows - SIDE / 2))
-    np.testing.assert_allclose(rest[top, 2], expected, atol=3e-5)
-    np.testing.assert_allclose(rest[top, 0], (columns[:, None] - SIDE / 2) / FOCAL * rest[top, 2], atol=1e-6)
+    np.testing.assert_allclose(slab.focal_lengths, FOCAL, rtol=1e-5)
+    columns = slab.columns[:, None]
+    np.testing.assert_allclose(rest[top, 2], bowl(slab.rows, columns), atol=3e-5)
+    np.testing.assert_allclose(rest[top, 0], (columns - SIDE / 2) / FOCAL * rest[top, 2], atol=1e-6)
     assert rest[:, 2].max() - rest[top, 2].max() == pytest.approx(THICKNESS, rel=1e-6)
     # Along the normal it is as thick everywhere, and filled once.
     area = np.diff(rest[top, 0], axis=0)[:, :-1] * np.diff(rest[top, 1], axis=1)[:-1]
@@ -61,23 +62,14 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
     assert not loose.held[loose.top[1:-1, 1:-1]].any()
     np.testing.assert_array_equal(loose.held[loose.top[0]], slab.held[slab.top[0]])
     # Where tissue is visible, the surface is the mesh's.
-    rows, columns = loose.rows, loose.columns[:-1]
-    expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns[:, None] - SIDE / 2) * (rows - SIDE / 2))
-    inside = columns < SIDE // 2 + 8
-    np.testing.assert_allclose(loose.solid.rest[loose.top[:-1][inside], 2], expected[inside], atol=3e-5)
+    inside = loose.columns[:-1] < SIDE // 2 + 8
+    expected = bowl(loose.rows, loose.columns[:-1][inside, None])
+    np.testing.assert_allclose(loose.solid.rest[loose.top[:-1][inside], 2], expected, atol=3e-5)
     hidden = surface(bowl(), seen, occluder=~seen)
     slab = slab_beneath(hidden, middle(hidden), NORMAL, THICKNESS)
     assert not slab.held.all(axis=1)[slab.top][1:-1, 1:-1].any()
     # Its surface goes on smoothly.
-    rows, columns = slab.rows, slab.columns[-3]
-    expected = 0.5 + 2e-5 * ((rows - SIDE / 2) ** 2 + (columns - SIDE / 2) * (rows - SIDE / 2))
-    np.testing.assert_allclose(slab.solid.rest[slab.top[-3], 2], expected, atol=5e-4)
-
-
-def test_the_cameras_focal_lengths_are_those_of_the_mesh() -> None:
-    mesh = surface(bowl())
-    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
-    np.testing.assert_allclose(slab.focal_lengths, FOCAL, rtol=1e-5)
+    np.testing.assert_allclose(slab.solid.rest[slab.top[-3], 2], bowl(slab.rows, slab.columns[-3]), atol=5e-4)
 
 
 def test_a_force_is_shared_out_whole_and_without_a_moment() -> None:

@@ -1,18 +1,18 @@
 """The compiled rollout inside torch: derivatives, threads, workers, and what it refuses."""
 
 import dataclasses
+import os
 import signal
-import subprocess
-import sys
-import textwrap
+import threading
 import time
 import warnings
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+from palpate.common.doors import interruptible
 from palpate.physics import jit
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd import autograd as msd_autograd
@@ -23,7 +23,6 @@ from tests.physics.sheets import loose, sheet
 
 pytestmark = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 
-ROOT = Path(__file__).resolve().parents[3]
 THETA = [[0.7, 0.05, -0.1], [0.2, 0.3, -0.4], [0.5, 0.5, -5.0]]
 
 
@@ -49,18 +48,23 @@ def test_jacobian_equals_double_precision_autograd(scheme, keep):
         torch.testing.assert_close(leaf.grad.double(), projected, rtol=10 * allowed, atol=10 * allowed)
 
 
-def test_results_do_not_depend_on_the_number_of_threads():
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], None]]:
+    """Chooses torch's number of threads for a test."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def test_results_do_not_depend_on_the_number_of_threads(threads):
     mesh, load = batch_of([sheet(20, 20)] * 5, [200, 210, 190, 150, 250])
-    before, results = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            theta = torch.tensor([[0.7, 0.05, -0.1]] * 5, requires_grad=True)
-            trajectory = rollout(theta, mesh, load)
-            trajectory.square().sum().backward()
-            results.append((trajectory.detach(), theta.grad))
-    finally:
-        torch.set_num_threads(before)
+    results = []
+    for count in (1, 2, 3):
+        threads(count)
+        theta = torch.tensor([[0.7, 0.05, -0.1]] * 5, requires_grad=True)
+        trajectory = rollout(theta, mesh, load)
+        trajectory.square().sum().backward()
+        results.append((trajectory.detach(), theta.grad))
     for trajectory, gradient in results[1:]:
         assert torch.equal(trajectory, results[0][0])
         torch.testing.assert_close(gradient, results[0][1], rtol=1e-6, atol=0)
@@ -78,49 +82,28 @@ class Rollouts(Dataset):
         return rollout(torch.tensor(THETA[:2]), mesh, load)
 
 
-def test_workers_forked_from_a_process_with_threads_compute_the_same():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        expected = Rollouts()[0]  # the parent has its pool before it forks
-        for seen in DataLoader(Rollouts(), batch_size=None, num_workers=2, multiprocessing_context="fork", timeout=60):
-            assert torch.equal(seen, expected)
-    finally:
-        torch.set_num_threads(before)
+def test_workers_forked_from_a_process_with_threads_compute_the_same(threads):
+    threads(2)
+    expected = Rollouts()[0]  # the parent has its pool before it forks
+    for seen in DataLoader(Rollouts(), batch_size=None, num_workers=2, multiprocessing_context="fork", timeout=60):
+        assert torch.equal(seen, expected)
 
 
-def test_ctrl_c_ends_a_long_rollout():
-    code = """
-        import sys; sys.path[:0] = ["tests/physics"]
-        import torch
-        from tests.physics.sheets import sheet
-        from tests.physics.batches import batch_of
-        from palpate.physics.mechanics import Mechanics
-        from palpate.physics.msd.rollouts import rollout
-        torch.set_num_threads(2)
-        mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
-        theta = torch.tensor([[0.7, 0.05, -0.1]] * 2)
-        rollout(theta, mesh, load)
-        print("ready", flush=True)
-        while True:
-            rollout(theta, mesh, load)
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout.readline() == "ready\n"
-        time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert process.returncode != 0
-    assert "KeyboardInterrupt" in errors
+def test_ctrl_c_ends_a_long_rollout(threads):
+    mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
+    threads(2)
+    rollout(torch.tensor(THETA[:2]), mesh, load)  # compiled now
+    begun = time.monotonic()
+
+    @interruptible()
+    def work() -> None:
+        while time.monotonic() < begun + 30:
+            rollout(torch.tensor(THETA[:2]), mesh, load)
+
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert time.monotonic() < begun + 10
 
 
 def test_second_derivatives_are_refused_with_a_sentence():
@@ -175,13 +158,9 @@ def test_backends_that_cannot_do_it_say_so(monkeypatch):
         rollout(theta, mesh, load, backend="numba")
 
 
-def test_one_thread_needs_no_pool():
+def test_one_thread_needs_no_pool(threads):
     msd_autograd._pool.cache_clear()
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        mesh, load = batch_of([sheet(6, 6)] * 2, [14, 15])
-        rollout(torch.tensor(THETA[:2]), mesh, load)
-    finally:
-        torch.set_num_threads(before)
+    threads(1)
+    mesh, load = batch_of([sheet(6, 6)] * 2, [14, 15])
+    rollout(torch.tensor(THETA[:2]), mesh, load)
     assert msd_autograd._pool.cache_info().currsize == 0

@@ -1,9 +1,11 @@
 """The stencil read from a grid mesh."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.mesh import grid_mesh
 from palpate.physics.msd.grid_kernel import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
 from tests.physics.sheets import hand_mesh, sheet
 
@@ -47,28 +49,23 @@ def test_only_what_is_within_reach_is_laid_out():
 
 def test_springs_may_be_stored_from_either_end():
     mesh = sheet(3, 3)
-    turned = Mesh(mesh.vertices, mesh.triangles, mesh.springs[:, ::-1], mesh.rim, mesh.pixels, mesh.grid_shape)
+    turned = replace(mesh, springs=mesh.springs[:, ::-1])
     first, second = (grid_layout(each, 4, ~mesh.rim, 5, FLOAT) for each in (mesh, turned))
     np.testing.assert_array_equal(first.rest, second.rest)
 
 
-@pytest.mark.parametrize("springs", [[[0, 2]], [[0, 1], [0, 3]]])
-def test_other_springs_are_no_grid(springs):
-    mesh = hand_mesh(np.arange(12).reshape(4, 3), springs)
-    assert grid_layout(mesh, 0, np.ones(4, dtype=bool), 5, FLOAT) is None
-
-
-def test_the_other_diagonal_is_no_grid():
-    mesh = sheet(3, 3)
-    other = np.array([[1, 3]], dtype=np.int32)
-    crossed = Mesh(mesh.vertices, mesh.triangles, other, mesh.rim, mesh.pixels, mesh.grid_shape)
-    assert grid_layout(crossed, 4, np.ones(9, dtype=bool), 5, FLOAT) is None
-
-
-def test_two_vertices_on_a_pixel_are_no_grid():
-    mesh = hand_mesh([[0, 0, 1], [0, 0, 2]], [])
-    shared = Mesh(mesh.vertices, mesh.triangles, mesh.springs, mesh.rim, np.zeros((2, 2), np.int32), (1, 1))
-    assert grid_layout(shared, 0, np.ones(2, dtype=bool), 5, FLOAT) is None
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        hand_mesh(np.arange(12).reshape(4, 3), [[0, 2]]),
+        hand_mesh(np.arange(12).reshape(4, 3), [[0, 1], [0, 3]]),
+        replace(sheet(3, 3), springs=np.array([[1, 3]], np.int32)),
+        replace(hand_mesh([[0, 0, 1], [0, 0, 2]], []), pixels=np.zeros((2, 2), np.int32), grid_shape=(1, 1)),
+    ],
+    ids=["two apart", "three apart", "the other diagonal", "two vertices on a pixel"],
+)
+def test_other_meshes_are_no_grid(mesh):
+    assert grid_layout(mesh, 0, np.ones(len(mesh.vertices), bool), 5, FLOAT) is None
 
 
 def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_plain_version():

@@ -52,48 +52,26 @@ def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
-def test_gradient_equals_finite_differences_over_all_steps(kind, mechanics, backend):
-    theta = torch.tensor([(0.7, 0.05, -0.1), (0.5, 0.5, -5.0), (0.1, 0.01, -0.02)], dtype=torch.float64)
-    sheets = [sheet(10, 10)] * 3
-    mesh, load = joined(sheets, LOADS[kind](sheets[:1]) * 3)
-    watch = None if kind == "vertex" else torch.tensor([[44, 45, 22, 9]] * 3)  # 9 is held
-    shape = (200, 3) if kind == "vertex" else (200, 4, 3)
-    weight = torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-
-    def losses(values):
-        return (weight * rollout(values, mesh, load, mechanics, backend, watch)).flatten(1).sum(dim=1)
-
-    values = theta.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(losses(values).sum(), values)
-    assert gradient[:, 2].all()
-    for index in range(3):
-        offset = torch.zeros_like(theta)
-        offset[:, index] = 1e-5 * theta[:, index].abs()
-        with torch.no_grad():
-            central = (losses(theta + offset) - losses(theta - offset)) / (2 * offset[:, index])
-        for seen, expected in zip(gradient[:, index].tolist(), central.tolist(), strict=True):
-            assert seen == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("kind", ["vertex", "patch"])
 @pytest.mark.parametrize("keep", [1.0, 0.5], ids=["grids", "mixed"])
-def test_sensitivities_are_those_of_numpy(kind, keep, backend):
+def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, keep, mechanics, backend):
+    """Those of numpy are compared with finite differences where numpy's simulation is tested."""
     meshes = [sheet(9, 8), sheet(9, 8, keep=keep)]
     loads = LOADS[kind](meshes)
-    theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
-    watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
-    path, slopes = rollout_sensitivities(theta.requires_grad_(), *joined(meshes, loads), Mechanics(), backend, watch)
-    assert not path.requires_grad
-    assert not slopes.requires_grad
-    one = rollout_sensitivities(theta, *joined(meshes, loads), Mechanics(), backend)
-    for index, sample in enumerate(zip(meshes, loads, strict=True)):
-        arguments = theta[index].detach().numpy(), *sample, Mechanics()
-        seen = {"watch": watch[index].numpy(), "dtype": np.float64}
-        for values, expected in zip((path, slopes), simulate_sensitivities(*arguments, **seen), strict=True):
-            np.testing.assert_allclose(values[index], expected, atol=1e-7 * np.abs(expected).max())
-        for values, expected in zip(one, simulate_sensitivities(*arguments, dtype=np.float64), strict=True):
-            np.testing.assert_allclose(values[index], expected, atol=1e-7 * np.abs(expected).max())
+    theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64, requires_grad=True)
+    for watch in (None, torch.tensor([[31, 30, 3], [5, 6, 20]])):
+        path, slopes = rollout_sensitivities(theta, *joined(meshes, loads), mechanics, backend, watch)
+        assert not path.requires_grad
+        assert not slopes.requires_grad
+        for index, sample in enumerate(zip(meshes, loads, strict=True)):
+            seen = {"watch": None if watch is None else watch[index].numpy(), "dtype": np.float64}
+            expected = simulate_sensitivities(theta[index].detach().numpy(), *sample, mechanics, **seen)
+            for values, others in zip((path, slopes), expected, strict=True):
+                np.testing.assert_allclose(values[index], others, atol=1e-7 * np.abs(others).max())
+        weights = torch.randn(path.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+        moved = rollout(theta, *joined(meshes, loads), mechanics, backend, watch)
+        (gradient,) = torch.autograd.grad((weights * moved).sum(), theta)
+        product = (weights[..., None] * slopes).flatten(1, -2).sum(dim=1)
+        torch.testing.assert_close(gradient, product, rtol=1e-7, atol=1e-7 * float(product.abs().max()))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

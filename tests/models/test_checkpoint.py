@@ -136,13 +136,6 @@ def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):
                 read(damaged)
 
 
-def test_reading_runs_no_code(tmp_path: Path):
-    path = tmp_path / "module.ckpt"
-    torch.save({"state_dict": torch.nn.Linear(1, 1), "hyper_parameters": {"bounds": {}}}, path)
-    with pytest.raises(CheckpointError, match="not a readable checkpoint"):
-        read_checkpoint(path)
-
-
 BOX = torch.from_numpy(Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1)).log_box)
 
 
@@ -192,23 +185,20 @@ def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, cont
         load_posterior(posterior, SHIPPED)
 
 
-def test_a_pretrained_posterior_says_how_much_it_is_told(pretrained, checkpoint: Path, tmp_path: Path):
-    assert posterior_features(pretrained[0]) == 7
-    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
-        posterior_features(tmp_path / "nothing.pt")
-    torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
-    for foreign in (checkpoint, tmp_path / "list.pt"):
-        with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
-            posterior_features(foreign)
-
-
-def test_a_pretrained_posterior_that_does_not_fit_is_refused(pretrained, checkpoint: Path, tmp_path: Path):
+def test_a_pretrained_posterior_says_how_much_it_is_told_and_is_refused_where_it_does_not_fit(
+    pretrained, checkpoint: Path, tmp_path: Path
+):
     path, _ = pretrained
-    with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
-        load_posterior(ContactPosterior(7, BOX), tmp_path / "nothing.pt")
-    for foreign, size in ((checkpoint, 7), (path, 8)):
-        with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
-            load_posterior(ContactPosterior(size, BOX), foreign)
+    assert posterior_features(path) == 7
+    torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
+    for read in (posterior_features, lambda file: load_posterior(ContactPosterior(7, BOX), file)):
+        with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
+            read(tmp_path / "nothing.pt")
+        for foreign in (checkpoint, tmp_path / "list.pt"):
+            with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+                read(foreign)
+    with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+        load_posterior(ContactPosterior(8, BOX), path)
     torch.save([1, 2], tmp_path / "list.pt")
     with pytest.raises(CheckpointError, match="not a readable checkpoint"):
         load_posterior(ContactPosterior(7, BOX), tmp_path / "list.pt")

@@ -20,13 +20,8 @@ def test_receptive_field_is_70_pixels():
 
 def test_paper_size_and_score_map():
     discriminator = PatchDiscriminator()
-    assert [layer.out_channels for layer in discriminator.layers if isinstance(layer, nn.Conv2d)] == [
-        64,
-        128,
-        256,
-        512,
-        1,
-    ]
+    convolutions = [layer for layer in discriminator.layers if isinstance(layer, nn.Conv2d)]
+    assert [layer.out_channels for layer in convolutions] == [64, 128, 256, 512, 1]
     assert discriminator(torch.rand(1, 1, 120, 214)).shape == (1, 1, 13, 24)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from palpate.models.evidence import MAX_LOG_DISTANCE, bound_loss
@@ -22,16 +22,9 @@ def factor_of(information: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.linalg.cholesky(covariance(information)))
 
 
-def test_the_true_bound_costs_nothing() -> None:
-    information = informations(50, 0)
-    logs = np.log(np.concatenate([bounds(information), ratio_bounds(information)], axis=1) / LIMIT)
-    near = np.abs(logs).max(axis=1) < MAX_LOG_DISTANCE
-    assert near.sum() > 20
-    assert float(bound_loss(factor_of(information[near]), information[near])) == pytest.approx(0, abs=1e-6)
-
-
 @settings(max_examples=30, deadline=None)
 @given(factor=st.floats(0.3, 3.0), seed=st.integers(0, 1000))
+@example(factor=1.0, seed=0)
 def test_a_bound_off_by_a_factor_costs_its_logarithm(factor: float, seed: int) -> None:
     """Whatever the direction: all seven numbers are off by as much."""
     information = informations(20, seed)

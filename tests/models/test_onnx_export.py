@@ -1,8 +1,5 @@
 """Export and its parity with torch, on the file, over several batch sizes."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -43,37 +40,18 @@ def test_file_equals_torch(exported, batch: int):
     assert reported < 1e-5
 
 
-def test_metadata_is_complete_and_no_weights_lie_beside_the_file(exported):
+def test_metadata_is_complete_and_neither_weights_nor_paths_of_this_machine_lie_beside_it(exported, tmp_path):
     _, path, _ = exported
     metadata = ParameterModel(path).metadata
     assert metadata["input"] == {"window": 3, "height": 24, "width": 40}
     assert metadata["config_sha256"] == "abc"
     assert metadata["units"]["stiffness"].startswith("scene units")
     assert [file.name for file in path.parent.iterdir()] == [path.name]
-
-
-def test_runs_where_torch_can_t_be_imported(exported, tmp_path):
-    generator, path, _ = exported
-    depth = torch.rand(7, 3, *SIZE)
-    np.save(tmp_path / "depth.npy", depth.numpy())
-    program = f"""
-import json, sys
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("torch", "lightning", "kornia", "mlflow", "matplotlib", "onnx"):
-            raise ImportError(name + " is blocked")
-sys.meta_path.insert(0, Blocked())
-import numpy as np
-from palpate.models.onnx_session import ParameterModel
-model = ParameterModel({str(path)!r})
-depth = np.load({str(tmp_path / "depth.npy")!r})
-print(json.dumps([model(depth[:batch]).tolist() for batch in (1, 2, 7)]))
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    with torch.inference_mode():
-        expected = generator.estimate(depth).numpy()
-    for batch, theta in zip((1, 2, 7), json.loads(done.stdout), strict=True):
-        np.testing.assert_allclose(theta, expected[:batch], atol=1e-5, rtol=0)
+    written = path.read_bytes()
+    assert b"site-packages" not in written
+    assert b"generator.py" not in written
+    for own in (path, tmp_path / "none.onnx"):
+        onnx_export.require_own_model(own)  # may be replaced
 
 
 def test_a_file_that_differs_from_torch_is_never_left(exported, tmp_path):
@@ -90,17 +68,6 @@ def test_another_file_is_never_replaced(tmp_path, content):
     with pytest.raises(ForeignFile, match=r"out\.onnx is not as this program wrote it; move it away"):
         onnx_export.require_own_model(path)
     assert path.read_bytes() == content
-
-
-def test_an_exported_file_may_be_replaced(exported, tmp_path):
-    onnx_export.require_own_model(exported[1])
-    onnx_export.require_own_model(tmp_path / "none.onnx")
-
-
-def test_a_file_tells_no_paths_of_the_machine_that_wrote_it(exported):
-    written = exported[1].read_bytes()
-    assert b"site-packages" not in written
-    assert b"generator.py" not in written
 
 
 @pytest.fixture

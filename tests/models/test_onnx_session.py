@@ -54,19 +54,13 @@ def test_missing_file(tmp_path):
         ParameterModel(tmp_path / "nothing.onnx")
 
 
-@pytest.mark.parametrize("content", [b"", b"this is text", bytes(range(256)) * 8])
-def test_not_an_onnx_file(tmp_path, content: bytes):
-    path = tmp_path / "m.onnx"
-    path.write_bytes(content)
-    with pytest.raises(ModelFileError, match=r"m\.onnx is not a readable ONNX file"):
-        ParameterModel(path)
-
-
-def test_truncated_file(tmp_path):
+def test_not_an_onnx_file(tmp_path):
     path = write_model(tmp_path / "m.onnx")
-    path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(ModelFileError, match=r"m\.onnx is"):
-        ParameterModel(path)
+    cut = path.read_bytes()[:-40]
+    for content, said in ((b"", "not a"), (b"this is text", "not a"), (bytes(range(256)) * 8, "not a"), (cut, "")):
+        path.write_bytes(content)
+        with pytest.raises(ModelFileError, match=rf"m\.onnx is {said}"):
+            ParameterModel(path)
 
 
 @pytest.mark.parametrize(
@@ -82,9 +76,6 @@ def test_truncated_file(tmp_path):
 def test_not_ours(tmp_path, metadata: object):
     with pytest.raises(ModelFileError, match="without palpate's metadata; give"):
         ParameterModel(write_model(tmp_path / "m.onnx", metadata))
-
-
-def test_newer_format(tmp_path):
     with pytest.raises(ModelFileError, match="update the program"):
         ParameterModel(write_model(tmp_path / "m.onnx", METADATA | {"format_version": FORMAT_VERSION + 1}))
 

@@ -20,16 +20,6 @@ def test_mean_in_the_box_and_covariance_positive(scale: float, seed: int) -> Non
     assert (torch.linalg.eigvalsh((factor @ factor.transpose(1, 2)).double()) > 0).all()
 
 
-def test_the_picture_changes_nothing_at_first() -> None:
-    torch.manual_seed(0)
-    network = ContactPosterior(10, BOX, width=16, blocks=1, picture=4)
-    contact, picture = torch.randn(3, 10), torch.randn(3, 4)
-    for with_picture, without in zip(network(contact, picture), network(contact), strict=True):
-        torch.testing.assert_close(with_picture, without)
-    network.picture.weight.data.normal_()
-    assert not torch.allclose(network(contact, picture)[0], network(contact)[0])
-
-
 def test_inputs_are_standardised_by_their_spread_or_the_least_one() -> None:
     network = ContactPosterior(3, BOX, width=16, blocks=1)
     features = torch.tensor([[1.0, 5.0, 0.0], [3.0, 5.0, 0.2], [5.0, 5.0, 0.4]])  # of spread 2, 0 and 0.2

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.identifiability import bounds
 from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
+from tests.results.fields import GRIP, SOLID, WIDE
 
 PROMISED = (
     "frame,time_s,stiffness,stiffness_sd,damping,damping_sd,force,force_sd,contact,contact_distance,contact_u,"
@@ -115,39 +115,30 @@ def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
     assert plain["delay_s"] == plain["release_delay_s"] == ""
 
 
-def grip(skill: float = 0.6) -> GripEstimate:
-    times = np.arange(1.0, 4.0)
-    return GripEstimate(
-        0.02, 0.015, 0.027, skill, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]), 300.0, 270.0, 330.0
-    )
-
-
 def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
-    found = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(), detail="No onset."))
+    found = of_run(InteractionEstimate(0, 5, 0.0, grip=GRIP, detail="No onset."))
     told = [found[name] for name in ("foundation_over_stiffness", "foundation_over_stiffness_low", "skill", "status")]
     assert told == ["0.02", "0.015", "0.6", "ok"]
     assert found["verdict"] == "foundation"
     assert found["determined"] == "foundation_over_stiffness;relative_force"
     assert found["force"] == found["stiffness"] == ""
-    wide = dataclasses.replace(grip(), foundation_over_stiffness_high=0.2)
-    vague = of_run(InteractionEstimate(0, 5, 0.0, grip=wide))
+    vague = of_run(InteractionEstimate(0, 5, 0.0, grip=WIDE))
     assert (vague["verdict"], vague["determined"], vague["skill"]) == ("relative_force", "relative_force", "0.6")
     assert vague["foundation_over_stiffness"] == vague["reaction_over_stiffness"] == ""
-    told = {"reaction_over_young": 2e-3, "reaction_over_young_low": 1.5e-3, "reaction_over_young_high": 2.7e-3}
-    solid = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(wide, **told)))
-    assert {name: float(solid[name]) for name in told} == told
+    solid = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, **SOLID)))
+    assert {name: float(solid[name]) for name in SOLID} == SOLID
     assert (solid["verdict"], solid["determined"]) == ("reaction", "reaction_over_young;relative_force")
     assert solid["foundation_over_stiffness"] == solid["reaction_over_stiffness"] == ""
-    refuted = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(wide, slab_error=0.2, **told)))
+    refuted = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, slab_error=0.2, **SOLID)))
     assert (refuted["verdict"], refuted["reaction_over_young"]) == ("relative_force", "")
-    unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=grip(0.2)))
+    unexplained = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, skill=0.2)))
     assert (unexplained["verdict"], unexplained["status"], unexplained["skill"]) == ("", "no_estimate", "")
 
 
 def test_a_press_that_is_determined_comes_before_a_grip() -> None:
-    found = of_run(dataclasses.replace(GOOD, grip=grip()))
+    found = of_run(dataclasses.replace(GOOD, grip=GRIP))
     assert found["verdict"] == of_run(GOOD)["verdict"] == "determined"
     loose = dataclasses.replace(ESTIMATE, covariance=np.eye(3))
-    vague = of_run(dataclasses.replace(GOOD, estimate=loose, grip=grip()))
+    vague = of_run(dataclasses.replace(GOOD, estimate=loose, grip=GRIP))
     assert (vague["verdict"], vague["explanation"]) == ("foundation", "")
     assert vague["stiffness"] == of_run(GOOD)["stiffness"]

@@ -15,7 +15,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import held
@@ -25,7 +24,7 @@ from palpate.results.plots import MOST_PANELS, draw_fits, draw_summary, write_fi
 from palpate.results.surface_plot import draw_surface_errors
 from palpate.results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
-from tests.results.fields import FIELD_SEEN, PULL, TIMES
+from tests.results.fields import FIELD_SEEN, GRIP, PULL, SOLID, TIMES, WIDE
 
 
 def clip(
@@ -134,19 +133,16 @@ def test_an_estimator_without_uncertainty_has_no_intervals() -> None:
         assert not panel.collections
 
 
-def test_only_determined_values_are_filled() -> None:
-    panel = draw_summary(clip(10, 2, "determined")[:6] + clip(10, 2)[6:], title="clip").axes[1]
+def test_only_determined_values_are_filled_and_a_missing_one_is_a_gap_in_the_curve() -> None:
+    rows = clip(10, 2, "determined")[:6] + clip(10, 2)[6:]
+    rows[7] = FrameEstimate(7, 0.28, "no_contact")
+    panel = draw_summary(rows, title="clip").axes[1]
     faces = {line.get_label(): line.get_markerfacecolor() for line in panel.lines}
     assert faces["not determined"] == "white"
     assert faces["determined"] != "white"
     np.testing.assert_allclose(curve(panel, "determined")[0], [0.08, 0.12, 0.16, 0.2])
-
-
-def test_a_missing_value_is_a_gap_in_the_curve() -> None:
-    rows = clip(5, 0)
-    rows[2] = FrameEstimate(2, 0.08, "no_contact")
-    line = draw_summary(rows, title="clip").axes[1].lines[0]
-    np.testing.assert_array_equal(np.isnan(line.get_ydata()), [False, False, True, False, False])
+    line = next(line for line in panel.lines if line.get_label() == "not determined")
+    np.testing.assert_array_equal(np.isnan(line.get_ydata()[6:]), [False, True, False, False])
 
 
 def test_far_motions_and_remarks_are_said_whole() -> None:
@@ -319,23 +315,16 @@ def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
 
 
 def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
-    times = np.arange(1.0, 4.0)
-    grip = GripEstimate(
-        0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.array([0.02, 0.03, 0.0]), 300.0, 270.0, 330.0
-    )
-    (axes,) = fits(dataclasses.replace(NONE, grip=grip, detail="No onset."))
+    (axes,) = fits(dataclasses.replace(NONE, grip=GRIP, detail="No onset."))
     assert heading(axes).endswith("foundation over stiffness 0.015 to 0.027")
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("foundation"))
-    assert axes.get_title("left").startswith(
-        "Skill 0.60 in frames that were not fitted (1: exact). No k_s, k_d or |F|."
-    )
-    np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (times, times / 3))
+    told = "Skill 0.60 in frames that were not fitted (1: exact). No k_s, k_d or |F|."
+    assert axes.get_title("left").startswith(told)
+    np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
-    wide = dataclasses.replace(grip, foundation_over_stiffness_high=0.2)
-    told = {"reaction_over_young": 2e-3, "reaction_over_young_low": 1.5e-3, "reaction_over_young_high": 2.7e-3}
-    (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(wide, **told)))
+    (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(WIDE, **SOLID)))
     assert heading(axes) == "reaction: contact from frame 1 (0.000 s), F/E 0.0015 to 0.0027"
-    (axes,) = fits(dataclasses.replace(NONE, grip=wide))
+    (axes,) = fits(dataclasses.replace(NONE, grip=WIDE))
     assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
 
 
@@ -346,18 +335,14 @@ def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
     low, extent, moving = np.array([50.0, 20.0]), np.array([100.0, 60.0]), np.array([[50.0, 20.0], [150.0, 20.0]])
     picture = np.zeros((100, 200, 3), np.uint8)
     field = StiffnessField((2, 2), low, extent, log, known, 9 * np.eye(4), 0.0, moving[:1], 0.0, picture)
-    times = np.arange(1.0, 4.0)
-    grip = GripEstimate(
-        0.02, 0.015, 0.027, 0.6, 0.1, times, times / 3, np.zeros(3), 300.0, 270.0, 330.0, stiffness=field
-    )
+    grip = dataclasses.replace(GRIP, stiffness=field)
     (axes,) = fits(dataclasses.replace(NONE, grip=grip))
     shown, curve_axes = sorted(axes.child_axes, key=lambda item: not item.images)
     np.testing.assert_array_equal(shown.images[0].get_array(), picture)
     ratio = np.ma.filled(shown.images[2].get_array(), np.nan)
     assert ratio.shape == (25, 50)
-    np.testing.assert_allclose(
-        ratio[5:20, 13], 1.0, atol=0.15
-    )  # the mean is that of tissue that moves, which is the left column
+    # The mean is that of tissue that moves, which is the left column.
+    np.testing.assert_allclose(ratio[5:20, 13], 1.0, atol=0.15)
     assert np.isnan(ratio[:, :12]).all()  # beyond the knots
     assert np.isnan(ratio[:, 30:]).all()
     assert not np.isnan(shown.images[1].get_array()[:, 45]).any()
@@ -369,11 +354,9 @@ def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
     assert len(panels) == len(draw_summary(clip(), title="clip").axes)
     on_summary, force = sorted(below.child_axes, key=lambda item: not item.images)
     np.testing.assert_array_equal(np.ma.filled(on_summary.images[2].get_array(), np.nan), ratio)
-    np.testing.assert_allclose(curve(force, "force along that of the last frame"), (times, times / 3))
-    *_, plain = draw_summary(
-        clip(), runs=[dataclasses.replace(run, grip=dataclasses.replace(grip, stiffness=None))], title="clip"
-    ).axes
-    np.testing.assert_allclose(curve(plain, "force along that of the last frame"), (times, times / 3))
+    *_, plain = draw_summary(clip(), runs=[dataclasses.replace(run, grip=GRIP)], title="clip").axes
+    for shown in (force, plain):
+        np.testing.assert_allclose(curve(shown, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
     nothing = dataclasses.replace(grip, skill=0.0, stiffness=None)
     assert len(draw_summary(clip(), runs=[dataclasses.replace(run, grip=nothing)], title="clip").axes) == len(panels)
     off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))

@@ -12,7 +12,7 @@ import pytest
 from palpate.data.clip import ClipStream
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.frames import open_source
+from palpate.data.source.frames import FrameSource, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.gan import GanEstimator
@@ -29,7 +29,6 @@ from palpate.results.record import (
     describe,
     fingerprint_of,
     sha256_of,
-    versions,
     warnings_of,
 )
 from palpate.results.store import write_record
@@ -112,40 +111,35 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
         "interactions.csv": "|F|",
     }
     assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
-    assert stored["versions"]["palpate"]
+    assert {"palpate", "python", "numpy", "onnxruntime"} <= set(stored["versions"])
     assert stored["fingerprint"] == fingerprint_of(causes)
     assert "6 frames, 160×96, 25 fps" in describe(stored)
     assert "depth stored · masks annotation" in describe(stored)
 
 
-def test_warnings_name_broken_frames_and_another_preprocessing(tmp_path: Path) -> None:
-    path = write_clip(tmp_path / "clip", 3, 1)
-    model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(preprocessing_version=0)))
-    source = open_source(path, ClipLayout())
-    sources = {"depth": "stored", "masks": "annotation"}
+@pytest.fixture
+def source(tmp_path: Path) -> FrameSource:
+    return open_source(write_clip(tmp_path / "clip", 3, 1), ClipLayout())
+
+
+SOURCES = {"depth": "stored", "masks": "annotation"}
+
+
+def test_warnings_name_broken_frames_and_another_preprocessing(source: FrameSource, tmp_path: Path) -> None:
     rows = [FrameEstimate(4, 0.0, "ok"), FrameEstimate(5, 0.1, "no_mask", detail="m.png does not exist; add it.")]
-    found = warnings_of(source, rows, model, sources)
-    assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
-    assert found[1].startswith("the model was trained on preprocessing version 0")
+    unnamed = metadata()
+    del unnamed["preprocessing_version"]  # which is that of the first
+    for told, version in ((metadata(preprocessing_version=0), 0), (unnamed, 1)):
+        found = warnings_of(source, rows, ParameterModel(write_model(tmp_path / "model.onnx", told)), SOURCES)
+        assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
+        assert found[1].startswith(f"the model was trained on preprocessing version {version}")
 
 
-def test_a_model_that_names_no_preprocessing_is_of_the_first(tmp_path: Path) -> None:
-    path = write_clip(tmp_path / "clip", 3, 1)
-    told = metadata()
-    del told["preprocessing_version"]
-    model = ParameterModel(write_model(tmp_path / "model.onnx", told))
-    source = open_source(path, ClipLayout())
-    found = warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"})
-    assert any(item.startswith("the model was trained on preprocessing version 1") for item in found)
-
-
-def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> None:
-    path = write_clip(tmp_path / "clip", 3, 1)
+def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource, tmp_path: Path) -> None:
     trained_on = {"depth": ["depthpro", "stored"], "masks": ["annotation"]}
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(trained_on=trained_on)))
-    source = open_source(path, ClipLayout())
     rows = [FrameEstimate(0, 0.0, "ok")]
-    assert warnings_of(source, rows, model, {"depth": "stored", "masks": "annotation"}) == []
+    assert warnings_of(source, rows, model, SOURCES) == []
     found = warnings_of(source, rows, model, {"depth": "photometric", "masks": "automatic"})
     assert found[0].startswith(
         "the model was trained on depth from depthpro and stored and this clip's come from photo"
@@ -161,16 +155,10 @@ def test_warnings_name_sources_the_model_was_not_trained_on(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("calibration", "told"), [(Calibration(), [UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])]
 )
-def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, tmp_path) -> None:
-    path = write_clip(tmp_path / "clip", 3, 1)
+def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, source, tmp_path) -> None:
     document = metadata() | {"calibration": asdict(calibration)}
     model = PosteriorModel(write_posterior(tmp_path / "contact.onnx", document, 10))
-    source = open_source(path, ClipLayout())
-    assert warnings_of(source, [], model, {"depth": "stored", "masks": "annotation"}) == told
-
-
-def test_versions_name_the_packages() -> None:
-    assert {"palpate", "python", "numpy", "onnxruntime"} <= set(versions())
+    assert warnings_of(source, [], model, SOURCES) == told
 
 
 def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:

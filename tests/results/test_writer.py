@@ -144,14 +144,6 @@ def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("blank_pictures")
-def test_new_results_replace_earlier_ones(tmp_path: Path) -> None:
-    write_clip(tmp_path / "clip", "first")
-    write_clip(tmp_path / "clip", "second", overlay=False)
-    assert read_record(tmp_path / "clip")["fingerprint"] == "second"
-    assert not (tmp_path / "clip" / "overlay.mp4").exists()
-
-
-@pytest.mark.usefixtures("blank_pictures")
 def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     write_clip(tmp_path / "clip", "earlier")
     killed = partial_folder(tmp_path / "clip")
@@ -188,11 +180,12 @@ def test_an_interruption_while_files_are_moved_ends_with_the_new_results(tmp_pat
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
-    write_clip(folder, "first", overlay=False)
+    write_clip(folder, "first")
     (folder / "notes").mkdir()
     (folder / "notes" / "mine.txt").write_text("mine")
     write_clip(folder, "second", overlay=False)
     assert read_record(folder)["fingerprint"] == "second"
+    assert not (folder / "overlay.mp4").exists()
     assert (folder / "notes" / "mine.txt").read_text() == "mine"
     (folder / "overlay.mp4").write_text("mine")
     with pytest.raises(OutputError, match=r"overlay.mp4: is not as this program wrote it"):

@@ -66,17 +66,10 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def test_closing_table_is_readable_on_a_narrow_terminal(inputs, tmp_path, capsys, monkeypatch):
+def test_folder_and_video_give_complete_results_and_a_table_that_fits_a_narrow_terminal(
+    inputs, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setenv("COLUMNS", "80")
-    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    said = capsys.readouterr().out
-    assert all(
-        text in said for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined")
-    )
-    assert "…" not in said
-
-
-def test_folder_and_video_give_complete_results(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
     for name in ("drawn", "folder"):
@@ -96,17 +89,21 @@ def test_folder_and_video_give_complete_results(inputs, tmp_path, capsys):
     assert {row["stiffness_sd"] + row["damping_sd"] + row["force_sd"] for row in found} == {""}
     (run,) = runs(tmp_path / "folder")
     assert (run["onset_frame"], run["status"], run["verdict"], run["force"]) == ("14", "ok", "undetermined", "0.4")
-    printed = capsys.readouterr().out
-    assert "folder" in printed
-    assert "no_contact" in printed
+    said = capsys.readouterr().out
+    for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined"):
+        assert text in said
+    assert "…" not in said
 
 
 def test_finished_clips_are_not_computed_again(inputs, tmp_path, capsys):
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     before = (tmp_path / "folder" / "run.json").stat().st_mtime_ns
+    capsys.readouterr()
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
-    assert "up to date" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "up to date" in said.err
+    assert "1 contacts undetermined" in said.out
     # Without the overlay nothing is missing either.
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
@@ -122,7 +119,8 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     (tmp_path / "folder" / "figures").mkdir()
     (tmp_path / "folder" / "figures" / "summary.png").write_bytes(b"mine too")
     before = contents(tmp_path / "folder")
-    capsys.readouterr()
+    assert direct(inputs / "clips" / "folder", tmp_path) == 1
+    assert "holds results of other settings, of another model" in capsys.readouterr().err
     # The other clip of the batch is done all the same.
     assert call(inputs, tmp_path, "--depth", "photometric") == 1
     said = capsys.readouterr()
@@ -137,27 +135,6 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     assert after["run.json"] != before["run.json"]
     theirs = ("notes.txt", "figures/summary.png")
     assert [after[name] for name in theirs] == [before[name] for name in theirs] == [b"mine", b"mine too"]
-
-
-def test_an_edited_result_is_the_user_s(inputs, tmp_path, capsys):
-    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    (tmp_path / "folder" / "parameters.csv").write_text("edited")
-    assert call(inputs, tmp_path, "--no-overlay", "--overwrite", clips="clips/folder") == 1
-    assert f"{tmp_path / 'folder' / 'parameters.csv'}: is not as this program wrote it" in capsys.readouterr().err
-    assert (tmp_path / "folder" / "parameters.csv").read_text() == "edited"
-    # An emptied one holds nothing of anybody's, and is no result either.
-    (tmp_path / "folder" / "parameters.csv").write_text("")
-    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    assert len(rows(tmp_path / "folder")) == 8
-
-
-def test_a_record_of_odd_types_gets_no_unexpected_error(inputs, tmp_path, capsys):
-    for number, record in enumerate(({"program": "infer.py", "input": ["clip"]}, {"program": 3, "input": {}}, [1])):
-        (tmp_path / str(number) / "folder").mkdir(parents=True)
-        (tmp_path / str(number) / "folder" / "run.json").write_text(json.dumps(record))
-        assert call(inputs, tmp_path / str(number), "--no-overlay", clips="clips/folder") == 0
-        assert "unexpected" not in capsys.readouterr().err
-        assert contents(tmp_path / str(number) / "folder") == {"run.json": json.dumps(record).encode()}
 
 
 @pytest.mark.parametrize("option", ["--output", "--layout", "--camera", "--model"])
@@ -202,15 +179,6 @@ def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
         assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
     assert made == ["drawn", "folder"]
-
-
-def test_clip_beside_its_results_is_never_replaced(inputs, tmp_path):
-    shutil.copytree(inputs / "clips" / "folder", tmp_path / "folder")
-    options = ["--output", str(tmp_path), "--model", str(inputs / "parameters.onnx")]
-    assert infer.main([str(tmp_path / "folder"), *options]) == 0
-    assert (tmp_path / "folder" / "frame_10_endo.png").is_file()
-    marked = [path for path in tmp_path.iterdir() if path.name.startswith("folder-")]
-    assert [len(rows(path)) for path in marked] == [8]
 
 
 @pytest.mark.parametrize("within", ["python", "compiled code"])
@@ -264,12 +232,6 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
     assert float(found[1]["time_s"]) == pytest.approx(0.02)
     assert [row["status"] for row in found[4:]] == ["ok"] * 4
     assert record(tmp_path / "out" / "clip")["camera"]["fx"] == 150.0
-
-
-def test_an_onset_is_refused_by_networks_that_know_none(inputs, tmp_path, capsys):
-    assert call(inputs, tmp_path / "out", "--onset", "between") == 2
-    said = flat(capsys.readouterr().err)
-    assert "parameters.onnx knows nothing of when a press begins; leave --onset between out." in said
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])
@@ -327,13 +289,27 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done, sy
     assert "determined" in row["explanation"]
 
 
-def test_every_frame_has_a_row_without_parameters_of_its_own(done):
+def test_every_frame_has_a_row_the_record_says_what_was_done_and_the_picture_shows_it(done):
     found, (run,) = rows(done), runs(done)
     assert len(found) == 22
     assert {row["stiffness"] + row["damping"] + row["force"] for row in found} == {""}
     touching = [row for row in found if row["status"] == "ok"]
     assert touching[0]["frame"] == run["onset_frame"]
     assert all("interactions.csv" in row["detail"] for row in touching)
+    found = record(done)
+    assert (found["program"], found["model"], found["warnings"]) == ("infer.py", None, [])
+    assert found["estimator"]["bounds"]["stiffness"] == [0.05, 1.0]
+    assert found["settings"]["geometry"]["smoothing"] == 4.0
+    assert found["settings"]["geometry"]["rigid_motion"] == "subtract"
+    assert found["contacts"] == {"determined": 1}
+    assert found["units"]["stiffness"] == "scene units (normalised), not N/m"
+    assert found["notice"] == "Research software, not a medical device."
+    assert found["columns"] == {"parameters.csv": FRAMES, "interactions.csv": INTERACTIONS}
+    assert {"decode", "geometry", "tracking", "fit", "overlay", "total"} <= set(found["timings_s"])
+    picture = cv2.imread(str(done / "fit.png"))[..., ::-1]
+    assert picture.shape[1] == 1500
+    for color in ((75, 85, 99), (124, 58, 237), (234, 88, 12)):
+        assert (picture == color).all(axis=2).sum() > 100
 
 
 @pytest.mark.parametrize("estimator", ["network", "gan", "direct"])
@@ -367,45 +343,6 @@ def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
     assert onsets == ["stamp", "between"]
 
 
-def test_record_says_what_was_done(done):
-    found = record(done)
-    assert found["program"] == "infer.py"
-    assert found["estimator"]["bounds"]["stiffness"] == [0.05, 1.0]
-    assert found["model"] is None
-    assert found["settings"]["geometry"]["smoothing"] == 4.0
-    assert found["settings"]["geometry"]["rigid_motion"] == "subtract"
-    assert found["contacts"] == {"determined": 1}
-    assert found["units"]["stiffness"] == "scene units (normalised), not N/m"
-    assert found["notice"] == "Research software, not a medical device."
-    assert found["columns"] == {"parameters.csv": FRAMES, "interactions.csv": INTERACTIONS}
-    assert {"decode", "geometry", "tracking", "fit", "overlay", "total"} <= set(found["timings_s"])
-    assert found["warnings"] == []
-
-
-def test_the_picture_shows_observation_and_fit(done):
-    picture = cv2.imread(str(done / "fit.png"))[..., ::-1]
-    assert picture.shape[1] == 1500
-    for color in ((75, 85, 99), (124, 58, 237), (234, 88, 12)):
-        assert (picture == color).all(axis=2).sum() > 100
-
-
-def test_a_finished_fit_is_not_computed_again(done, synthetic, capsys):
-    before = (done / "run.json").stat().st_mtime_ns
-    assert direct(synthetic, done.parent) == 0
-    said = capsys.readouterr()
-    assert "up to date" in said.err
-    assert "1 contacts determined" in said.out
-    assert (done / "run.json").stat().st_mtime_ns == before
-
-
-def test_results_of_another_estimator_are_left_alone(inputs, tmp_path, capsys):
-    assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
-    before = contents(tmp_path / "folder")
-    assert direct(inputs / "clips" / "folder", tmp_path, "--no-overlay") == 1
-    assert "holds results of other settings, of another model" in capsys.readouterr().err
-    assert contents(tmp_path / "folder") == before
-
-
 def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tmp_path, capsys):
     assert direct(synthetic, tmp_path, "--no-overlay", "--smoothing", "0") == 0
     (row,) = runs(tmp_path / "video01_00000")
@@ -425,22 +362,18 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tm
     assert (row["status"], row["noise"]) == ("ok", "0.002")
 
 
-def test_a_clip_without_contact_gets_an_empty_table_of_contacts(tmp_path):
-    write_clip(tmp_path / "clip", 4, 9)
-    assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
-    assert runs(tmp_path / "out" / "clip") == []
-    assert [row["status"] for row in rows(tmp_path / "out" / "clip")] == ["no_tool"] * 4
-    assert record(tmp_path / "out" / "clip")["contacts"] == {}
-
-
-def test_contact_from_the_first_frame_on_has_no_estimate(tmp_path):
-    write_clip(tmp_path / "clip", 4, 0)
-    assert direct(tmp_path / "clip", tmp_path / "out", "--no-overlay") == 0
-    (row,) = runs(tmp_path / "out" / "clip")
+def test_without_contact_the_table_of_contacts_is_empty_and_contact_from_the_first_frame_on_has_no_estimate(tmp_path):
+    write_clip(tmp_path / "clips" / "none", 4, 9)
+    write_clip(tmp_path / "clips" / "begun", 4, 0)
+    assert direct(tmp_path / "clips", tmp_path / "out", "--no-overlay") == 0
+    assert runs(tmp_path / "out" / "none") == []
+    assert [row["status"] for row in rows(tmp_path / "out" / "none")] == ["no_tool"] * 4
+    assert record(tmp_path / "out" / "none")["contacts"] == {}
+    (row,) = runs(tmp_path / "out" / "begun")
     assert (row["onset_frame"], row["frames"], row["load_s"], row["stiffness"]) == ("10", "0", "", "")
     assert row["status"] == "no_estimate"
     assert row["detail"].startswith("The onset of the contact was not observed")
-    assert record(tmp_path / "out" / "clip")["contacts"] == {"no_estimate": 1}
+    assert record(tmp_path / "out" / "begun")["contacts"] == {"no_estimate": 1}
 
 
 @pytest.mark.parametrize(
@@ -467,14 +400,6 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     (row,) = runs(tmp_path / "out" / "clip")
     assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
     assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
-
-
-def test_a_table_of_forces_that_can_t_be_used_is_wrong_usage(tmp_path, capsys):
-    (tmp_path / "clip").mkdir()
-    given = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--known-force", str(tmp_path / "no.csv")]
-    assert infer.main(given) == 2
-    assert "no.csv is no table of forces" in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
@@ -505,10 +430,12 @@ def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
     assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
 
 
-def test_wrong_usage(tmp_path, capsys):
+def test_wrong_usage(inputs, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
+    model = str(inputs / "parameters.onnx")
     for options, said in (
-        (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset"),
+        (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset; choose one of"),
+        (["--depth", "depthpro"], "--depth-model"),
         (
             ["--model", "parameters.onnx"],
             "--estimator direct needs no network; give --model fem, or leave --model parameters.onnx out.",
@@ -518,6 +445,8 @@ def test_wrong_usage(tmp_path, capsys):
         assert said in flat(capsys.readouterr().err)
     for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
+        (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
+        (["--known-force", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
         (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),
@@ -545,17 +474,6 @@ def test_a_noise_below_the_simulators_own_error_is_wrong_usage(noise, tmp_path, 
     said = flat(capsys.readouterr().err)
     assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in said
     assert "Traceback" not in said
-
-
-def test_an_interruption_while_pictures_are_drawn_leaves_nothing_half_written(tmp_path, monkeypatch, capsys):
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    write_clip(tmp_path / "clip", 4, 9)
-    monkeypatch.setattr("palpate.results.writer.write_figure", interrupt)
-    assert direct(tmp_path / "clip", tmp_path / "out") == 130
-    assert list((tmp_path / "out").iterdir()) == []
-    assert "0 of 1 clips are complete" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -169,18 +169,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         arguments = [str(inputs / "clips"), "--output", str(out), "--model", model, "--no-overlay", *asked]
         return infer.main(arguments)
 
-    def judge_pull(chance: random.Random, out: Path) -> object:
-        return real.main(["--pulled", str(inputs), "--output", str(out)])
-
-    def judge_foreign(chance: random.Random, out: Path) -> object:
-        return foreign.main(["--data", str(inputs / "foreign"), "--output", str(out)])
-
-    def judge_palpation(chance: random.Random, out: Path) -> object:
-        return palpation.main(["curves", "--data", str(inputs / "forces"), "--output", str(out)])
-
-    def judge_frank(chance: random.Random, out: Path) -> object:
-        return palpation.main(["frank", "--output", str(out)])
-
     def judge_online(chance: random.Random, out: Path) -> object:
         asked = f"--sequences thin-shell-1 --starts k1 --methods PBD --every {chance.choice((5, 10))}"
         return online.main([*asked.split(), "--output", str(out)])
@@ -189,30 +177,28 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
         return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
 
-    def calibrate_palpation(chance: random.Random, out: Path) -> object:
-        return calibrate.main(["palpation", "scene.yaml", "--output", str(out)])
-
-    def plan_way(chance: random.Random, out: Path) -> object:
-        return plan.main([str(SHIPPED), "--alpha", str(chance.random()), "--output", str(out)])
-
     def benchmark(chance: random.Random, out: Path) -> object:
         return measure(["--output", str(out), "--clips", str(1 + chance.randrange(3)), "--workers", "0"])
 
-    def train_network(chance: random.Random, out: Path) -> object:
-        return train.main(["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"])
+    def fixed(door: Callable[[list[str]], object], *arguments: object) -> Run:
+        """What has no choice of its own."""
+        return lambda _, out: door([*map(str, arguments), "--output", str(out)])
 
-    def train_row(chance: random.Random, out: Path) -> object:
-        return terms.train("full", 0, inputs / "clips", 5, out)
-
-    def write_depth(chance: random.Random, out: Path) -> object:
-        return write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0)))
-
-    def keep_prepared(chance: random.Random, out: Path) -> object:
-        return prepare(inputs / "tiny", SETTINGS, out)
-
-    every = (draw, estimate, judge_pull, judge_foreign, judge_palpation, benchmark, train_network, train_row)
-    measured = (judge_frank, judge_online, calibrate_curves, calibrate_palpation, plan_way)
-    return {run.__name__: run for run in (*every, *measured, write_depth, keep_prepared)}
+    own = (draw, estimate, judge_online, calibrate_curves, benchmark)
+    return {run.__name__: run for run in own} | {
+        "judge_pull": fixed(real.main, "--pulled", inputs),
+        "judge_foreign": fixed(foreign.main, "--data", inputs / "foreign"),
+        "judge_palpation": fixed(palpation.main, "curves", "--data", inputs / "forces"),
+        "judge_frank": fixed(palpation.main, "frank"),
+        "calibrate_palpation": fixed(calibrate.main, "palpation", "scene.yaml"),
+        "plan_way": lambda chance, out: fixed(plan.main, SHIPPED, "--alpha", chance.random())(chance, out),
+        "train_network": lambda _, out: train.main(
+            ["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"]
+        ),
+        "train_row": lambda _, out: terms.train("full", 0, inputs / "clips", 5, out),
+        "write_depth": lambda chance, out: write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0))),
+        "keep_prepared": lambda _, out: prepare(inputs / "tiny", SETTINGS, out),
+    }
 
 
 def put(chance: random.Random, out: Path, places: Sequence[str]) -> Path:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from palpate.common.doors import INTERRUPTED
 from palpate.common.options import options
 from palpate.evaluation.benchmark import Benchmark, main
 from palpate.evaluation.recovery import estimators
@@ -72,24 +71,6 @@ def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):
     assert {row["suite"] for row in read_rows(tmp_path / "table.csv")} == {"noisy"}
 
 
-def test_an_interrupted_run_keeps_and_shows_what_is_done(tmp_path, evaluated, monkeypatch, capsys):
-    finished = Benchmark.work
-
-    def interrupted(task):
-        if task.index == 3:
-            raise KeyboardInterrupt
-        return finished(task)
-
-    monkeypatch.setattr(Benchmark, "work", staticmethod(interrupted))
-    assert run(tmp_path) == INTERRUPTED
-    assert "same command continues" in capsys.readouterr().err
-    assert next(row for row in read_rows(tmp_path / "table.csv") if row["regime"] == "all")["n"] == "3"
-    monkeypatch.setattr(Benchmark, "work", staticmethod(finished))
-    evaluated.clear()
-    assert run(tmp_path) == 0
-    assert evaluated == [3, 4, 5]
-
-
 def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, capsys):
     lost = {"estimate": None, "covariance": None, "information": None, "tracking": None}
 
@@ -146,21 +127,14 @@ def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
     assert sorted(evaluated) == [0, 1, 2, 3, 4, 5]
 
 
-def test_a_missing_network_is_refused(tmp_path, capsys):
-    assert run(tmp_path, "--estimator", "gan", "--gan-model", "missing.onnx") == 2
-    assert "missing.onnx is not a file" in capsys.readouterr().err
-
-
-def test_a_file_that_is_no_network_is_refused(tmp_path, capsys):
+def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
     (tmp_path / "model.onnx").write_text("no")
-    assert run(tmp_path / "out", "--estimator", "network", "--model", str(tmp_path / "model.onnx")) == 2
-    assert "model.onnx" in capsys.readouterr().err
-
-
-def test_another_seeds_folder_is_refused(tmp_path, evaluated, capsys):
-    run(tmp_path)
-    assert run(tmp_path, "--seed", "1") == 2
-    assert "holds results of another seed" in capsys.readouterr().err
+    for told, said in (
+        (("gan", "--gan-model", "missing.onnx"), "missing.onnx is not a file"),
+        (("network", "--model", str(tmp_path / "model.onnx")), "model.onnx"),
+    ):
+        assert run(tmp_path / "out", "--estimator", *told) == 2
+        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -42,10 +42,14 @@ def test_a_generator_that_adds_nothing_to_physics_is_as_good(tmp_path: Path) -> 
     assert generated == pytest.approx(own, rel=0.01)
 
 
-def test_a_generator_for_other_frames_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_generator_for_other_frames_or_a_model_that_is_none_is_one_sentence(tmp_path: Path, capsys) -> None:
     checkpoint = write_checkpoint(tmp_path / "last.ckpt")
-    assert main(["next-depth", "--output", str(tmp_path), "--horizon", "2", "--checkpoint", str(checkpoint)]) == 2
-    assert "last.ckpt predicts 4 frames ahead; give --horizon 4." in " ".join(capsys.readouterr().err.split())
+    for told, said in (
+        (["--horizon", "2", "--checkpoint", str(checkpoint)], "last.ckpt predicts 4 frames ahead; give --horizon 4."),
+        (["--model", str(tmp_path / "no.onnx")], "no.onnx"),
+    ):
+        assert main(["next-depth", "--output", str(tmp_path / "out"), *told]) == 2
+        assert said in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.slow
@@ -56,9 +60,3 @@ def test_the_door_writes_a_row_a_suite(tmp_path: Path) -> None:
     found = pd.read_csv(tmp_path / "out" / "table.csv")
     assert found["suite"].tolist() == ["clean", "8bit"]
     assert "generated / better copy" in found.columns
-
-
-def test_a_model_that_is_none_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    command = ["next-depth", "--output", str(tmp_path / "out"), "--model", str(tmp_path / "no.onnx")]
-    assert main(command) == 2
-    assert "no.onnx" in capsys.readouterr().err

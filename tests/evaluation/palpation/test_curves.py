@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 from palpate.evaluation.palpation import __main__ as door
 from tests.estimators.palpation.test_region import probes
 from tests.estimators.palpation.test_relaxation import ramp_and_hold
@@ -38,9 +36,3 @@ def test_every_known_table_gets_its_rows(tmp_path: Path) -> None:
     assert float(found["deeper/some name.CSV", "second half off, rms / peak"]) < 0.05
     assert "bad.csv" in found["bad.csv", "status"]
     assert "foreign.csv" not in {name for name, _ in found}
-
-
-def test_nothing_known_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        door.main(["curves", "--data", str(tmp_path), "--output", str(tmp_path / "out")])
-    assert "holds no CSV file" in capsys.readouterr().err

@@ -17,6 +17,12 @@ def fitted(young: float) -> SimpleNamespace:
     )
 
 
+@pytest.fixture(autouse=True)
+def unpressed(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, made in (("true_press", ()), ("fitted_mesh", (None, None)), ("observe", None)):
+        monkeypatch.setattr(surfaces, name, lambda *_, made=made: made)
+
+
 def test_fits_from_either_side_are_reported_by_their_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[float] = []
 
@@ -26,9 +32,6 @@ def test_fits_from_either_side_are_reported_by_their_errors(tmp_path: Path, monk
         return fitted(1.04 * YOUNG)
 
     monkeypatch.setattr(surfaces, "fit_material", fit)
-    monkeypatch.setattr(surfaces, "true_press", lambda *arguments: ())
-    monkeypatch.setattr(surfaces, "fitted_mesh", lambda *arguments: (None, None))
-    monkeypatch.setattr(surfaces, "observe", lambda *arguments: None)
     wanted = surfaces.Frank(tmp_path, body="slab").wanted
     assert not any("one palpation" in name for name in wanted)
     found = {name: work() for name, work in wanted.items() if "time of flight" in name}
@@ -44,9 +47,6 @@ def test_six_forces_give_moduli_that_spread_by_a_known_share(monkeypatch: pytest
     shares = np.array([0.98, 1.02, 1.01, 0.99, 1.0, 1.03])
     youngs = iter(YOUNG * shares)
     monkeypatch.setattr(surfaces, "fit_material", lambda *arguments: fitted(float(next(youngs))))
-    monkeypatch.setattr(surfaces, "true_press", lambda *arguments: ())
-    monkeypatch.setattr(surfaces, "fitted_mesh", lambda *arguments: (None, None))
-    monkeypatch.setattr(surfaces, "observe", lambda *arguments: None)
     found = surfaces.fit_six("slab")
     spread = shares.std(ddof=1) / shares.mean()
     assert found["six forces: E, standard deviation / mean"] == pytest.approx(spread)

@@ -1,5 +1,7 @@
 """The evaluation's numbers, from records whose answer is known."""
 
+import math
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -99,21 +101,18 @@ def test_no_records_are_an_error():
 COPY = 0.005 + 1e-4 * np.arange(20)
 
 
-def _depth(decoder, copy, sensitivity):
+@pytest.mark.parametrize(
+    ("decoder", "copy", "sensitivity", "change", "share", "reach"),
+    [
+        (0.8 * COPY, COPY, 0.5 * COPY, -20, "50", "reaches"),
+        (1.1 * COPY, COPY, 0.01 * COPY, 10, "1", "hardly reaches"),
+        (COPY, 0 * COPY, COPY, math.nan, "–", "hardly reaches"),
+    ],
+    ids=["better than copying", "ignores theta", "still scene"],
+)
+def test_next_depth(decoder, copy, sensitivity, change, share, reach):
     columns = {"next_depth_error": decoder, "copy_error": copy, "theta_sensitivity": sensitivity}
-    return analyse_depth(pd.DataFrame(columns).assign(clip=np.repeat(list("abcd"), 5)))
-
-
-def test_next_depth_better_than_copying_and_conditioned():
-    depth = _depth(0.8 * COPY, COPY, 0.5 * COPY)
-    assert depth["comparison"]["relative_change_percent"].value == pytest.approx(-20)
-    assert "50 % of the change between frames" in describe_depth(depth)
-    assert describe_depth(depth).endswith("θ reaches the picture.")
-
-
-def test_next_depth_that_ignores_theta():
-    assert describe_depth(_depth(1.1 * COPY, COPY, 0.01 * COPY)).endswith("θ hardly reaches the picture.")
-
-
-def test_next_depth_of_a_still_scene():
-    assert "– % of the change between frames" in describe_depth(_depth(COPY, np.zeros(20), COPY))
+    depth = analyse_depth(pd.DataFrame(columns).assign(clip=np.repeat(list("abcd"), 5)))
+    assert depth["comparison"]["relative_change_percent"].value == pytest.approx(change, nan_ok=True)
+    assert f" {share} % of the change between frames" in describe_depth(depth)
+    assert describe_depth(depth).endswith(f": θ {reach} the picture.")

@@ -75,13 +75,8 @@ def test_every_state_is_counted_and_the_median_is_of_the_settled():
     fast, slow = np.r_[np.ones(60), np.zeros(140)], np.r_[np.ones(80), np.zeros(120)]
     settling = pd.DataFrame([_settle(distance) for distance in (fast, slow, np.full(200, 2.0), np.zeros(200))])
     row = motion_row(settling)
-    assert [row[state] for state in ("settled", "not reached", "no release", "no motion", "not finite")] == [
-        2,
-        1,
-        0,
-        1,
-        0,
-    ]
+    states = ("settled", "not reached", "no release", "no motion", "not finite")
+    assert [row[state] for state in states] == [2, 1, 0, 1, 0]
     assert row["median settling time [s]"] == pytest.approx((0.11 + 0.31) / 2)
     assert row["longest [s]"] == pytest.approx(0.31)
     assert row["peak over 1 scene unit"] == 1

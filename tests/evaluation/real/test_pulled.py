@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import GripFrame
 from palpate.evaluation.real.predicted import follow_clip, nearby_frame, read_views
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip, tissue_motion, tool_mask, write
 
-SHARES = np.linspace(0, 3, 13)
+SHARES = np.linspace(0, 3, 9)
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +43,6 @@ def test_what_the_session_says_of_a_grip_is_told(pull: Pull, measures: dict[str,
     assert measures["frames in contact"] == sum(value >= 0.5 for value in shown)
 
 
-def test_where_nothing_moves_the_session_s_reason_is_told(tmp_path: Path) -> None:
-    measures: dict[str, object] = {}
-    with pytest.raises(NoEstimate, match="In 0 of 8 frames the tissue moves with the instrument by more than 1 px"):
-        evaluate_pull(pull_clip(tmp_path, np.zeros(9)), measures)
-    # Nothing moves: outlines decide.
-    assert all(0.5 < measures[f"contact_frame_{index:04d}"] < 0.9 for index in range(9))
-
-
 def test_a_clip_that_can_t_be_read_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no can't be opened"):
         evaluate_pull(PulledClip(tmp_path / "no"), {})
@@ -59,8 +50,8 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(tmp_path: Path) -> None:
 
 def test_tissue_is_followed_where_it_goes(clip: PulledClip) -> None:
     follow = follow_clip(clip)
-    assert len(follow.frames) == 12
-    for share, frame in list(zip(SHARES[1:], follow.frames, strict=True))[::4]:
+    assert len(follow.frames) == 8
+    for share, frame in list(zip(SHARES[1:], follow.frames, strict=True))[::3]:
         off = np.linalg.norm(frame.moved - tissue_motion(follow.points.astype(float), share), axis=1)
         assert np.median(off[frame.around]) < 0.15
         assert (frame.around | frame.gripped).mean() > 0.85

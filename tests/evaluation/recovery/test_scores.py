@@ -36,13 +36,19 @@ def test_columns_are_those_that_were_agreed():
 def test_errors_bounds_and_coverage_by_hand():
     # Errors of log k_s 0.1 and −0.3: RMS √0.05. Bounds 0.1 each. ±1.645·0.1 holds the first and not the second.
     rows = [recovery(0, estimate=off_by([0.1, 0, 0])), recovery(1, estimate=off_by([-0.3, 0, 0]))]
-    row = table(rows)["all", "stiffness"]
+    found = table(rows)
+    row = found["all", "stiffness"]
     assert row["n"] == 2
     assert row["rmse_log"] == pytest.approx(math.sqrt(0.05))
     assert row["bound_log"] == pytest.approx(0.1)
     assert row["ratio"] == pytest.approx(math.sqrt(5))
     assert row["constant_rmse_log"] == pytest.approx(0, abs=1e-12)  # both clips have the same θ
     assert row["coverage90"] == 0.5
+    # Regimes have rows of their own.
+    assert found["under-damped", "stiffness"]["rmse_log"] == pytest.approx(0.1)
+    assert found["critical", "stiffness"]["rmse_log"] == pytest.approx(0.3)
+    assert found["over-damped", "stiffness"]["n"] == 0
+    assert math.isnan(found["over-damped", "stiffness"]["rmse_log"])
 
 
 def test_the_best_constant_is_that_of_the_row_s_own_clips():
@@ -60,15 +66,6 @@ def test_the_best_constant_is_that_of_the_row_s_own_clips():
     assert math.isnan(found["over-damped", "stiffness"]["constant_rmse_log"])
     assert found["all", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(np.std([0, 0.3, 1.2, 0.6]))
     assert found["non-identifiable", "stiffness/damping"]["constant_rmse_log"] == pytest.approx(0, abs=1e-12)
-
-
-def test_regimes_get_their_own_rows():
-    rows = [recovery(0, estimate=off_by([0.1, 0, 0])), recovery(1, estimate=off_by([-0.3, 0, 0]))]
-    found = table(rows)
-    assert found["under-damped", "stiffness"]["rmse_log"] == pytest.approx(0.1)
-    assert found["critical", "stiffness"]["rmse_log"] == pytest.approx(0.3)
-    assert found["over-damped", "stiffness"]["n"] == 0
-    assert math.isnan(found["over-damped", "stiffness"]["rmse_log"])
 
 
 def test_ratios_use_the_whole_covariance():

@@ -130,19 +130,9 @@ def test_what_is_determined_is_ranked_by_itself() -> None:
 
 
 def test_what_was_not_estimated_counts_as_such() -> None:
-    rows = [
-        {
-            "suite": "fem",
-            "index": 0,
-            "estimator": "direct",
-            "action": "press",
-            "status": "no estimate",
-            "tissue": press(0, None)["tissue"],
-        },
-        press(1, (0.5, 0.1, -0.1)),
-    ]
-    rows.append({"suite": "fem", "index": 3, "estimator": "direct", "action": "press", "status": "no scene"})
-    found = table(rows)
+    base = {"suite": "fem", "estimator": "direct", "action": "press"}
+    lost = base | {"index": 0, "status": "no estimate", "tissue": press(0, None)["tissue"]}
+    found = table([lost, press(1, (0.5, 0.1, -0.1)), base | {"index": 3, "status": "no scene"}])
     assert (found["pressed", "estimated"]["n"], found["pressed", "estimated"]["value"]) == (3, pytest.approx(1 / 3))
     assert ("pressed", "rank of k_s and E") not in found  # of one clip there is none
 

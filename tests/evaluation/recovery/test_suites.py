@@ -3,44 +3,35 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from palpate.data.synthetic.clip import clip_seed, draw_press
 from palpate.data.synthetic.scene import draw_scene
 from palpate.data.synthetic.truth import REGIMES
 from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, SPLITS, SUITES, suite_clip_seed
 
-NAMES = ["clean", "8bit", "noisy", "flicker", "mask-error", "focal-error", "occlusion", "mismatch"]
-NAMES += ["oblique", "late-onset", "patch"]
+CHANGED = {
+    "clean": {},
+    "8bit": {"depth_noise": 0.0, "depth_bits": 8},
+    "noisy": {"depth_noise": 0.004},
+    "flicker": {"scale_flicker": 0.005},
+    "mask-error": {"mask_error": 1.0},
+    "focal-error": {"focal_error": 1.1},
+    "occlusion": {"occlusion": 0.2},
+    "mismatch": {"stiffness_variation": 0.3},
+    "oblique": {"max_tilt_deg": 30.0},
+    "late-onset": {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
+    "patch": {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0), "profile": "hold"}
+    | {"rise": (0.1, 0.45), "fall": (0.1, 0.45)},
+}
 
-PATCH = {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0), "profile": "hold"}
-PATCH |= {"rise": (0.1, 0.45), "fall": (0.1, 0.45)}
 
-
-def test_suites_are_those_that_were_agreed():
-    assert list(SUITES) == NAMES
-    assert all(suite.reason for suite in SUITES.values())
-
-
-@pytest.mark.parametrize(
-    ("name", "changed"),
-    [
-        ("clean", {}),
-        ("8bit", {"depth_noise": 0.0, "depth_bits": 8}),
-        ("noisy", {"depth_noise": 0.004}),
-        ("flicker", {"scale_flicker": 0.005}),
-        ("mask-error", {"mask_error": 1.0}),
-        ("focal-error", {"focal_error": 1.1}),
-        ("occlusion", {"occlusion": 0.2}),
-        ("mismatch", {"stiffness_variation": 0.3}),
-        ("oblique", {"max_tilt_deg": 30.0}),
-        ("late-onset", {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)}),
-        ("patch", PATCH),
-    ],
-)
-def test_each_suite_has_one_error(name, changed):
-    clean, suite = (dataclasses.asdict(SUITES[which].settings(0)) for which in ("clean", name))
-    assert {key: value for key, value in suite.items() if value != clean[key]} == changed
+def test_suites_are_those_that_were_agreed_and_each_has_one_error():
+    assert list(SUITES) == list(CHANGED)
+    clean = dataclasses.asdict(SUITES["clean"].settings(0))
+    for name, suite in SUITES.items():
+        assert suite.reason
+        settings = dataclasses.asdict(suite.settings(0))
+        assert {key: value for key, value in settings.items() if value != clean[key]} == CHANGED[name], name
 
 
 def test_pictures_are_of_the_size_that_is_asked_for():

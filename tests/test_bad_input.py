@@ -4,10 +4,6 @@ import dataclasses
 import os
 import resource
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -507,27 +503,3 @@ def test_read_only_file_system(clips, model, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert "can't be written; change its permissions or choose another --output." in said
     assert is_plain(said)
-
-
-# --- Ctrl-C, as a user does it ---
-
-
-def test_interrupted_process_keeps_finished_clips_and_continues(tmp_path, model):
-    write_clip(tmp_path / "clips" / "a", 4, 2)
-    write_clip(tmp_path / "clips" / "b", 200, 2)
-    output = tmp_path / "out"
-    command = [sys.executable, "infer.py", str(tmp_path / "clips"), "--output", str(output), "--model", str(model)]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not (output / "a" / "run.json").exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, said
-    assert is_plain(said)
-    assert "run the same command to continue" in said
-    assert [path.name for path in output.iterdir()] == ["a"]
-    before = (output / "a" / "run.json").stat().st_mtime_ns
-    assert infer.main([str(tmp_path / "clips" / "a"), "--output", str(output), "--model", str(model)]) == 0
-    assert (output / "a" / "run.json").stat().st_mtime_ns == before

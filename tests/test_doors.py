@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.inference_inputs import write_clip, write_model
 from tests.test_architecture import ROOT, modules
 
 DOORS = {
@@ -65,19 +64,3 @@ def test_an_interrupt_during_imports_is_quiet(door: str, tmp_path: Path) -> None
 @pytest.mark.parametrize("door", DOORS)
 def test_the_last_line_is_the_guarded_run(door: str) -> None:
     assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', FILES[door].read_text())
-
-
-@pytest.mark.slow
-def test_a_batch_works_on_whatever_becomes_of_its_output(tmp_path: Path) -> None:
-    """An ASCII-only terminal, and a full device."""
-    write_clip(tmp_path / "clips" / "vidéo 肝臓", 4, 2)
-    write_model(tmp_path / "parameters.onnx")
-    command = f"{sys.executable} infer.py '{tmp_path / 'clips'}' --model '{tmp_path / 'parameters.onnx'}' --no-overlay"
-    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    for name, end, status in (("ascii", "", 0), ("full", "> /dev/full 2> /dev/full", 1)):
-        script = f"{command} --output '{tmp_path / name}' {end}"
-        done = subprocess.run(["bash", "-c", script], cwd=ROOT, env=environment, capture_output=True, timeout=120)
-        assert done.returncode == status, (name, done.stderr)
-        assert b"Error" not in done.stderr
-        assert (tmp_path / name / "vidéo 肝臓" / "run.json").is_file()
-        assert (rb"vid\xe9o" in done.stdout) == (name == "ascii")

@@ -445,7 +445,7 @@ def test_a_data_set_that_is_not_there_or_a_run_folder_that_can_t_be_made_gets_a_
 
 @pytest.mark.slow
 def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config: Path, tmp_path: Path):
-    arguments = f"fit -c {config} --trainer.max_epochs 3 --ckpt_path last --trainer.default_root_dir".split()
+    arguments = f"fit -c {config} --trainer.max_epochs 2 --ckpt_path last --trainer.default_root_dir".split()
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert train.main([*arguments, str(whole)]) == 0
     with subprocess.Popen(
@@ -457,11 +457,11 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
         until_saved(killed)
         process.send_signal(signal.SIGKILL)
     interrupted = last(killed)
-    assert interrupted["epoch"] < 2
+    assert interrupted["epoch"] < 1
     assert len(interrupted["optimizer_states"]) == 3
     assert train.main([*arguments, str(killed)]) == 0
     expected, resumed = last(whole), last(killed)
-    assert resumed["epoch"] == expected["epoch"] == 2
+    assert resumed["epoch"] == expected["epoch"] == 1
     assert resumed["global_step"] == expected["global_step"]
     for name, weights in expected["state_dict"].items():
         torch.testing.assert_close(resumed["state_dict"][name], weights, rtol=1e-5, atol=1e-6)

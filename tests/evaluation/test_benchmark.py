@@ -9,6 +9,7 @@ from palpate.evaluation.benchmark import Benchmark, main
 from palpate.evaluation.recovery import estimators
 from palpate.evaluation.recovery.scores import COLUMNS
 from palpate.evaluation.recovery.suites import SUITES
+from palpate.models.onnx_session import SHIPPED
 from tests.evaluation.recovery_cases import off_by, recovery
 from tests.tables import read_rows
 
@@ -188,8 +189,9 @@ def test_two_real_clips_in_two_processes(tmp_path, monkeypatch):
     monkeypatch.setattr(estimators, "CONSTANT_CLIPS", 3)
     monkeypatch.setattr(estimators, "run_tasks", lambda work, tasks, *_, **__: map(work, tasks))
     arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
-    assert main([*arguments, "--estimator", "direct", "constant"]) == 0
-    rows = [row for row in read_rows(tmp_path / "table.csv") if row["regime"] == "all" and row["estimator"] == "direct"]
+    assert main([*arguments, "--estimator", "network", "constant", "--model", str(SHIPPED)]) == 0
+    table = read_rows(tmp_path / "table.csv")
+    rows = [row for row in table if row["regime"] == "all" and row["estimator"] == "network"]
     force = next(row for row in rows if row["parameter"] == "force/damping")
     assert force["n"] == "2"
     assert float(force["rmse_log"]) < float(force["constant_rmse_log"])

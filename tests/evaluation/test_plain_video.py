@@ -58,7 +58,7 @@ def test_an_instrument_that_passes_over_rough_tissue_with_its_shadows_touches_no
 @pytest.mark.slow
 def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path):
     """The demo's third clip, under-damped: everything is determined, and every interval holds."""
-    found = measured_video(PlainVideo(output=tmp_path, frames=20).settings, clip_seed(1, 2))
+    found = measured_video(PlainVideo(output=tmp_path, frames=16).settings, clip_seed(1, 2))
     assert found["verdict"] == "determined"
     assert found["pressed_found"] == found["pressed_frames"] == 8
     assert found["other_found"] == 0
@@ -70,7 +70,7 @@ def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path)
 @pytest.mark.slow
 def test_a_press_on_a_patch_is_found_to_be_one_and_its_numbers_are_right(tmp_path):
     """A step on a point explains it worse, and would be sure of a stiffness that is twice as large."""
-    settings = PlainVideo(output=tmp_path, suite="video-patch", frames=20).settings
+    settings = PlainVideo(output=tmp_path, suite="video-patch", frames=16).settings
     found = measured_video(settings, suite_clip_seed("validation", 777, 2))
     assert found["verdict"] == "determined"
     for name in ("stiffness", "damping", "damping_over_stiffness", "force_over_stiffness"):

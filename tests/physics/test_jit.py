@@ -75,20 +75,6 @@ def test_code_that_cannot_be_kept_is_compiled_for_this_process(monkeypatch):
     assert kernel.__name__ == "double"
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
-def test_without_any_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
-    asked = []
-
-    def watched(function, **options):
-        asked.append(options.pop("cache", False))
-        return function
-
-    monkeypatch.setattr(jit, "code_folder", lambda: None)
-    monkeypatch.setattr(jit.numba, "njit", watched)
-    assert Kernel(lambda value: 3 * value)(5) == 15
-    assert asked == [False]
-
-
 SMALL = """
     from palpate.physics.jit import kernel
     from palpate.physics.msd.grid_kernel import MOBILE

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from palpate.command import train as training
 from palpate.common.doors import INTERRUPTED
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
@@ -165,7 +166,13 @@ def test_a_generator_is_judged_by_its_last_word_and_by_the_pictures_between(tmp_
 
 
 @pytest.mark.slow
-def test_a_real_row_at_toy_size(tmp_path: Path) -> None:
+def test_a_real_row_at_toy_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trained in this process, which has the libraries."""
+
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess:
+        return subprocess.CompletedProcess(command, training.main(command[2:]), "", "")
+
+    monkeypatch.setattr(terms.subprocess, "run", run)
     scene = SceneSettings(width=214, height=120, frames=20, depth_noise=0.001)
     for number in range(1, 5):
         write_clip(tmp_path / "clips", number, scene, number)

@@ -57,7 +57,7 @@ def test_a_case_is_what_its_session_does(pull: Pull) -> None:
 def test_stiff_and_soft_exchanged_are_found_exchanged(name: str) -> None:
     """A field that looks alike whatever the truth, as stiffer towards the gripper, ranks well with one of two."""
     own = SEQUENCES[name]
-    pull = dataclasses.replace(own, stiff=lambda rest: ~own.stiff(rest)).pull(300, 50, own.frames)
+    pull = dataclasses.replace(own, stiff=lambda rest: ~own.stiff(rest)).pull(120, 50, own.frames)
     assert run_case(pull, STARTS["k2"], "PBD-RM-ON", "tracks", 40)["rank"] > 0.7
 
 

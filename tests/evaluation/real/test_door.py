@@ -53,7 +53,8 @@ lit_once = functools.cache(evaluate_light)
 
 def twin(clip: PulledClip) -> PulledClip:
     """Of the same pictures: `other` is drawn as `pull` is."""
-    return replace(clip, path=clip.path.with_name(clip.path.name.replace("other", "pull")))
+    same = {name: getattr(clip, name) for name in ("path", "layout_file")}
+    return replace(clip, **{name: path.with_name(path.name.replace("other", "pull")) for name, path in same.items()})
 
 
 def evaluate_once(clip: PulledClip, row: dict) -> Pull:

@@ -1,7 +1,9 @@
 """Suites of grips: what is compared, the table, and one small clip from pictures to numbers."""
 
 import dataclasses
+import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from palpate.data.synthetic.clip import draw_truth
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.render import rest_view
+from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.surface import deformed_view
 from palpate.estimators.grip.stiffness_fit import StiffnessField
@@ -24,6 +27,13 @@ SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
     "peak_displacement": (0.02, 0.03),
 }  # fmt: skip
+
+
+@functools.cache
+def drawn(**changes: Any) -> tuple[Scene, GrippedMotion]:
+    scene, motion = draw_truth(SceneSettings(**(SMALL | changes)), 7401)
+    assert isinstance(motion, GrippedMotion)
+    return scene, motion
 
 
 def recovery(index: int, error: float, **changes) -> Row:
@@ -59,8 +69,7 @@ def test_the_table_holds_errors_against_bounds() -> None:
 
 
 def test_a_stiffness_field_is_compared_where_tissue_moves() -> None:
-    scene, motion = draw_truth(SceneSettings(**(SMALL | {"regions": 3.0})), 7401)
-    assert isinstance(motion, GrippedMotion)
+    scene, motion = drawn(regions=3.0)
     row, column = np.mgrid[8:112:8, 8:206:8]
     points = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
     true = 5 * picture_motion(scene, motion, 9, points)  # of a picture five times as wide, say
@@ -86,8 +95,7 @@ def test_a_stiffness_field_is_compared_where_tissue_moves() -> None:
 
 
 def test_true_motion_is_that_of_the_pictures() -> None:
-    scene, motion = draw_truth(SceneSettings(**SMALL), 7401)
-    assert isinstance(motion, GrippedMotion)
+    scene, motion = drawn()
     view = deformed_view(scene, motion, 9, rest_view(scene))
     row, column = np.mgrid[10:110:10, 10:204:10]
     points = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
@@ -101,17 +109,14 @@ def test_true_motion_is_that_of_the_pictures() -> None:
 
 
 def test_contact_is_judged_where_tool_or_tissue_moves() -> None:
-    scene, motion = draw_truth(SceneSettings(**SMALL), 7401)
-    assert isinstance(motion, GrippedMotion)
+    scene, motion = drawn()
     moves = moving_frames(scene, motion)
     place = scene.mesh.pixels[scene.vertex][None, ::-1].astype(np.float64)
     ways = [picture_motion(scene, motion, index, place)[0] for index in range(10)]
     steps = np.linalg.norm(np.diff(ways, axis=0), axis=1)
     assert moves.tolist() == [False, *(steps > 1.0)]
     assert 2 < moves.sum() < 10
-    hovers, passing = draw_truth(SceneSettings(**(SMALL | {"onset_fraction": (1.0, 1.0)})), 7401)
-    assert isinstance(passing, GrippedMotion)
-    assert moving_frames(hovers, passing)[1:].all()
+    assert moving_frames(*drawn(onset_fraction=(1.0, 1.0)))[1:].all()
 
 
 def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
@@ -125,13 +130,11 @@ def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
 
 
 def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = draw_truth(SceneSettings(**SMALL), 7401)
-
     def broken(*_: object) -> None:
         raise RuntimeError("out of tissue")
 
     monkeypatch.setattr(trial, "synthetic_clip", broken)
-    monkeypatch.setattr(trial, "draw_truth", lambda *_: drawn)
+    monkeypatch.setattr(trial, "draw_truth", lambda *_: drawn())
     trial._truth.cache_clear()
     [row] = run_trial(Trial(3, 5, {"retraction": {"direct": EstimatorOptions("direct")}}))
     trial._truth.cache_clear()

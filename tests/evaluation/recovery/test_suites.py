@@ -2,10 +2,7 @@
 
 import dataclasses
 
-import numpy as np
-
-from palpate.data.synthetic.clip import clip_seed, draw_press
-from palpate.data.synthetic.scene import draw_scene
+from palpate.data.synthetic.clip import clip_seed
 from palpate.data.synthetic.truth import REGIMES
 from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, SPLITS, SUITES, suite_clip_seed
 
@@ -49,33 +46,6 @@ def test_regimes_take_turns_and_half_of_each_has_nonlinear_springs_in_mismatch()
         assert [each.nonlinearity for each in settings if each.regime == regime] == [0.0, 0.5, 0.0, 0.5]
 
 
-def test_late_onset_has_the_clean_suites_truth_with_a_force_that_waits():
-    seed = suite_clip_seed("test", 0, 2)
-    (scene, clean), (same, late) = (draw_press(SUITES[name].settings(2), seed) for name in ("clean", "late-onset"))
-    np.testing.assert_array_equal(same.mesh.vertices, scene.mesh.vertices)
-    np.testing.assert_array_equal(late.theta, clean.theta)
-    assert (late.onset_frame, late.release_frame) == (clean.onset_frame, clean.release_frame)
-    assert clean.delay == clean.release_delay == 0 < min(late.delay, late.release_delay)
-    assert max(late.delay, late.release_delay) < 0.04
-    assert late.delay != late.release_delay
-    # The same motion, later: sampled from the force's start on it is the same, until the first is released.
-    held = int(min(motion.load_seconds for motion in (clean, late)) / 0.005)
-    np.testing.assert_allclose(late.response[:held], clean.response[:held], atol=1e-6)
-    assert not np.allclose(late.contact, clean.contact, atol=1e-3)
-
-
-def test_oblique_clips_are_tilted_by_up_to_30_degrees():
-    tilts = []
-    for index in range(12):
-        generator = np.random.default_rng([suite_clip_seed("test", 0, index), 0])
-        scene = draw_scene(SUITES["oblique"].settings(index), generator)
-        ray = np.array([*scene.sheet.contact_ray, 1.0])
-        tilts.append(np.degrees(np.arccos(-scene.sheet.normal @ ray / np.linalg.norm(ray))))
-    assert max(tilts) <= 30
-    # The angle's square is uniform, so half of the angles lie above 30/√2 = 21 degrees.
-    assert np.median(tilts) > 15
-
-
 def test_splits_share_no_seed_at_any_seed():
     seeds = [suite_clip_seed(split, seed, index) for split in SPLITS for seed in range(20) for index in range(50)]
     seeds += [clip_seed(seed, index) for seed in range(20) for index in range(50)]
@@ -86,10 +56,3 @@ def test_splits_share_no_seed_at_any_seed():
 def test_the_constant_is_fitted_on_another_split():
     assert all(split != other for split, other in FITTED_ON.items())
     assert FITTED_ON["test"] == "validation"
-
-
-def test_splits_draw_other_geometry_and_theta():
-    drawn = [draw_press(SUITES["clean"].settings(2), suite_clip_seed(split, 0, 2)) for split in ("validation", "test")]
-    (first, first_motion), (second, second_motion) = drawn
-    assert first.sheet.distance != second.sheet.distance
-    assert not np.allclose(first_motion.theta, second_motion.theta)

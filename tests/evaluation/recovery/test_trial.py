@@ -38,12 +38,9 @@ def truth():
     return draw_press(SUITES["clean"].truth_settings(2), SEED)
 
 
-def test_suites_that_only_observe_otherwise_share_a_truth(truth):
+def test_suites_that_only_observe_otherwise_share_a_truth():
     for name in ("clean", "focal-error", "8bit"):
         assert SUITES[name].truth_settings(2) == SUITES["clean"].truth_settings(2)
-    _, motion = draw_press(SUITES["8bit"].settings(2), SEED)
-    np.testing.assert_array_equal(motion.theta, truth[1].theta)
-    np.testing.assert_array_equal(motion.contact, truth[1].contact)
     others = {SUITES[name].truth_settings(2) for name in ("clean", "mismatch", "oblique", "late-onset")}
     assert len(others) == 4
 

@@ -15,17 +15,7 @@ import pytest
 from palpate.command import infer
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.results import store as result_store
-from tests.inference_inputs import (
-    GRID,
-    SIZE,
-    TISSUE_COLOR,
-    TOOL_COLOR,
-    encode,
-    metadata,
-    write_clip,
-    write_model,
-    write_video,
-)
+from tests import inference_inputs as inputs
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -36,13 +26,13 @@ FRAMES = 6
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    return write_model(tmp_path / "parameters.onnx")
+    return inputs.write_model(tmp_path / "parameters.onnx")
 
 
 @pytest.fixture
 def clips(tmp_path: Path) -> Path:
     """A folder with one good clip; a test puts a bad one beside it."""
-    write_clip(tmp_path / "clips" / "good", FRAMES, 2)
+    inputs.write_clip(tmp_path / "clips" / "good", FRAMES, 2)
     return tmp_path / "clips"
 
 
@@ -67,11 +57,11 @@ def is_plain(said: str) -> bool:
 
 
 def frames_of(folder: Path) -> Path:
-    return write_clip(folder / "bad", FRAMES, 2)
+    return inputs.write_clip(folder / "bad", FRAMES, 2)
 
 
 def headless_video(folder: Path) -> None:
-    whole = write_video(folder / "bad.mp4", 30).read_bytes()
+    whole = inputs.write_video(folder / "bad.mp4", 30).read_bytes()
     (folder / "bad.mp4").write_bytes(whole[: len(whole) // 2])
 
 
@@ -81,11 +71,11 @@ def broken_images(folder: Path) -> None:
 
 
 def strip(folder: Path) -> None:
-    write_pictures(folder / "bad", encode(np.full((40, 400, 3), 90, np.uint8)))
+    write_pictures(folder / "bad", inputs.encode(np.full((40, 400, 3), 90, np.uint8)))
 
 
 def pictures_that_unpack_to_gigabytes(folder: Path) -> None:
-    content = encode(np.zeros((40, 40), np.uint8))
+    content = inputs.encode(np.zeros((40, 40), np.uint8))
     write_pictures(folder / "bad", content[:16] + (30_000).to_bytes(4, "big") * 2 + content[24:])
 
 
@@ -157,12 +147,12 @@ def without(color: tuple[int, int, int], left: int = 0) -> Change:
         mask = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR_RGB)
         mask[(mask == color).all(axis=2)] = 127
         mask[60, 80 : 80 + left] = color
-        return encode(mask[..., ::-1])
+        return inputs.encode(mask[..., ::-1])
 
     return change
 
 
-OTHER_SIZE = encode(np.zeros((50, 70, 3), np.uint8))
+OTHER_SIZE = inputs.encode(np.zeros((50, 70, 3), np.uint8))
 SPOILT: dict[str, tuple[str, Change, str]] = {
     "empty frame": ("", put(b""), "unreadable"),
     "cut frame": ("", lambda content: content[:900], "unreadable"),
@@ -170,19 +160,19 @@ SPOILT: dict[str, tuple[str, Change, str]] = {
     "no mask": ("_color_mask", put(None), "no_mask"),
     "mask of another size": ("_color_mask", put(OTHER_SIZE), "no_mask"),
     "empty mask": ("_color_mask", put(b""), "no_mask"),
-    "zero depth": ("_depth", put(encode(np.zeros(SIZE[::-1], np.uint16))), "bad_depth"),
-    "constant depth": ("_depth", put(encode(np.full(SIZE[::-1], 20000, np.uint16))), "bad_depth"),
+    "zero depth": ("_depth", put(inputs.encode(np.zeros(inputs.SIZE[::-1], np.uint16))), "bad_depth"),
+    "constant depth": ("_depth", put(inputs.encode(np.full(inputs.SIZE[::-1], 20000, np.uint16))), "bad_depth"),
     "no depth": ("_depth", put(None), "bad_depth"),
-    "no tool": ("_color_mask", without(TOOL_COLOR), "no_tool"),
-    "no tissue": ("_color_mask", without(TISSUE_COLOR), "no_tissue"),
-    "three pixels of tissue": ("_color_mask", without(TISSUE_COLOR, 3), "no_tissue"),
+    "no tool": ("_color_mask", without(inputs.TOOL_COLOR), "no_tool"),
+    "no tissue": ("_color_mask", without(inputs.TISSUE_COLOR), "no_tissue"),
+    "three pixels of tissue": ("_color_mask", without(inputs.TISSUE_COLOR, 3), "no_tissue"),
 }
 """What is changed of frame 13's files, and the frame's status then."""
 
 
 def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
     for name, (suffix, change, _) in SPOILT.items():
-        path = write_clip(clips / name, FRAMES, 2) / f"frame_13_endo{suffix}.png"
+        path = inputs.write_clip(clips / name, FRAMES, 2) / f"frame_13_endo{suffix}.png"
         content = change(path.read_bytes())
         path.unlink() if content is None else path.write_bytes(content)
     assert call(clips) == 0
@@ -201,13 +191,13 @@ def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):
 
 def rewrite(clip: Path, suffix: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     for path in clip.glob(f"*{suffix}.png"):
-        path.write_bytes(encode(change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))))
+        path.write_bytes(inputs.encode(change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))))
 
 
 def classes(mask: np.ndarray) -> np.ndarray:
     """Grey values of a colour mask (BGR)."""
     values = np.full(mask.shape[:2], 50, np.uint8)
-    for color, value in ((TISSUE_COLOR, 22), (TOOL_COLOR, 31)):
+    for color, value in ((inputs.TISSUE_COLOR, 22), (inputs.TOOL_COLOR, 31)):
         values[(mask[..., ::-1] == color).all(axis=2)] = value
     return values
 
@@ -217,18 +207,20 @@ def cut_video(path: Path) -> None:
     noise = np.random.default_rng(0)
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=25, options={"g": "5", "crf": "10"})
-        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        stream.width, stream.height, stream.pix_fmt = *inputs.SIZE, "yuv420p"
         for _ in range(16):
-            picture = noise.integers(0, 255, (*SIZE[::-1], 3), np.uint8)
+            picture = noise.integers(0, 255, (*inputs.SIZE[::-1], 3), np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
 
 
 def test_masks_of_other_formats_a_covered_lens_and_a_cut_video(clips, model, capsys):
-    rewrite(write_clip(clips / "rgba", FRAMES, 2), "_color_mask", lambda mask: cv2.cvtColor(mask, cv2.COLOR_BGR2BGRA))
-    rewrite(write_clip(clips / "grey", FRAMES, 2), "_color_mask", classes)
-    write_pictures(clips / "black", encode(np.zeros((*SIZE[::-1], 3), np.uint8)))
+    rewrite(
+        inputs.write_clip(clips / "rgba", FRAMES, 2), "_color_mask", lambda mask: cv2.cvtColor(mask, cv2.COLOR_BGR2BGRA)
+    )
+    rewrite(inputs.write_clip(clips / "grey", FRAMES, 2), "_color_mask", classes)
+    write_pictures(clips / "black", inputs.encode(np.zeros((*inputs.SIZE[::-1], 3), np.uint8)))
     cut_video(clips / "cut.mp4")
     assert call(clips) == 0
     said = capsys.readouterr().err
@@ -252,7 +244,7 @@ def test_stored_depth_that_is_no_depth(clips, model, capsys):
     """In one frame, or in all; the good clip lacks the files of the layout, and that is its failure."""
     kinds = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "constant": 1.0, "all nan": np.nan, "all zero": 0.0}
     for name, value in kinds.items():
-        clip = write_clip(clips / name, FRAMES, 2)
+        clip = inputs.write_clip(clips / name, FRAMES, 2)
         for number in range(10, 10 + FRAMES):
             depth = cv2.imread(str(clip / f"frame_{number}_endo_depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32)
             bad = number == 13 or name.startswith("all")
@@ -274,7 +266,7 @@ def test_stored_depth_that_is_no_depth(clips, model, capsys):
 
 
 def test_gap_in_the_frame_numbers_keeps_numbers_times_and_warns(clips, model, capsys):
-    clip = write_clip(clips / "gap", FRAMES, 2)
+    clip = inputs.write_clip(clips / "gap", FRAMES, 2)
     for path in clip.glob("frame_13_*"):
         path.unlink()
     assert call(clips) == 0
@@ -306,8 +298,8 @@ def test_folders_nest_and_links_lead_in_circles(clips, model, nested, capsys):
 
 def test_names_of_any_script_and_length(clips, model):
     long = "é" * 100
-    write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
-    write_clip(clips / "sub" / long, FRAMES, 2)
+    inputs.write_clip(clips / "肝臓 [1] {x} vidéo", FRAMES, 2)
+    inputs.write_clip(clips / "sub" / long, FRAMES, 2)
     assert call(clips) == 0
     assert len(rows(clips, "肝臓 [1] {x} vidéo")) == FRAMES
     made = [path for path in (clips.parent / "out").iterdir() if path.name.startswith("é")]
@@ -318,7 +310,7 @@ def test_names_of_any_script_and_length(clips, model):
 def test_name_that_is_not_utf8(clips, model, capsys):
     clip = clips / os.fsdecode(b"clip\xff")
     try:
-        write_clip(clips / "plain", FRAMES, 2).rename(clip)
+        inputs.write_clip(clips / "plain", FRAMES, 2).rename(clip)
     except OSError:
         pytest.skip("this file system takes UTF-8 names only")
     (clip / "frame_13_endo_color_mask.png").write_bytes(b"")
@@ -332,7 +324,7 @@ def test_name_that_is_not_utf8(clips, model, capsys):
 
 def test_names_do_nothing_to_the_terminal(clips, model, capsys):
     evil = "\x1b]0;title\x07\x1b[31m\x9b2J\u202e[red]"
-    write_clip(clips / f"good{evil}", FRAMES, 2)
+    inputs.write_clip(clips / f"good{evil}", FRAMES, 2)
     (clips / f"good{evil}" / "frame_13_endo.png").write_bytes(b"")  # warned of
     (clips / f"bad{evil}.mp4").write_bytes(b"no video")
     for status in (1, 1):  # done, then up to date
@@ -345,7 +337,7 @@ def test_names_do_nothing_to_the_terminal(clips, model, capsys):
 
 
 def test_missing_annotation_of_a_whole_clip(clips, model, capsys):
-    write_video(clips / "video.mp4", FRAMES)
+    inputs.write_video(clips / "video.mp4", FRAMES)
     assert call(clips, "--masks", "annotation") == 1
     assert "video.mp4: a video has no annotation masks; use --masks automatic" in capsys.readouterr().err
     assert statuses(clips, "good")[-1] == "ok"
@@ -359,7 +351,7 @@ def holding(content: str | bytes) -> Callable[[Path], object]:
 
 
 def model_of(document: dict | None = None, **options: object) -> Callable[[Path], object]:
-    return lambda path: write_model(path, document, **options)
+    return lambda path: inputs.write_model(path, document, **options)
 
 
 def linked_to_a_device(path: Path) -> None:
@@ -367,7 +359,9 @@ def linked_to_a_device(path: Path) -> None:
 
 
 def grid_of(**size: int) -> dict:
-    return metadata() | {"geometry": dataclasses.asdict(GeometrySettings(height=GRID[0], width=GRID[1])) | size}
+    return inputs.metadata() | {
+        "geometry": dataclasses.asdict(GeometrySettings(height=inputs.GRID[0], width=inputs.GRID[1])) | size
+    }
 
 
 @pytest.mark.parametrize(
@@ -381,7 +375,7 @@ def grid_of(**size: int) -> dict:
                 lambda path: None,
                 model_of({"input": {"window": 1, "height": 48, "width": 80}}),
                 model_of(inputs=("picture",)),
-                model_of(grid_of(height=GRID[0] + 1)),
+                model_of(grid_of(height=inputs.GRID[0] + 1)),
                 model_of(grid_of(height=100_000)),
             )
         ),

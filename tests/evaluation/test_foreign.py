@@ -9,16 +9,6 @@ import pytest
 
 from palpate.data.source.layout import InputError
 from palpate.evaluation import foreign
-from palpate.evaluation.foreign import (
-    Ringing,
-    fit_solid,
-    judge_beams,
-    mesh_rates,
-    modal_rates,
-    read_ringing,
-    ringing_of,
-    tip_mass,
-)
 from palpate.physics.fem import Relaxation
 from tests.tables import read_measures
 
@@ -39,7 +29,7 @@ def write_beam(path: Path, frequency: float, decay: float) -> Path:
 
 
 def test_frequency_and_decay_are_measured_beside_a_creep(tmp_path: Path) -> None:
-    found = read_ringing(write_beam(tmp_path / "beam_load52_V2_a.csv", 4.3, 1.5))
+    found = foreign.read_ringing(write_beam(tmp_path / "beam_load52_V2_a.csv", 4.3, 1.5))
     assert found.mass == 0.052
     assert found.frequency == pytest.approx(4.3, rel=1e-3)
     assert found.decay == pytest.approx(1.5, rel=0.01)
@@ -49,15 +39,15 @@ def test_frequency_and_decay_are_measured_beside_a_creep(tmp_path: Path) -> None
 def test_the_names_tell_the_mass() -> None:
     names = {"beam_gravity_V2_a.csv": 0.0, "beam_load52_V2_b.csv": 0.052, "beam_load101_V2_a.csv": 0.101}
     names |= {"beam_V2_Load_101.5_a.csv": 0.1015, "beam_load101g_V2.csv": 0.101}
-    assert {name: tip_mass(Path(name)) for name in names} == names
+    assert {name: foreign.tip_mass(Path(name)) for name in names} == names
     with pytest.raises(InputError, match="the name gives no load"):
-        tip_mass(Path("beam_V2.csv"))
+        foreign.tip_mass(Path("beam_V2.csv"))
 
 
 def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a mass, and with one far heavier than the beam, a spring 3 E I/L³; shear makes both softer."""
     monkeypatch.setattr(foreign, "MESHES", ((4, 1, 1), (8, 2, 2)))
-    light, heavy = modal_rates([0.0, 10.0])
+    light, heavy = foreign.modal_rates([0.0, 10.0])
     width, length = 0.03, 0.1
     assert light == pytest.approx(3.516**2 * width**2 / 12 / (1070 * length**4), rel=0.15)
     assert heavy == pytest.approx(3 * width**4 / 12 / length**3 / (10 + 0.236 * 1070 * width**2 * length), rel=0.15)
@@ -65,9 +55,9 @@ def test_a_beams_rate_is_close_to_bernoullis(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_rates_extrapolated_from_two_meshes_are_those_of_a_finer_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foreign, "MESHES", ((8, 2, 2), (12, 3, 3)))
-    finer = mesh_rates([0.0, 0.101], (16, 4, 4))
-    coarse = mesh_rates([0.0, 0.101], (12, 3, 3))
-    left = modal_rates([0.0, 0.101]) - finer
+    finer = foreign.mesh_rates([0.0, 0.101], (16, 4, 4))
+    coarse = foreign.mesh_rates([0.0, 0.101], (12, 3, 3))
+    left = foreign.modal_rates([0.0, 0.101]) - finer
     assert ((coarse - finer) / -left < 1.1).all()  # from 12 to 16 cells less than from 16 to none: 7/9 at second order
     np.testing.assert_allclose((coarse - finer) / -left, 7 / 9, atol=0.15)
 
@@ -75,7 +65,7 @@ def test_rates_extrapolated_from_two_meshes_are_those_of_a_finer_one(monkeypatch
 def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
     """Small loss: ω² = rate·E(1 + γω²τ²/(1 + ω²τ²)), decay = ω/2 × loss over storage."""
     small = 2e5, Relaxation(0.01, 0.03)
-    frequency, decay = ringing_of(small, 0.008)
+    frequency, decay = foreign.ringing_of(small, 0.008)
     turn = 2 * np.pi * frequency
     share = (turn * 0.03) ** 2 / (1 + (turn * 0.03) ** 2)
     assert turn**2 == pytest.approx(0.008 * 2e5 * (1 + 0.01 * share), rel=1e-4)
@@ -85,16 +75,16 @@ def test_a_standard_linear_solid_rings_as_its_modulus_says() -> None:
 def test_the_solid_is_found_and_the_kept_run_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foreign, "MESHES", ((2, 1, 1), (4, 2, 2)))
     masses = (0.0, 0.052, 0.101)
-    rates = dict(zip(masses, modal_rates(masses), strict=True))
-    runs = {f"{mass}": Ringing(mass, *ringing_of(SOLID, rate), 0.0) for mass, rate in rates.items()}
-    young, relaxation = fit_solid([runs["0.0"], runs["0.052"]], rates)
+    rates = dict(zip(masses, foreign.modal_rates(masses), strict=True))
+    runs = {f"{mass}": foreign.Ringing(mass, *foreign.ringing_of(SOLID, rate), 0.0) for mass, rate in rates.items()}
+    young, relaxation = foreign.fit_solid([runs["0.0"], runs["0.052"]], rates)
     assert young == pytest.approx(SOLID[0], rel=1e-3)
     assert relaxation.ratio == pytest.approx(SOLID[1].ratio, rel=0.01)
-    found = judge_beams(runs)
+    found = foreign.judge_beams(runs)
     assert abs(found["0.101"]["frequency error"]) < 1e-3
     assert abs(found["0.101"]["decay error"]) < 0.01
     assert "predicted frequency (Hz)" not in found["0.052"]
-    alone = judge_beams({"0.101": runs["0.101"]})
+    alone = foreign.judge_beams({"0.101": runs["0.101"]})
     assert alone["0.101"]["predicted from"] == "the fit that comes along"
 
 
@@ -120,7 +110,7 @@ NO_FILE = r"beam_gravity.csv is no table of numbers \(no file but a pipe or a de
 def test_other_tables_are_refused(make: Callable[[Path], object], said: str, tmp_path: Path) -> None:
     make(tmp_path / "beam_gravity.csv")
     with pytest.raises(InputError, match=said):
-        read_ringing(tmp_path / "beam_gravity.csv")
+        foreign.read_ringing(tmp_path / "beam_gravity.csv")
 
 
 @pytest.mark.parametrize("rate", [0.0, -0.01, 1e-12])
@@ -130,10 +120,10 @@ def test_times_that_stand_still_or_run_backwards_are_told(rate: float, tmp_path:
     table[:, 0] = rate * np.arange(len(table))
     np.savetxt(path, table, delimiter=",", header="t", comments="")
     if rate > 0:  # far beyond what the fit looks for
-        assert read_ringing(path).frequency <= 40
+        assert foreign.read_ringing(path).frequency <= 40
         return
     with pytest.raises(InputError, match=r"beam_gravity.csv holds a time that is not after the one before; sort"):
-        read_ringing(path)
+        foreign.read_ringing(path)
 
 
 def test_every_file_gets_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,6 +148,6 @@ def test_nothing_known_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_the_real_beams_stiffness_is_the_published_one(real_data: Path) -> None:
-    runs = {path.name: read_ringing(path) for path in sorted((real_data / "silicone_beam").glob("beam_*.csv"))}
-    found = judge_beams(runs)["beam, fitted together"]
+    runs = {path.name: foreign.read_ringing(path) for path in sorted((real_data / "silicone_beam").glob("beam_*.csv"))}
+    found = foreign.judge_beams(runs)["beam, fitted together"]
     assert abs(found["E / published - 1"]) < 0.15

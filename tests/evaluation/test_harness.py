@@ -12,19 +12,7 @@ import pytest
 
 from palpate.common.doors import INTERRUPTED
 from palpate.common.options import require_within
-from palpate.evaluation.harness import (
-    RESULTS,
-    Experiment,
-    Report,
-    Row,
-    Store,
-    attempted,
-    csv_of,
-    read_results,
-    run,
-    write,
-)
-from palpate.evaluation.harness import measured as measured_file
+from palpate.evaluation import harness
 from palpate.results.store import OutputError
 from tests.evaluation.recovery_cases import recovery
 
@@ -35,9 +23,9 @@ WANTED = {"seed": 0, "split": "test", "suite clean": {"errors": 1}, "estimator d
 def test_a_result_survives_the_file_and_what_is_not_known_stays_unknown(tmp_path):
     unsure = {"curve": np.array([[0.5, np.nan], [1.0, np.inf]]), "noise": float("nan"), "reason": None}
     rows = recovery(3), recovery(4, estimate=None, covariance=None) | unsure
-    store = Store(tmp_path, WANTED, KEYS)
+    store = harness.Store(tmp_path, WANTED, KEYS)
     store.append(rows)
-    found = read_results(tmp_path / RESULTS, KEYS)
+    found = harness.read_results(tmp_path / harness.RESULTS, KEYS)
     assert list(found) == list(store.rows) == [("clean", 3, "direct"), ("clean", 4, "direct")]
     for again in (found, store.rows):
         for row, kept in zip(rows, again.values(), strict=True):
@@ -46,24 +34,24 @@ def test_a_result_survives_the_file_and_what_is_not_known_stays_unknown(tmp_path
         kept = again["clean", 4, "direct"]
         np.testing.assert_array_equal(kept["curve"], [[0.5, np.nan], [1.0, np.nan]])
         assert not {"noise", "reason"} & set(kept)
-    assert "NaN" not in (tmp_path / RESULTS).read_text()  # other readers of JSON know no such word
+    assert "NaN" not in (tmp_path / harness.RESULTS).read_text()  # other readers of JSON know no such word
 
 
 def test_a_row_of_the_same_key_takes_the_place_of_the_first(tmp_path):
-    store = Store(tmp_path, WANTED, KEYS)
+    store = harness.Store(tmp_path, WANTED, KEYS)
     store.append([recovery(1)])
     store.append([recovery(1, misfit=2.0), recovery(0)])
-    for rows in (store.rows, read_results(tmp_path / RESULTS, KEYS)):
+    for rows in (store.rows, harness.read_results(tmp_path / harness.RESULTS, KEYS)):
         assert [(row["index"], row["misfit"]) for row in rows.values()] == [(1, 2.0), (0, 1.0)]
 
 
 def test_an_unfinished_last_line_is_cut_off(tmp_path):
-    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    with (tmp_path / RESULTS).open("a") as file:
+    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    with (tmp_path / harness.RESULTS).open("a") as file:
         file.write('{"suite": "clean", "ind')
-    store = Store(tmp_path, WANTED, KEYS)
+    store = harness.Store(tmp_path, WANTED, KEYS)
     store.append([recovery(1)])
-    assert [row["index"] for row in read_results(tmp_path / RESULTS, KEYS).values()] == [0, 1]
+    assert [row["index"] for row in harness.read_results(tmp_path / harness.RESULTS, KEYS).values()] == [0, 1]
 
 
 @pytest.mark.parametrize(
@@ -76,78 +64,78 @@ def test_an_unfinished_last_line_is_cut_off(tmp_path):
     ],
 )
 def test_other_results_are_not_mixed_in(tmp_path, changed, named):
-    Store(tmp_path, WANTED, KEYS)
+    harness.Store(tmp_path, WANTED, KEYS)
     with pytest.raises(OutputError, match=named):
-        Store(tmp_path, WANTED | changed, KEYS)
+        harness.Store(tmp_path, WANTED | changed, KEYS)
 
 
 def test_suites_and_estimators_may_be_added(tmp_path):
-    Store(tmp_path, WANTED, KEYS)
-    Store(tmp_path, {"seed": 0, "suite 8bit": {"errors": 3}}, KEYS)
-    Store(tmp_path, WANTED, KEYS)
+    harness.Store(tmp_path, WANTED, KEYS)
+    harness.Store(tmp_path, {"seed": 0, "suite 8bit": {"errors": 3}}, KEYS)
+    harness.Store(tmp_path, WANTED, KEYS)
     record = json.loads((tmp_path / "run.json").read_text())
     assert {name for name in record if name.startswith("suite")} == {"suite clean", "suite 8bit"}
 
 
 def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
-    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    assert not Store(tmp_path, WANTED, KEYS).outdated
+    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    assert not harness.Store(tmp_path, WANTED, KEYS).outdated
     monkeypatch.setattr("palpate.evaluation.harness.code_digest", lambda: "other")
-    assert Store(tmp_path, WANTED, KEYS).outdated
+    assert harness.Store(tmp_path, WANTED, KEYS).outdated
 
 
 def test_a_line_that_is_none_of_ours_is_not_cut_off(tmp_path):
-    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    for content in ("{}\n", "mine", (tmp_path / RESULTS).read_text() + "mine"):
-        (tmp_path / RESULTS).write_text(content)
+    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    for content in ("{}\n", "mine", (tmp_path / harness.RESULTS).read_text() + "mine"):
+        (tmp_path / harness.RESULTS).write_text(content)
         with pytest.raises(OutputError, match=r"results\.jsonl: line \d is not a result"):
-            Store(tmp_path, WANTED, KEYS)
-        assert (tmp_path / RESULTS).read_text() == content
+            harness.Store(tmp_path, WANTED, KEYS)
+        assert (tmp_path / harness.RESULTS).read_text() == content
 
 
 @pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/bias.png"])
 def test_a_user_s_file_among_the_tables_stays(tmp_path, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("precious")
-    report = Report({"table.csv": pd.DataFrame()}, figures={"bias.png": b"png"}, page=("title", "text"))
+    report = harness.Report({"table.csv": pd.DataFrame()}, figures={"bias.png": b"png"}, page=("title", "text"))
     with pytest.raises(OutputError, match=rf"{name} is not as this program wrote it; move it away"):
-        write(tmp_path, report)
+        harness.write(tmp_path, report)
     assert (tmp_path / name).read_text() == "precious"
 
 
 @pytest.mark.parametrize("name", ["run.json", "results.jsonl"])
 def test_damaged_files_are_named(tmp_path, name):
-    Store(tmp_path, WANTED, KEYS).append([recovery(0)])
+    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
     (tmp_path / name).write_text("[" * 100_000 + "\n")
     with pytest.raises(OutputError, match=rf"{name}: (is not readable|line 1 is not a result); remove"):
-        Store(tmp_path, WANTED, KEYS)
+        harness.Store(tmp_path, WANTED, KEYS)
 
 
 @pytest.mark.parametrize("content", ["[]", '{"seed": 0}'])
 def test_a_folder_of_something_else_is_refused(tmp_path, content):
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(OutputError, match="belongs to something else"):
-        Store(tmp_path, WANTED, KEYS)
+        harness.Store(tmp_path, WANTED, KEYS)
     assert (tmp_path / "run.json").read_text() == content
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file"):
-        Store(tmp_path / "file", WANTED, KEYS)
+        harness.Store(tmp_path / "file", WANTED, KEYS)
 
 
 def test_a_name_that_no_folder_has_is_a_sentence(tmp_path):
     with pytest.raises(OutputError, match=r"writing failed \(File name too long\); check the output folder or choose"):
-        Store(tmp_path / ("a" * 300), WANTED, KEYS)
+        harness.Store(tmp_path / ("a" * 300), WANTED, KEYS)
 
 
-def square(case: int) -> list[Row]:
+def square(case: int) -> list[harness.Row]:
     """Of one number; 13 interrupts."""
     if case == 13:
         raise KeyboardInterrupt
-    return [{"number": case} | attempted(lambda: {"value": 1 / case, "array": np.full(2, case)})]
+    return [{"number": case} | harness.attempted(lambda: {"value": 1 / case, "array": np.full(2, case)})]
 
 
 @dataclass(frozen=True)
-class Squares(Experiment):
+class Squares(harness.Experiment):
     """Numbers."""
 
     numbers: tuple[int, ...] = (2, 4)
@@ -175,14 +163,14 @@ class Squares(Experiment):
     def case(self, key: tuple[int]) -> int:
         return key[0]
 
-    def report(self, rows: Mapping[tuple, Row]) -> Report:
+    def report(self, rows: Mapping[tuple, harness.Row]) -> harness.Report:
         found = [rows[number,] for number in self.numbers if (number,) in rows]
         frame = pd.DataFrame([{"number": row["number"], "value": row.get("value")} for row in found])
-        return Report({"table.csv": frame}, page=("Squares", "# Squares"), failed="value" not in found[0])
+        return harness.Report({"table.csv": frame}, page=("Squares", "# Squares"), failed="value" not in found[0])
 
 
 def measured(*arguments: str) -> int:
-    return run(Squares, arguments, "tests.squares", "Squares.")
+    return harness.run(Squares, arguments, "tests.squares", "Squares.")
 
 
 def test_an_experiment_goes_on_where_it_stopped(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -201,17 +189,17 @@ def test_an_experiment_goes_on_where_it_stopped(tmp_path: Path, capsys: pytest.C
     assert measured(*output, "--numbers", "5") == 2
     assert "table.csv is not as this program wrote it; move it away" in " ".join(capsys.readouterr().err.split())
     assert (tmp_path / "table.csv").read_text() == "precious"
-    assert (5,) not in read_results(tmp_path / RESULTS, ("number",))  # it was told before the work
+    assert (5,) not in harness.read_results(tmp_path / harness.RESULTS, ("number",))  # it was told before the work
 
 
 def test_a_case_that_breaks_is_a_row(tmp_path: Path) -> None:
     assert measured("--output", str(tmp_path), "--numbers", "0") == 1
-    row = read_results(tmp_path / RESULTS, ("number",))[0,]
+    row = harness.read_results(tmp_path / harness.RESULTS, ("number",))[0,]
     assert (row["status"], row["reason"]) == ("error", "ZeroDivisionError: division by zero")
-    (row,) = measured_file(("a.csv", lambda: {"value": 1 / 0}))
+    (row,) = harness.measured(("a.csv", lambda: {"value": 1 / 0}))
     assert row == {"file": "a.csv", "status": "failed (ZeroDivisionError: division by zero)"}
 
 
 def test_cells_that_do_not_exist_are_empty_and_numbers_have_six_digits() -> None:
     frame = pd.DataFrame([{"name": "a, b", "n": 3, "value": 1 / 3}, {"name": None, "n": 4, "value": np.nan}])
-    assert csv_of(frame) == 'name,n,value\n"a, b",3,0.333333\n,4,\n'
+    assert harness.csv_of(frame) == 'name,n,value\n"a, b",3,0.333333\n,4,\n'

@@ -13,14 +13,7 @@ import yaml
 
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
-from palpate.models.checkpoint import (
-    CheckpointError,
-    load_generator,
-    load_posterior,
-    posterior_features,
-    read_checkpoint,
-    require_same_model,
-)
+from palpate.models import checkpoint as checkpoints
 from palpate.models.module import PhysicsInformedGAN
 from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from palpate.models.posterior import ContactPosterior
@@ -47,8 +40,8 @@ def checkpoint(tmp_path: Path) -> Path:
 
 
 def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: Path):
-    require_same_model(checkpoint, SETTINGS)
-    require_same_model(checkpoint, SETTINGS | {"bounds": asdict(Bounds(initial=(0.2, 0.2, -1.0)))})
+    checkpoints.require_same_model(checkpoint, SETTINGS)
+    checkpoints.require_same_model(checkpoint, SETTINGS | {"bounds": asdict(Bounds(initial=(0.2, 0.2, -1.0)))})
 
 
 @pytest.mark.parametrize(
@@ -64,15 +57,15 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
     ],
 )
 def test_another_model_is_refused_by_name(checkpoint: Path, change: dict, message: str):
-    with pytest.raises(CheckpointError, match=message):
-        require_same_model(checkpoint, SETTINGS | change)
+    with pytest.raises(checkpoints.CheckpointError, match=message):
+        checkpoints.require_same_model(checkpoint, SETTINGS | change)
 
 
 def test_a_generator_is_the_trained_one_with_its_simulator_and_its_horizon(tmp_path: Path):
     module, path = PhysicsInformedGAN(width=4, residual_blocks=1, decoder="residual"), tmp_path / "last.ckpt"
     written = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
     torch.save(written | {"configuration": yaml.safe_dump({"data": {"samples": {"horizon": 3}}})}, path)
-    generator, mechanics, horizon = load_generator(path)
+    generator, mechanics, horizon = checkpoints.load_generator(path)
     depth, theta = torch.rand(2, 1, 24, 30), torch.tensor([[0.4, 0.2, -3.0], [0.6, 0.1, -7.0]])
     torch.testing.assert_close(generator.generate(depth, theta), module.generator_ab.generate(depth, theta))
     torch.testing.assert_close(generator.estimate(depth), module.generator_ab.estimate(depth))
@@ -92,24 +85,24 @@ def test_half_a_generator_is_one_sentence(tmp_path: Path, lost: str):
     else:
         written.pop("configuration")
     torch.save(written, path)
-    with pytest.raises(CheckpointError, match=r"last\.ckpt doesn't hold the generator"):
-        load_generator(path)
+    with pytest.raises(checkpoints.CheckpointError, match=r"last\.ckpt doesn't hold the generator"):
+        checkpoints.load_generator(path)
 
 
 def test_unusable_files(checkpoint: Path, tmp_path: Path):
-    with pytest.raises(CheckpointError, match="does not exist"):
-        read_checkpoint(tmp_path / "nothing.ckpt")
+    with pytest.raises(checkpoints.CheckpointError, match="does not exist"):
+        checkpoints.read_checkpoint(tmp_path / "nothing.ckpt")
     broken = tmp_path / "broken.ckpt"
     whole = checkpoint.read_bytes()
     flipped = bytes(byte ^ 255 for byte in whole)
     for content in (b"", b"not a checkpoint", whole[:-1000], whole[: len(whole) // 2], os.urandom(3000), flipped):
         broken.write_bytes(content)
-        with pytest.raises(CheckpointError, match="not a readable checkpoint"):
-            read_checkpoint(broken)
+        with pytest.raises(checkpoints.CheckpointError, match="not a readable checkpoint"):
+            checkpoints.read_checkpoint(broken)
     for foreign in ({"weights": torch.zeros(2)}, {"state_dict": {}, "hyper_parameters": 3}, {"state_dict": 3}):
         torch.save(foreign, broken)
-        with pytest.raises(CheckpointError, match="another program"):
-            read_checkpoint(broken)
+        with pytest.raises(checkpoints.CheckpointError, match="another program"):
+            checkpoints.read_checkpoint(broken)
 
 
 def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):
@@ -131,8 +124,10 @@ def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):
             for name, content in (parts | change).items():
                 if content is not None:
                     file.writestr(name, content)
-        for read in (read_checkpoint, posterior_features):
-            with pytest.raises(CheckpointError, match=r"damaged\.ckpt is not a readable checkpoint; give one that"):
+        for read in (checkpoints.read_checkpoint, checkpoints.posterior_features):
+            with pytest.raises(
+                checkpoints.CheckpointError, match=r"damaged\.ckpt is not a readable checkpoint; give one that"
+            ):
                 read(damaged)
 
 
@@ -155,7 +150,7 @@ def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
     posterior = ContactPosterior(7, BOX, picture=16)
     contact, picture = torch.randn(3, 7), torch.randn(3, 16)
     assert not torch.allclose(posterior(contact, picture)[0], trained(contact)[0])
-    load_posterior(posterior, path)
+    checkpoints.load_posterior(posterior, path)
     for value, expected in zip(posterior(contact, picture), trained(contact), strict=True):
         assert torch.equal(value, expected)
 
@@ -163,7 +158,7 @@ def test_a_pretrained_posterior_answers_as_it_did_with_any_picture(pretrained):
 def test_the_shipped_posterior_is_taken_over_as_it_was_exported() -> None:
     """The mean is the file's; the covariance is what it was before it was calibrated."""
     posterior = ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.from_numpy(RECOMMENDED.log_box))
-    load_posterior(posterior, SHIPPED)
+    checkpoints.load_posterior(posterior, SHIPPED)
     contact = posterior.centre + posterior.scale * torch.randn(5, len(posterior.centre))
     mean, _, bound = PosteriorModel(SHIPPED)(contact.numpy())
     with torch.no_grad():
@@ -176,36 +171,43 @@ def test_the_shipped_posterior_is_taken_over_as_it_was_exported() -> None:
 def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "other.onnx"
     posterior = ContactPosterior(7, BOX)
-    with pytest.raises(CheckpointError, match=r"other\.onnx can't be read"):
-        load_posterior(posterior, path)
+    with pytest.raises(checkpoints.CheckpointError, match=r"other\.onnx can't be read"):
+        checkpoints.load_posterior(posterior, path)
     path.write_bytes(content)
-    with pytest.raises(CheckpointError, match=r"other\.onnx is no exported contact posterior; give one"):
-        load_posterior(posterior, path)
-    with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
-        load_posterior(posterior, SHIPPED)
+    with pytest.raises(checkpoints.CheckpointError, match=r"other\.onnx is no exported contact posterior; give one"):
+        checkpoints.load_posterior(posterior, path)
+    with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
+        checkpoints.load_posterior(posterior, SHIPPED)
 
 
 def test_a_pretrained_posterior_says_how_much_it_is_told_and_is_refused_where_it_does_not_fit(
     pretrained, checkpoint: Path, tmp_path: Path
 ):
     path, _ = pretrained
-    assert posterior_features(path) == 7
+    assert checkpoints.posterior_features(path) == 7
     torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
-    for read in (posterior_features, lambda file: load_posterior(ContactPosterior(7, BOX), file)):
-        with pytest.raises(CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"):
+    for read in (
+        checkpoints.posterior_features,
+        lambda file: checkpoints.load_posterior(ContactPosterior(7, BOX), file),
+    ):
+        with pytest.raises(
+            checkpoints.CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"
+        ):
             read(tmp_path / "nothing.pt")
         for foreign in (checkpoint, tmp_path / "list.pt"):
-            with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
+            with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
                 read(foreign)
-    with pytest.raises(CheckpointError, match="holds no contact posterior of this version"):
-        load_posterior(ContactPosterior(8, BOX), path)
+    with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
+        checkpoints.load_posterior(ContactPosterior(8, BOX), path)
     torch.save([1, 2], tmp_path / "list.pt")
-    with pytest.raises(CheckpointError, match="not a readable checkpoint"):
-        load_posterior(ContactPosterior(7, BOX), tmp_path / "list.pt")
+    with pytest.raises(checkpoints.CheckpointError, match="not a readable checkpoint"):
+        checkpoints.load_posterior(ContactPosterior(7, BOX), tmp_path / "list.pt")
     wider = BOX.clone()
     wider[1, 2] = torch.log(torch.tensor(0.6))
-    with pytest.raises(CheckpointError, match=r"upper bounds .* 1, 0\.5, 0\.3, and model\.bounds say 1, 0\.5, 0\.6"):
-        load_posterior(ContactPosterior(7, wider), path)
+    with pytest.raises(
+        checkpoints.CheckpointError, match=r"upper bounds .* 1, 0\.5, 0\.3, and model\.bounds say 1, 0\.5, 0\.6"
+    ):
+        checkpoints.load_posterior(ContactPosterior(7, wider), path)
 
 
 class Evil:
@@ -219,6 +221,6 @@ def test_a_pickle_that_runs_code_is_refused_and_nothing_else_is_said(tmp_path, r
     with zipfile.ZipFile(tmp_path / "evil.ckpt", "w") as archive:
         archive.writestr("archive/data.pkl", pickle.dumps(Evil()))
         archive.writestr("archive/version", "3")
-    with pytest.raises(CheckpointError, match=r"evil\.ckpt is not a readable checkpoint"):
-        read_checkpoint(tmp_path / "evil.ckpt")
+    with pytest.raises(checkpoints.CheckpointError, match=r"evil\.ckpt is not a readable checkpoint"):
+        checkpoints.read_checkpoint(tmp_path / "evil.ckpt")
     assert not recwarn

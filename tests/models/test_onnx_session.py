@@ -8,17 +8,10 @@ import onnxruntime
 import pytest
 
 from palpate.data.picture_network import PictureNetwork
-from palpate.models.onnx_session import (
-    FORMAT_VERSION,
-    METADATA_KEY,
-    ModelFileError,
-    ParameterModel,
-    PosteriorModel,
-    open_model,
-)
+from palpate.models import onnx_session
 from tests.networks import write_network
 
-METADATA = {"format_version": FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
+METADATA = {"format_version": onnx_session.FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
 
 
 def write_model(
@@ -32,11 +25,11 @@ def write_model(
             flat = Flatten({name})
             theta = Slice(flat, start, end, axis)
         }}"""
-    return write_network(path, graph, None if metadata is None else {METADATA_KEY: metadata})
+    return write_network(path, graph, None if metadata is None else {onnx_session.METADATA_KEY: metadata})
 
 
 def test_a_good_file(tmp_path):
-    model = ParameterModel(write_model(tmp_path / "m.onnx"), threads=1)
+    model = onnx_session.ParameterModel(write_model(tmp_path / "m.onnx"), threads=1)
     assert model.window == 2
     assert model.input_size == (4, 6)
     windows = np.arange(96, dtype=np.float64).reshape(2, 2, 4, 6)
@@ -44,14 +37,14 @@ def test_a_good_file(tmp_path):
 
 
 def test_windows_of_another_shape_are_refused(tmp_path):
-    model = ParameterModel(write_model(tmp_path / "m.onnx"))
+    model = onnx_session.ParameterModel(write_model(tmp_path / "m.onnx"))
     with pytest.raises(ValueError, match=r"\[1, 1, 4, 6\]; expected \[B, 2, 4, 6\]"):
         model(np.zeros((1, 1, 4, 6)))
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(ModelFileError, match=r"nothing\.onnx is not a file; give"):
-        ParameterModel(tmp_path / "nothing.onnx")
+    with pytest.raises(onnx_session.ModelFileError, match=r"nothing\.onnx is not a file; give"):
+        onnx_session.ParameterModel(tmp_path / "nothing.onnx")
 
 
 def test_not_an_onnx_file(tmp_path):
@@ -59,8 +52,8 @@ def test_not_an_onnx_file(tmp_path):
     cut = path.read_bytes()[:-40]
     for content, said in ((b"", "not a"), (b"this is text", "not a"), (bytes(range(256)) * 8, "not a"), (cut, "")):
         path.write_bytes(content)
-        with pytest.raises(ModelFileError, match=rf"m\.onnx is {said}"):
-            ParameterModel(path)
+        with pytest.raises(onnx_session.ModelFileError, match=rf"m\.onnx is {said}"):
+            onnx_session.ParameterModel(path)
 
 
 @pytest.mark.parametrize(
@@ -74,16 +67,18 @@ def test_not_an_onnx_file(tmp_path):
     ],
 )
 def test_not_ours(tmp_path, metadata: object):
-    with pytest.raises(ModelFileError, match="without palpate's metadata; give"):
-        ParameterModel(write_model(tmp_path / "m.onnx", metadata))
-    with pytest.raises(ModelFileError, match="update the program"):
-        ParameterModel(write_model(tmp_path / "m.onnx", METADATA | {"format_version": FORMAT_VERSION + 1}))
+    with pytest.raises(onnx_session.ModelFileError, match="without palpate's metadata; give"):
+        onnx_session.ParameterModel(write_model(tmp_path / "m.onnx", metadata))
+    with pytest.raises(onnx_session.ModelFileError, match="update the program"):
+        onnx_session.ParameterModel(
+            write_model(tmp_path / "m.onnx", METADATA | {"format_version": onnx_session.FORMAT_VERSION + 1})
+        )
 
 
 @pytest.mark.parametrize(("name", "shape"), [("image", ("batch", 2, 4, 6)), ("depth", ("batch", 3, 4, 6))])
 def test_other_inputs(tmp_path, name: str, shape: tuple):
-    with pytest.raises(ModelFileError, match=r"m\.onnx takes .* not depth \[batch, 2, 4, 6\]"):
-        ParameterModel(write_model(tmp_path / "m.onnx", name=name, shape=shape))
+    with pytest.raises(onnx_session.ModelFileError, match=r"m\.onnx takes .* not depth \[batch, 2, 4, 6\]"):
+        onnx_session.ParameterModel(write_model(tmp_path / "m.onnx", name=name, shape=shape))
 
 
 def nested(levels: int) -> object:
@@ -114,8 +109,10 @@ def nested(levels: int) -> object:
 )
 def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, value: object):
     path = write_model(tmp_path / "m.onnx", METADATA | {name: value})
-    with pytest.raises(ModelFileError, match=r"m\.onnx has unusable metadata, .*; export it again") as caught:
-        open_model(path)
+    with pytest.raises(
+        onnx_session.ModelFileError, match=r"m\.onnx has unusable metadata, .*; export it again"
+    ) as caught:
+        onnx_session.open_model(path)
     said = str(caught.value)
     assert said.isprintable()
     assert name[:10] in said or name == "anything"
@@ -124,25 +121,25 @@ def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, val
 
 def test_infinite_by_its_exponent(tmp_path):
     document = json.dumps(METADATA)[:-1] + ', "track_seconds": 1e999}'
-    with pytest.raises(ModelFileError, match="unusable metadata, 'track_seconds': inf"):
-        ParameterModel(write_model(tmp_path / "m.onnx", document))
+    with pytest.raises(onnx_session.ModelFileError, match="unusable metadata, 'track_seconds': inf"):
+        onnx_session.ParameterModel(write_model(tmp_path / "m.onnx", document))
 
 
 def test_a_file_is_opened_as_the_kind_it_is(tmp_path):
-    assert isinstance(open_model(write_model(tmp_path / "m.onnx"), threads=1), ParameterModel)
+    assert isinstance(onnx_session.open_model(write_model(tmp_path / "m.onnx"), threads=1), onnx_session.ParameterModel)
     path = write_model(tmp_path / "m.onnx", METADATA | {"head": "posterior"})
     expected = r"takes depth \[batch, 2, 4, 6\] and gives theta, not contact .* and log_mean, log_covariance, decisive_"
-    with pytest.raises(ModelFileError, match=expected):
-        open_model(path)
-    with pytest.raises(ModelFileError, match=expected):
-        PosteriorModel(path)
+    with pytest.raises(onnx_session.ModelFileError, match=expected):
+        onnx_session.open_model(path)
+    with pytest.raises(onnx_session.ModelFileError, match=expected):
+        onnx_session.PosteriorModel(path)
 
 
 def test_metadata_that_is_not_text(tmp_path):
     path = write_model(tmp_path / "m.onnx", METADATA | {"masks": "auto"})
     path.write_bytes(path.read_bytes().replace(b'"auto"', b'"\xff\xfe\xff\xfe"'))
-    with pytest.raises(ModelFileError, match="without palpate's metadata"):
-        ParameterModel(path)
+    with pytest.raises(onnx_session.ModelFileError, match="without palpate's metadata"):
+        onnx_session.ParameterModel(path)
 
 
 def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch):
@@ -155,7 +152,7 @@ def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch)
     monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     for threads in (None, 1, 2, 1024):
-        ParameterModel(write_model(tmp_path / "m.onnx"), threads)
+        onnx_session.ParameterModel(write_model(tmp_path / "m.onnx"), threads)
     PictureNetwork(Path(__file__).resolve().parents[2] / "data" / "depth" / "photometric.onnx", threads=1024)
     assert asked == [0, 1, 2, 2, 2]
 
@@ -169,6 +166,8 @@ def test_a_network_that_fails_is_named(tmp_path):
             few = Reshape(depth, two)
             theta = Add(few, mean)
         }"""
-    path = write_network(tmp_path / "a.onnx", graph, {METADATA_KEY: json.dumps(METADATA)})
-    with pytest.raises(ModelFileError, match=r"a\.onnx can't be run; export it again with train.py export\."):
-        ParameterModel(path).run({"depth": np.zeros((1, 2, 4, 6), np.float32)})
+    path = write_network(tmp_path / "a.onnx", graph, {onnx_session.METADATA_KEY: json.dumps(METADATA)})
+    with pytest.raises(
+        onnx_session.ModelFileError, match=r"a\.onnx can't be run; export it again with train.py export\."
+    ):
+        onnx_session.ParameterModel(path).run({"depth": np.zeros((1, 2, 4, 6), np.float32)})

@@ -7,20 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palpate.physics.identifiability import (
-    LIMIT,
-    RATIOS,
-    bounds,
-    box_information,
-    covariance,
-    describe,
-    fisher_information,
-    in_words,
-    log_jacobian,
-    principal_directions,
-    ratio_bounds,
-    verdict,
-)
+from palpate.physics import identifiability as fisher
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import pressed, sheet
@@ -41,15 +28,15 @@ def with_eigenvalues(values: tuple[float, float, float], vectors: np.ndarray | N
 def test_information_of_a_jacobian_by_hand() -> None:
     jacobian = np.array([[[1.0, 0.0, 2.0], [0.0, 3.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 1.0, 0.0]]])
     by_hand = np.array([[2.0, 1.0, 2.0], [1.0, 10.0, 0.0], [2.0, 0.0, 5.0]])
-    np.testing.assert_allclose(fisher_information(jacobian, 1.0), by_hand, rtol=1e-14)
-    np.testing.assert_allclose(fisher_information(jacobian, 0.1), 100 * by_hand, rtol=1e-14)
-    np.testing.assert_allclose(bounds(100 * by_hand), 0.1 * bounds(by_hand), rtol=1e-12)
+    np.testing.assert_allclose(fisher.fisher_information(jacobian, 1.0), by_hand, rtol=1e-14)
+    np.testing.assert_allclose(fisher.fisher_information(jacobian, 0.1), 100 * by_hand, rtol=1e-14)
+    np.testing.assert_allclose(fisher.bounds(100 * by_hand), 0.1 * fisher.bounds(by_hand), rtol=1e-12)
 
 
 @pytest.mark.parametrize("noise", [0.0, -1.0, math.nan])
 def test_noise_must_be_positive(noise: float) -> None:
     with pytest.raises(ValueError, match="give a positive standard deviation"):
-        fisher_information(np.ones((1, 3)), noise)
+        fisher.fisher_information(np.ones((1, 3)), noise)
 
 
 def test_bounds_are_the_spread_of_least_squares() -> None:
@@ -58,26 +45,28 @@ def test_bounds_are_the_spread_of_least_squares() -> None:
     jacobian, noise = generator.normal(size=(12, 3)), 0.3
     data = noise * generator.normal(size=(12, 20_000))
     fits = np.linalg.lstsq(jacobian, data, rcond=None)[0]
-    information = fisher_information(jacobian, noise)
-    np.testing.assert_allclose(fits.std(axis=1), bounds(information), rtol=0.02)
-    np.testing.assert_allclose((RATIOS @ fits).std(axis=1), ratio_bounds(information), rtol=0.02)
-    np.testing.assert_allclose(np.cov(fits), covariance(information), atol=0.03 * np.abs(covariance(information)).max())
+    information = fisher.fisher_information(jacobian, noise)
+    np.testing.assert_allclose(fits.std(axis=1), fisher.bounds(information), rtol=0.02)
+    np.testing.assert_allclose((fisher.RATIOS @ fits).std(axis=1), fisher.ratio_bounds(information), rtol=0.02)
+    np.testing.assert_allclose(
+        np.cov(fits), fisher.covariance(information), atol=0.03 * np.abs(fisher.covariance(information)).max()
+    )
 
 
 def test_a_box_counts_as_the_normal_distribution_of_its_variance() -> None:
     """That of 200,000 uniform draws, within their sampling error of √(0.8/200,000) = 0.2 %, and width²/12."""
     box = np.array([[-3.0, -5.0, -4.0], [0.0, -0.5, -3.0]])
-    spread = np.linalg.inv(box_information(box))
+    spread = np.linalg.inv(fisher.box_information(box))
     np.testing.assert_allclose(spread, np.diag([9.0, 20.25, 1.0]) / 12, rtol=1e-12, atol=1e-15)
     draws = np.random.default_rng(0).uniform(*box, size=(200_000, 3))
     np.testing.assert_allclose(draws.var(axis=0), np.diag(spread), rtol=0.01)
-    np.testing.assert_allclose(bounds(box_information(box)), (box[1] - box[0]) / math.sqrt(12), rtol=1e-9)
+    np.testing.assert_allclose(fisher.bounds(fisher.box_information(box)), (box[1] - box[0]) / math.sqrt(12), rtol=1e-9)
 
 
 def test_log_jacobian_is_the_derivative_by_the_logarithms() -> None:
     """Central differences of float64 rollouts; their error is (1e-4)²/6 times the third derivative."""
     path, slopes = simulate_sensitivities(THETA, MESH, PRESS, MECHANICS, dtype=np.float64)
-    exact = log_jacobian(slopes, THETA)
+    exact = fisher.log_jacobian(slopes, THETA)
 
     def at(logs: np.ndarray) -> np.ndarray:
         theta = np.sign(THETA) * np.exp(logs)
@@ -92,26 +81,26 @@ def test_log_jacobian_is_the_derivative_by_the_logarithms() -> None:
 
 def test_what_is_unknown_has_no_finite_bound() -> None:
     """Only k_s/k_d and F/k_d seen: the common scale has no bound, the two ratios have theirs."""
-    information = RATIOS.T @ np.diag([100.0, 400.0]) @ RATIOS
-    assert (bounds(information) > 1e4).all()
-    np.testing.assert_allclose(ratio_bounds(information), [0.1, 0.05], rtol=1e-9)
-    np.testing.assert_allclose(ratio_bounds(1e8 * information), [1e-5, 5e-6], rtol=1e-3)
-    assert verdict(information) == "ratios"
-    assert principal_directions(information)[2] == (math.inf, "k_s · k_d · F")
-    assert "k_s · k_d · F is not" in describe(information)
+    information = fisher.RATIOS.T @ np.diag([100.0, 400.0]) @ fisher.RATIOS
+    assert (fisher.bounds(information) > 1e4).all()
+    np.testing.assert_allclose(fisher.ratio_bounds(information), [0.1, 0.05], rtol=1e-9)
+    np.testing.assert_allclose(fisher.ratio_bounds(1e8 * information), [1e-5, 5e-6], rtol=1e-3)
+    assert fisher.verdict(information) == "ratios"
+    assert fisher.principal_directions(information)[2] == (math.inf, "k_s · k_d · F")
+    assert "k_s · k_d · F is not" in fisher.describe(information)
 
 
 def test_verdicts_change_at_the_limit() -> None:
-    below, above = 1 / (0.99 * LIMIT) ** 2, 1 / (1.01 * LIMIT) ** 2
-    assert verdict(below * np.eye(3)) == "determined"
-    assert verdict(with_eigenvalues((below, below, above))) == "undetermined"  # F/k_d is no better known than F
-    assert verdict(above * np.eye(3)) == "undetermined"
-    assert verdict(np.zeros((3, 3))) == "undetermined"
-    assert verdict(1.02**2 * above * np.eye(3)) == "determined"
+    below, above = 1 / (0.99 * fisher.LIMIT) ** 2, 1 / (1.01 * fisher.LIMIT) ** 2
+    assert fisher.verdict(below * np.eye(3)) == "determined"
+    assert fisher.verdict(with_eigenvalues((below, below, above))) == "undetermined"  # F/k_d is no better known than F
+    assert fisher.verdict(above * np.eye(3)) == "undetermined"
+    assert fisher.verdict(np.zeros((3, 3))) == "undetermined"
+    assert fisher.verdict(1.02**2 * above * np.eye(3)) == "determined"
     # Of two independent parameters the ratio is √2 times as uncertain, so this limit keeps both ratios out.
-    assert verdict(0.98**2 * with_eigenvalues((2.1 * below, 2.1 * below, below))) == "undetermined"
-    assert describe(np.zeros((3, 3))) == "nothing is determined"
-    assert describe(below * np.eye(3)).endswith("are determined")
+    assert fisher.verdict(0.98**2 * with_eigenvalues((2.1 * below, 2.1 * below, below))) == "undetermined"
+    assert fisher.describe(np.zeros((3, 3))) == "nothing is determined"
+    assert fisher.describe(below * np.eye(3)).endswith("are determined")
 
 
 @pytest.mark.parametrize(
@@ -129,13 +118,13 @@ def test_verdicts_change_at_the_limit() -> None:
     ],
 )
 def test_directions_in_words(vector: tuple[float, float, float], words: str) -> None:
-    assert in_words(np.array(vector) / np.linalg.norm(vector)) == words
+    assert fisher.in_words(np.array(vector) / np.linalg.norm(vector)) == words
 
 
 def test_principal_directions_of_a_known_matrix() -> None:
     common, first = np.ones(3) / math.sqrt(3), np.array([1.0, -1.0, 0.0]) / math.sqrt(2)
     vectors = np.stack([common, first, np.cross(common, first)], axis=1)
-    found = principal_directions(with_eigenvalues((4.0, 100.0, 0.25), vectors))
+    found = fisher.principal_directions(with_eigenvalues((4.0, 100.0, 0.25), vectors))
     np.testing.assert_allclose([sd for sd, _ in found], [0.1, 0.5, 2.0], rtol=1e-9)
     assert found[0][1] in ("k_s / k_d", "k_d / k_s")
     assert found[1][1] == "k_s · k_d · F"
@@ -144,16 +133,16 @@ def test_principal_directions_of_a_known_matrix() -> None:
 
 @given(matrices)
 def test_covariance_is_symmetric_and_not_below_the_diagonal(rows: np.ndarray) -> None:
-    information = fisher_information(rows, 1.0)
-    found = covariance(information)
+    information = fisher.fisher_information(rows, 1.0)
+    found = fisher.covariance(information)
     np.testing.assert_allclose(found, found.T, rtol=1e-9, atol=1e-12 * np.abs(found).max())
     assert np.linalg.eigvalsh(found).min() > 0 or np.linalg.cond(information) > 1e12
     known = np.diag(information) > 1e-6
     # A parameter is known best where the others are given: sd² ≥ 1/I_ii.
-    assert (bounds(information)[known] >= (1 - 1e-6) / np.sqrt(np.diag(information)[known])).all()
+    assert (fisher.bounds(information)[known] >= (1 - 1e-6) / np.sqrt(np.diag(information)[known])).all()
 
 
 @given(matrices, matrices)
 def test_more_data_never_loosen_a_bound(first: np.ndarray, second: np.ndarray) -> None:
-    alone, both = fisher_information(first, 1.0), fisher_information(np.concatenate([first, second]), 1.0)
-    assert (bounds(both) <= bounds(alone) * (1 + 1e-6) + 1e-9).all() or np.linalg.cond(alone) > 1e10
+    alone, both = fisher.fisher_information(first, 1.0), fisher.fisher_information(np.concatenate([first, second]), 1.0)
+    assert (fisher.bounds(both) <= fisher.bounds(alone) * (1 + 1e-6) + 1e-9).all() or np.linalg.cond(alone) > 1e10

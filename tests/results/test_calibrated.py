@@ -13,14 +13,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.estimators.calibration_file import ClipLength, read_calibration
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.results.calibrated import (
-    NEWTONS,
-    NORMALISED,
-    ClipCalibration,
-    agreement,
-    carried_from,
-    comparison_sentence,
-)
+from palpate.results import calibrated as newtons
 from palpate.results.columns import CALIBRATED, COMPARED
 from palpate.results.plots import draw_comparison
 from palpate.results.store import own_files
@@ -32,9 +25,9 @@ UNKNOWN, METRIC = ClipLength(1.0), ClipLength(0.5, 0.5)
 LATER = dataclasses.replace(GOOD, onset=30, onset_frame=30, onset_time_s=1.2)
 
 
-def calibrated(folder: Path, **fields: Any) -> ClipCalibration:
+def calibrated(folder: Path, **fields: Any) -> newtons.ClipCalibration:
     (folder / "known.yaml").write_text(yaml.safe_dump(fields))
-    return ClipCalibration(read_calibration(folder / "known.yaml"))
+    return newtons.ClipCalibration(read_calibration(folder / "known.yaml"))
 
 
 def write_forces(folder: Path, force: np.ndarray, interval: float = 0.02) -> None:
@@ -66,8 +59,8 @@ def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
     told.conclude(UNKNOWN)
     assert "no press was estimated in contact at 9 s" in told.rows[0]["detail"]
     assert told.record()["reason"] == told.rows[0]["detail"]
-    assert carried_from({"calibration": told.record()}) == told.reason
-    far = ClipCalibration(told.calibration, home=False, carried=told.reason)
+    assert newtons.carried_from({"calibration": told.record()}) == told.reason
+    far = newtons.ClipCalibration(told.calibration, home=False, carried=told.reason)
     far.add(LATER)
     far.conclude(UNKNOWN)
     assert far.rows[0]["detail"] == told.reason
@@ -77,12 +70,14 @@ def test_another_clip_gets_the_scale_of_the_one_with_the_known_force(tmp_path: P
     home = calibrated(tmp_path, force_N=2.0, force_time_s=0.3)
     home.add(GOOD)
     home.conclude(ClipLength(1.0, stored=True))
-    away = ClipCalibration(home.calibration, home=False, carried=carried_from({"calibration": home.record()}))
+    away = newtons.ClipCalibration(
+        home.calibration, home=False, carried=newtons.carried_from({"calibration": home.record()})
+    )
     away.add(GOOD)  # the same frame of another clip is another contact
     away.conclude(ClipLength(2.0, stored=True))
     assert away.rows[0]["force"] == pytest.approx(4.0)
     assert away.rows[0]["force_high"] / 4.0 == pytest.approx(math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4)
-    lost = ClipCalibration(home.calibration, home=False, carried=carried_from({}))
+    lost = newtons.ClipCalibration(home.calibration, home=False, carried=newtons.carried_from({}))
     lost.add(GOOD)
     lost.conclude(UNKNOWN)
     assert lost.rows[0]["detail"] == "No results in newtons: the clip with the known force has no results."
@@ -98,13 +93,13 @@ def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
     told.conclude(UNKNOWN)
     rows = told.compared_rows()
     assert {row["onset_frame"]: row["known"] for row in rows} == {7: True, 30: False}
-    assert all(row["estimated"] == pytest.approx(2.0) and row["estimated_unit"] == NEWTONS for row in rows)
+    assert all(row["estimated"] == pytest.approx(2.0) and row["estimated_unit"] == newtons.NEWTONS for row in rows)
     found = told.record()["comparison"]
     assert found["forces"] == 8
     assert (found["measured_over_estimated"], found["rms_error_N"]) == pytest.approx((1.25, 0.5))
     assert found["within_90_percent_intervals"] == 0.0
     assert "correlation" not in found  # nothing changes
-    assert comparison_sentence(found) == (
+    assert newtons.comparison_sentence(found) == (
         "8 measured forces compared with estimates, measured over estimated 1.25, RMS error 0.5 N, "
         "0% within 90 % intervals"
     )
@@ -118,7 +113,7 @@ def test_without_newtons_the_factor_and_the_correlation_are_told(tmp_path: Path)
     told.add(GOOD)
     told.add(double)
     told.conclude(UNKNOWN)
-    assert {row["estimated_unit"] for row in told.compared_rows()} == {NORMALISED}
+    assert {row["estimated_unit"] for row in told.compared_rows()} == {newtons.NORMALISED}
     found = told.record()["comparison"]
     assert (found["measured_over_estimated"], found["correlation"]) == pytest.approx((20.0, 1.0))
     assert "rms_error_N" not in found
@@ -138,7 +133,7 @@ def test_a_press_that_no_tool_shows_is_told_by_its_dent(tmp_path: Path) -> None:
         told.see(PreparedFrame(frame, "no_tool", "", depth, np.zeros(shape.shape, np.uint8)))
     told.conclude(UNKNOWN)
     (curve,) = told.curves
-    assert (curve.onset_frame, curve.unit) == (25, NEWTONS)
+    assert (curve.onset_frame, curve.unit) == (25, newtons.NEWTONS)
     np.testing.assert_allclose(curve.force, force[25:], atol=0.02)
     assert told.record()["comparison"]["rms_error_N"] < 0.01
 
@@ -171,10 +166,10 @@ def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> Non
 
 def test_agreement_needs_some_forces_of_one_unit() -> None:
     row = {"measured_N": 1.0, "estimated": 2.0, "estimated_low": 1.0, "estimated_high": 3.0, "known": False}
-    assert agreement([{**row, "estimated_unit": NEWTONS}] * 2) == {"forces": 2}
-    mixed = [{**row, "estimated_unit": unit} for unit in (NEWTONS, NEWTONS, NORMALISED)]
-    assert agreement(mixed) == {"forces": 3}
-    assert agreement([{**row, "estimated_unit": NEWTONS, "known": True}] * 4) == {"forces": 0}
+    assert newtons.agreement([{**row, "estimated_unit": newtons.NEWTONS}] * 2) == {"forces": 2}
+    mixed = [{**row, "estimated_unit": unit} for unit in (newtons.NEWTONS, newtons.NEWTONS, newtons.NORMALISED)]
+    assert newtons.agreement(mixed) == {"forces": 3}
+    assert newtons.agreement([{**row, "estimated_unit": newtons.NEWTONS, "known": True}] * 4) == {"forces": 0}
 
 
 def test_the_picture_shows_both(tmp_path: Path) -> None:

@@ -22,15 +22,6 @@ from palpate.estimators.records import FrameEstimate
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.results import record as recording
-from palpate.results.record import (
-    UNCALIBRATED,
-    build_record,
-    depends_on,
-    describe,
-    fingerprint_of,
-    sha256_of,
-    warnings_of,
-)
 from palpate.results.store import write_record
 from palpate.results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_posterior
@@ -42,7 +33,7 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
 
     def fingerprint(settings: PrepareSettings = prepared, **options: Any) -> str:
         estimator = open_estimator(EstimatorOptions(**{"name": "direct"} | options))
-        return fingerprint_of(depends_on(clip, settings, estimator))
+        return recording.fingerprint_of(recording.depends_on(clip, settings, estimator))
 
     first = fingerprint()
     others = [
@@ -60,10 +51,14 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
 def test_results_name_the_model_that_was_opened_whatever_becomes_of_its_file(tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clip", 2, 1)
     estimator = open_estimator(EstimatorOptions("gan", write_model(tmp_path / "model.onnx")))
-    opened = depends_on(clip, PrepareSettings(), estimator)["model"]
-    assert opened == sha256_of(tmp_path / "model.onnx")
+    opened = recording.depends_on(clip, PrepareSettings(), estimator)["model"]
+    assert opened == recording.sha256_of(tmp_path / "model.onnx")
     write_model(tmp_path / "model.onnx", slope=(0.3, 0.0, 0.0))
-    assert depends_on(clip, PrepareSettings(), estimator)["model"] == opened != sha256_of(tmp_path / "model.onnx")
+    assert (
+        recording.depends_on(clip, PrepareSettings(), estimator)["model"]
+        == opened
+        != recording.sha256_of(tmp_path / "model.onnx")
+    )
 
 
 def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None:
@@ -72,7 +67,9 @@ def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None
     def fingerprint(content: bytes) -> str:
         masks.write_bytes(content)
         settings = PrepareSettings(masks=str(masks))
-        return fingerprint_of(depends_on(masks, settings, open_estimator(EstimatorOptions("direct"))))
+        return recording.fingerprint_of(
+            recording.depends_on(masks, settings, open_estimator(EstimatorOptions("direct")))
+        )
 
     first, second = fingerprint(b"one"), fingerprint(b"other")
     masks.with_suffix(".yaml").write_text("size: 3")
@@ -83,7 +80,7 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 6, 3)
     model = ParameterModel(write_model(tmp_path / "model.onnx"))
     estimator, settings = GanEstimator(model), preparation_settings(model, Chosen())
-    causes = depends_on(path, settings, estimator)
+    causes = recording.depends_on(path, settings, estimator)
     source = open_source(path, settings.layout)
     clip = ClipStream(source, settings)
     session = estimator.start(ClipInfo.of(clip))
@@ -93,12 +90,12 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
         for frame, estimate in zip(frames, found[:-1], strict=True):
             results.write(frame, estimate)
         results.add(found[-1])
-        record = build_record(clip, causes, model, results, {**clip.seconds, **results.seconds})
-        results.finish(record, title="clip", subtitle=describe(record))
+        record = recording.build_record(clip, causes, model, results, {**clip.seconds, **results.seconds})
+        results.finish(record, title="clip", subtitle=recording.describe(record))
     stored = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert stored["input"]["path"] == str(path.resolve())
-    assert stored["input"]["sha256"] == sha256_of(path)
-    assert stored["model"]["sha256"] == sha256_of(model.path)
+    assert stored["input"]["sha256"] == recording.sha256_of(path)
+    assert stored["model"]["sha256"] == recording.sha256_of(model.path)
     assert stored["depth_model"]["identity"].startswith("stored:")
     assert stored["statuses"] == {"no_contact": 3, "ok": 3}
     assert stored["verdicts"] == {"undetermined": 3}
@@ -112,9 +109,9 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     }
     assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
     assert {"palpate", "python", "numpy", "onnxruntime"} <= set(stored["versions"])
-    assert stored["fingerprint"] == fingerprint_of(causes)
-    assert "6 frames, 160×96, 25 fps" in describe(stored)
-    assert "depth stored · masks annotation" in describe(stored)
+    assert stored["fingerprint"] == recording.fingerprint_of(causes)
+    assert "6 frames, 160×96, 25 fps" in recording.describe(stored)
+    assert "depth stored · masks annotation" in recording.describe(stored)
 
 
 @pytest.fixture
@@ -130,7 +127,7 @@ def test_warnings_name_broken_frames_and_another_preprocessing(source: FrameSour
     unnamed = metadata()
     del unnamed["preprocessing_version"]  # which is that of the first
     for told, version in ((metadata(preprocessing_version=0), 0), (unnamed, 1)):
-        found = warnings_of(source, rows, ParameterModel(write_model(tmp_path / "model.onnx", told)), SOURCES)
+        found = recording.warnings_of(source, rows, ParameterModel(write_model(tmp_path / "model.onnx", told)), SOURCES)
         assert found[0] == "1 of 2 frames are no_mask, the first is 5: m.png does not exist; add it."
         assert found[1].startswith(f"the model was trained on preprocessing version {version}")
 
@@ -139,8 +136,8 @@ def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource,
     trained_on = {"depth": ["depthpro", "stored"], "masks": ["annotation"]}
     model = ParameterModel(write_model(tmp_path / "model.onnx", metadata(trained_on=trained_on)))
     rows = [FrameEstimate(0, 0.0, "ok")]
-    assert warnings_of(source, rows, model, SOURCES) == []
-    found = warnings_of(source, rows, model, {"depth": "photometric", "masks": "automatic"})
+    assert recording.warnings_of(source, rows, model, SOURCES) == []
+    found = recording.warnings_of(source, rows, model, {"depth": "photometric", "masks": "automatic"})
     assert found[0].startswith(
         "the model was trained on depth from depthpro and stored and this clip's come from photo"
     )
@@ -148,38 +145,39 @@ def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource,
     assert found[2].endswith(
         "contact here means in view, until the instrument has moved and tissue did not move with it"
     )
-    found = warnings_of(source, rows, model, {"depth": "stored", "masks": "automatic"}, "motion")
+    found = recording.warnings_of(source, rows, model, {"depth": "stored", "masks": "automatic"}, "motion")
     assert [item.startswith("contact here means that a dent comes") for item in found] == [False, True]
 
 
 @pytest.mark.parametrize(
-    ("calibration", "told"), [(Calibration(), [UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])]
+    ("calibration", "told"),
+    [(Calibration(), [recording.UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, source, tmp_path) -> None:
     document = metadata() | {"calibration": asdict(calibration)}
     model = PosteriorModel(write_posterior(tmp_path / "contact.onnx", document, 10))
-    assert warnings_of(source, [], model, SOURCES) == told
+    assert recording.warnings_of(source, [], model, SOURCES) == told
 
 
 def test_hash_of_a_folder_follows_names_and_contents(tmp_path: Path) -> None:
     (tmp_path / "clip" / "sub").mkdir(parents=True)
     (tmp_path / "clip" / "a.png").write_bytes(b"1")
     (tmp_path / "clip" / "sub" / "b.png").write_bytes(b"2")
-    first = sha256_of(tmp_path / "clip")
+    first = recording.sha256_of(tmp_path / "clip")
     (tmp_path / "clip" / ".hidden").write_bytes(b"3")
-    assert sha256_of(tmp_path / "clip") == first
+    assert recording.sha256_of(tmp_path / "clip") == first
     (tmp_path / "clip" / "out").mkdir()
     for name in ("parameters.csv", "overlay.mp4", "summary.png"):
         (tmp_path / "clip" / "out" / name).write_bytes(b"ours")
     write_record(tmp_path / "clip" / "out", {"program": "infer.py"})
-    assert sha256_of(tmp_path / "clip") == first
+    assert recording.sha256_of(tmp_path / "clip") == first
     (tmp_path / "clip" / "out" / "frame_1.png").write_bytes(b"a frame beside results")
-    second = sha256_of(tmp_path / "clip")
+    second = recording.sha256_of(tmp_path / "clip")
     assert second != first
     (tmp_path / "clip" / "a.png").rename(tmp_path / "clip" / "c.png")
-    assert sha256_of(tmp_path / "clip") != second
+    assert recording.sha256_of(tmp_path / "clip") != second
     (tmp_path / "clip" / "out" / "run.json").write_bytes(b"{}")  # then nothing tells whose the files are
-    assert len({first, second, sha256_of(tmp_path / "clip")}) == 3
+    assert len({first, second, recording.sha256_of(tmp_path / "clip")}) == 3
 
 
 def test_a_file_that_is_too_large_for_a_picture_counts_by_size_and_time(tmp_path, monkeypatch) -> None:
@@ -189,16 +187,16 @@ def test_a_file_that_is_too_large_for_a_picture_counts_by_size_and_time(tmp_path
         file.truncate(12 * 2**30)
     opened = []
     monkeypatch.setattr(recording, "file_sha256", lambda path: opened.append(path.name) or "0")
-    first = sha256_of(tmp_path)
+    first = recording.sha256_of(tmp_path)
     assert opened == ["1.png"]
     os.utime(tmp_path / "2.png", (1, 1))
-    assert sha256_of(tmp_path) != first
+    assert recording.sha256_of(tmp_path) != first
 
 
 def test_folders_in_a_clip_may_nest_as_deeply_as_the_disk_allows(tmp_path: Path, nested: Callable) -> None:
     (tmp_path / "clip").mkdir()
     (tmp_path / "clip" / "1.png").write_bytes(b"x")
-    digest = sha256_of(tmp_path / "clip")
+    digest = recording.sha256_of(tmp_path / "clip")
     for name in ("d", "nested"):
         nested(tmp_path / "clip", name)
-    assert sha256_of(tmp_path / "clip") == digest
+    assert recording.sha256_of(tmp_path / "clip") == digest

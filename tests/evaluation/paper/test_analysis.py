@@ -7,16 +7,7 @@ import pandas as pd
 import pytest
 
 from palpate.data.contact.interaction import Interaction
-from palpate.evaluation.paper.analysis import (
-    CONSTANT,
-    PREDICTED,
-    REFERENCE,
-    REGIMES,
-    EvaluationError,
-    analyse,
-    analyse_depth,
-    describe_depth,
-)
+from palpate.evaluation.paper import analysis
 from palpate.evaluation.paper.simulated import no_motion_errors, simulate_contacts
 from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, contact, record
 
@@ -36,23 +27,23 @@ def followers():
 
 @pytest.fixture(scope="module")
 def followed(followers):
-    return analyse(followers[::-1], TRAINING, MECHANICS, BOUNDS)
+    return analysis.analyse(followers[::-1], TRAINING, MECHANICS, BOUNDS)
 
 
 def test_an_estimator_that_follows_the_truth_succeeds(followed):
     frames = followed.frames
     assert frames["clip"].tolist() == sorted(frames["clip"])
     assert frames["frame"].tolist()[:4] == [0, 1, 0, 1]
-    assert list(followed.summaries) == list(REGIMES)
+    assert list(followed.summaries) == list(analysis.REGIMES)
     assert followed.spread["verdict"].tolist() == ["varies"] * 3
     assert followed.conclusion.startswith("The estimates beat the constant θ fitted on the training contacts. Varies")
-    assert followed.comparisons[CONSTANT]["wilcoxon_w"].value == 0
+    assert followed.comparisons[analysis.CONSTANT]["wilcoxon_w"].value == 0
     assert any("observed motions of a contact behind them: 12." in sentence for sentence in followed.sentences)
 
 
 def test_frames_that_share_an_observation_are_counted_once():
     shared = [record(SOFT, SOFT * 1.05, "one", 0) | {"frame": frame} for frame in range(8)]
-    result = analyse(shared, TRAINING, MECHANICS, BOUNDS)
+    result = analysis.analyse(shared, TRAINING, MECHANICS, BOUNDS)
     assert any("Test frames: 8; observed motions of a contact behind them: 1." in told for told in result.sentences)
     assert result.conclusion.startswith("One clip: too few to judge whether the estimates beat the constant θ")
 
@@ -70,32 +61,38 @@ def test_errors_of_the_baselines_are_simulated_on_the_test_frames(followers, fol
 def test_a_constant_estimator_is_called_collapsed_and_no_success():
     truths = [SOFT, HARD] * 5
     records = [record(theta, (0.5, 0.09, -0.1), f"clip {i}", i) for i, theta in enumerate(truths)]
-    result = analyse(records, TRAINING, MECHANICS, BOUNDS)
+    result = analysis.analyse(records, TRAINING, MECHANICS, BOUNDS)
     assert result.conclusion.startswith("No success")
     assert "Collapsed" in result.conclusion
     np.testing.assert_allclose(result.frames["error_mean_theta"], result.frames["error_predicted"], rtol=1e-3)
 
 
 def test_simulations_that_are_not_finite_or_leave_the_scene_are_counted(followed):
-    reference = followed.motion.loc[REFERENCE]
+    reference = followed.motion.loc[analysis.REFERENCE]
     assert (reference["not finite"], reference["peak over 1 scene unit"]) == (1, 1)
-    assert followed.motion.loc[PREDICTED, "not finite"] == 0
-    assert (followed.summaries[REFERENCE]["n"].value, followed.summaries[PREDICTED]["n"].value) == (11, 12)
-    assert (followed.comparisons[REFERENCE]["n"].value, followed.comparisons[REFERENCE]["left_out"].value) == (11, 1)
+    assert followed.motion.loc[analysis.PREDICTED, "not finite"] == 0
+    assert (followed.summaries[analysis.REFERENCE]["n"].value, followed.summaries[analysis.PREDICTED]["n"].value) == (
+        11,
+        12,
+    )
+    assert (
+        followed.comparisons[analysis.REFERENCE]["n"].value,
+        followed.comparisons[analysis.REFERENCE]["left_out"].value,
+    ) == (11, 1)
     failed = followed.settling[followed.settling["state"] == "not finite"]
-    assert failed["simulation"].tolist() == [REFERENCE]
+    assert failed["simulation"].tolist() == [analysis.REFERENCE]
 
 
 def test_without_training_contacts_there_is_no_constant():
-    result = analyse([record(SOFT, SOFT)], [], MECHANICS, BOUNDS)
+    result = analysis.analyse([record(SOFT, SOFT)], [], MECHANICS, BOUNDS)
     assert np.isnan(result.constant).all()
-    assert result.summaries[CONSTANT]["n"].value == 0
+    assert result.summaries[analysis.CONSTANT]["n"].value == 0
     assert result.conclusion.startswith("No conclusion")
 
 
 def test_no_records_are_an_error():
-    with pytest.raises(EvaluationError, match="no test pair is in contact"):
-        analyse([], [], MECHANICS, BOUNDS)
+    with pytest.raises(analysis.EvaluationError, match="no test pair is in contact"):
+        analysis.analyse([], [], MECHANICS, BOUNDS)
 
 
 COPY = 0.005 + 1e-4 * np.arange(20)
@@ -112,7 +109,7 @@ COPY = 0.005 + 1e-4 * np.arange(20)
 )
 def test_next_depth(decoder, copy, sensitivity, change, share, reach):
     columns = {"next_depth_error": decoder, "copy_error": copy, "theta_sensitivity": sensitivity}
-    depth = analyse_depth(pd.DataFrame(columns).assign(clip=np.repeat(list("abcd"), 5)))
+    depth = analysis.analyse_depth(pd.DataFrame(columns).assign(clip=np.repeat(list("abcd"), 5)))
     assert depth["comparison"]["relative_change_percent"].value == pytest.approx(change, nan_ok=True)
-    assert f" {share} % of the change between frames" in describe_depth(depth)
-    assert describe_depth(depth).endswith(f": θ {reach} the picture.")
+    assert f" {share} % of the change between frames" in analysis.describe_depth(depth)
+    assert analysis.describe_depth(depth).endswith(f": θ {reach} the picture.")

@@ -9,16 +9,7 @@ import pytest
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import BEYOND, GripFrame, SheetFit, continued, lattice_springs
 from palpate.estimators.records import InteractionEstimate
-from palpate.evaluation.real.brightness import (
-    LitPull,
-    averaged,
-    by_place,
-    evaluate_light,
-    lattice_places,
-    light_at,
-    light_skill,
-    read_light,
-)
+from palpate.evaluation.real import brightness
 from palpate.evaluation.real.pulled import evaluate_pull
 from tests.evaluation.real_clips import pull_clip
 
@@ -38,7 +29,7 @@ def smooth(random: np.random.Generator, width: float) -> np.ndarray:
     return found / found.std()
 
 
-def drawn() -> tuple[LitPull, np.ndarray]:
+def drawn() -> tuple[brightness.LitPull, np.ndarray]:
     """A sheet that is gripped at its left, without light as yet; and the displacements of its nodes [T, M, 2]."""
     points = SPACING * np.stack(np.meshgrid(np.arange(1, 31), np.arange(1, 23)), axis=-1).reshape(-1, 2).astype(float)
     nodes = continued(points, SPACING, BEYOND)
@@ -47,11 +38,11 @@ def drawn() -> tuple[LitPull, np.ndarray]:
     moved = [sheet.held(GripFrame(np.where(gripped[:, None], way, 0.0), gripped)).found.displacement for way in WAYS]
     frames = [GripFrame(each[: len(points)], gripped) for each in moved]
     nothing = np.zeros((COUNT, *SHAPE))
-    return LitPull(points, SPACING, SIZE, list(range(COUNT)), frames, nothing[0], nothing), np.array(moved)
+    return brightness.LitPull(points, SPACING, SIZE, list(range(COUNT)), frames, nothing[0], nothing), np.array(moved)
 
 
-def lit(pull: LitPull, frames: list[GripFrame], rest: np.ndarray, light: np.ndarray) -> LitPull:
-    return LitPull(pull.points, pull.spacing, pull.size, pull.numbers, frames, rest, light)
+def lit(pull: brightness.LitPull, frames: list[GripFrame], rest: np.ndarray, light: np.ndarray) -> brightness.LitPull:
+    return brightness.LitPull(pull.points, pull.spacing, pull.size, pull.numbers, frames, rest, light)
 
 
 def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generator) -> None:
@@ -59,13 +50,16 @@ def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generato
     pull, moved = drawn()
     rest, shares = 0.2 * smooth(random, 3), 0.01 * smooth(random, 8)
     origins = [pull.origin(each) for each in moved]
-    carried = np.array([light_at(rest, origin, SIZE) for origin in origins])
-    own = [light_at(shares * (way @ [1.0, -0.5]), origin, SIZE) for way, origin in zip(WAYS, origins, strict=True)]
-    matt, _ = evaluate_light(lit(pull, pull.frames, rest, carried))
+    carried = np.array([brightness.light_at(rest, origin, SIZE) for origin in origins])
+    own = [
+        brightness.light_at(shares * (way @ [1.0, -0.5]), origin, SIZE)
+        for way, origin in zip(WAYS, origins, strict=True)
+    ]
+    matt, _ = brightness.evaluate_light(lit(pull, pull.frames, rest, carried))
     assert matt["skill of motion: sheet"] > 0.97
     assert matt["skill of light: nothing moves"] == pytest.approx(0, abs=1e-6)
     assert matt["skill of light: sheet"] > 0.9
-    shaded, _ = evaluate_light(lit(pull, pull.frames, rest, carried + own))
+    shaded, _ = brightness.evaluate_light(lit(pull, pull.frames, rest, carried + own))
     assert shaded["skill of light: sheet, brightness"] > 0.9
     assert shaded["skill of light: followed motion, brightness"] > 0.9
     assert shaded["skill of light: sheet"] < 0.8
@@ -78,7 +72,7 @@ def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generato
 def test_noise_is_not_predicted(random: np.random.Generator) -> None:
     pull, _ = drawn()
     noise = 0.1 * random.normal(size=(COUNT, *SHAPE))
-    found, figure = evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), noise))
+    found, figure = brightness.evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), noise))
     assert found["change of light"] == pytest.approx(0.1, rel=0.02)
     assert all(value < 1e-6 for name, value in found.items() if name.startswith("skill of light"))
     assert found["skill of motion: sheet, brightness"] <= found["skill of motion: sheet"]
@@ -99,7 +93,7 @@ def test_light_that_tells_of_other_motion_adds_to_what_a_sheet_predicts(random: 
         GripFrame(frame.moved + np.where(frame.gripped[:, None], 0, each), frame.gripped)
         for frame, each in zip(pull.frames, own, strict=True)
     ]
-    found, _ = evaluate_light(lit(pull, frames, np.zeros(SHAPE), light))
+    found, _ = brightness.evaluate_light(lit(pull, frames, np.zeros(SHAPE), light))
     off = {name: 1 - value for name, value in found.items()}
     assert off["skill of motion: sheet, brightness"] < 0.3 * off["skill of motion: sheet"]
     assert off["skill of motion: sheet, brightness of other places"] > 0.9 * off["skill of motion: sheet"]
@@ -111,7 +105,7 @@ def test_too_little_light_is_a_sentence() -> None:
     light = np.full((COUNT, *SHAPE), np.nan)
     light[:, :20, :20] = 0.0
     with pytest.raises(NoEstimate, match="fewer than 500 places of tissue that is predicted"):
-        evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), light))
+        brightness.evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), light))
 
 
 def test_shares_are_those_of_the_first_half_place_by_place(random: np.random.Generator) -> None:
@@ -120,7 +114,7 @@ def test_shares_are_those_of_the_first_half_place_by_place(random: np.random.Gen
     values = np.einsum("tpk,pkc->tpc", drivers, shares)
     values[:, 7] = np.nan
     values[5:, 8] = 1e6  # of the later half
-    found = by_place(drivers, values, 5)
+    found = brightness.by_place(drivers, values, 5)
     others = np.arange(40) > 8
     left = (found - values)[:, others]
     assert np.sqrt(np.square(left).mean()) < 0.02 * values[:, others].std()
@@ -132,35 +126,35 @@ def test_nothing_is_expected_where_shares_don_t_last(random: np.random.Generator
     drivers = random.normal(size=(10, 400, 1))
     values = drivers.copy()
     values[3:5] *= -1  # the last third of the first half
-    assert by_place(drivers, drivers, 5).any()
-    assert not by_place(drivers, values, 5).any()
+    assert brightness.by_place(drivers, drivers, 5).any()
+    assert not brightness.by_place(drivers, values, 5).any()
 
 
 def test_skill_of_light_is_one_less_error_over_change_without_the_gain() -> None:
     change = np.array([-0.3, -0.1, 0.0, 0.1, 0.3])
-    assert light_skill(0.25 * change + 7, change - 2) == pytest.approx(0.25)
-    assert light_skill(0 * change, change) == 0
-    assert light_skill(-change, change) == pytest.approx(-1)
+    assert brightness.light_skill(0.25 * change + 7, change - 2) == pytest.approx(0.25)
+    assert brightness.light_skill(0 * change, change) == 0
+    assert brightness.light_skill(-change, change) == pytest.approx(-1)
 
 
 def test_wide_means_hide_texture_and_keep_what_is_wide() -> None:
     texture = np.where(np.indices((60, 80)).sum(axis=0) % 2, 1.0, -1.0)
     texture[20:25, 30:40] = np.nan
     width = np.array([6.0, 6.0])
-    found = averaged(texture + 3, width)
+    found = brightness.averaged(texture + 3, width)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(texture))
     assert np.nanmax(np.abs(found - 3)) < 0.1
-    assert averaged(texture, 0 * width) is texture
+    assert brightness.averaged(texture, 0 * width) is texture
 
 
 def test_light_between_places_is_that_of_the_known_ones() -> None:
-    places = lattice_places((4, 6), np.array([12, 8]))
+    places = brightness.lattice_places((4, 6), np.array([12, 8]))
     np.testing.assert_allclose(places[[0, -1], [0, -1]], [[0.5, 0.5], [10.5, 6.5]])
     light = places @ [1.0, 10.0]
     moved = places[1:-1, 1:-1] + [0.5, -0.25]
-    np.testing.assert_allclose(light_at(light, moved, np.array([12, 8])), moved @ [1.0, 10.0], atol=0.2)
+    np.testing.assert_allclose(brightness.light_at(light, moved, np.array([12, 8])), moved @ [1.0, 10.0], atol=0.2)
     light[1, 2] = np.nan
-    found = light_at(light, places + np.array([0.5, 0.0]), np.array([12, 8]))
+    found = brightness.light_at(light, places + np.array([0.5, 0.0]), np.array([12, 8]))
     assert np.isnan(found[1, 2])  # mostly the unknown one
     assert found[1, 1] == pytest.approx(light[1, 1])  # of it alone
 
@@ -169,11 +163,11 @@ def test_the_frames_are_those_that_the_session_judges_and_lie_in_the_view_at_res
     """Of a camera that moves by up to 7 px."""
     clip = pull_clip(tmp_path, np.linspace(0, 3, 9), camera=(2.0, -1.0))
     run = evaluate_pull(clip, {}).run
-    read = read_light(clip, run)
+    read = brightness.read_light(clip, run)
     assert run.grip is not None
     assert len(read.frames) == len(run.grip.times) == len(read.light)
-    found, _ = evaluate_light(read)
+    found, _ = brightness.evaluate_light(read)
     assert found["skill of motion: sheet"] == pytest.approx(run.grip.skill)
     assert found["skill of light: sheet, places"] > 0.5
     with pytest.raises(NoEstimate, match="In 0 frames enough light of tissue is visible; 6 are needed"):
-        read_light(clip, InteractionEstimate(0, 0, 0.0))
+        brightness.read_light(clip, InteractionEstimate(0, 0, 0.0))

@@ -144,8 +144,8 @@ def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_a_retraction_is_told_by_the_session_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In pictures of half the suite's size; in smaller ones the tissue moves by too few pixels."""
-    for name, size in (("width", 640), ("height", 360)):
+    """In fewer pictures, of half the suite's size; in smaller ones the tissue moves by too few pixels."""
+    for name, size in (("width", 640), ("height", 360), ("frames", 12)):
         monkeypatch.setitem(GRIP_SUITES["retraction"].truth, name, size)
     [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": EstimatorOptions("direct", threads=1)}}))
     assert row["status"] == "ok"

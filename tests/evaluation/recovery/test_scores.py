@@ -7,30 +7,20 @@ import pytest
 from scipy.stats import norm
 
 from palpate.estimators.estimate import NINETY
-from palpate.evaluation.recovery.scores import (
-    COLUMNS,
-    QUANTITIES,
-    Bound,
-    coverage,
-    deviations,
-    measure_noise,
-    score,
-    score_all,
-)
-from palpate.evaluation.recovery.scores import table as table_of
+from palpate.evaluation.recovery import scores as scoring
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
 def table(rows, bound=BY_CONTACT):
-    frame = table_of(score_all(rows, bound))
+    frame = scoring.table(scoring.score_all(rows, bound))
     return {(row["regime"], row["parameter"]): row for row in frame.to_dict("records")}
 
 
 def test_columns_are_those_that_were_agreed():
-    assert ",".join(COLUMNS) == (
+    assert ",".join(scoring.COLUMNS) == (
         "estimator,suite,regime,parameter,n,rmse_log,bound_log,ratio,constant_rmse_log,coverage90"
     )
-    assert set(table([recovery()])["all", "stiffness"]) == set(COLUMNS)
+    assert set(table([recovery()])["all", "stiffness"]) == set(scoring.COLUMNS)
 
 
 def test_errors_bounds_and_coverage_by_hand():
@@ -87,10 +77,10 @@ def test_deviations_of_ratios_in_closed_form():
     sds, correlations = np.array([0.1, 0.2, 0.4]), np.array([[1, 0.5, 0.3], [0.5, 1, -0.25], [0.3, -0.25, 1]])
     matrix = correlations * np.outer(sds, sds)
     expected = [0.1, 0.2, 0.4, math.sqrt(0.01 + 0.04 - 2 * 0.01), math.sqrt(0.16 + 0.04 + 2 * 0.02)]
-    assert QUANTITIES[3:] == ("stiffness/damping", "force/damping")
-    assert deviations(matrix) == pytest.approx(expected)
+    assert scoring.QUANTITIES[3:] == ("stiffness/damping", "force/damping")
+    assert scoring.deviations(matrix) == pytest.approx(expected)
     # The same of many at once; where all errors are one, ratios have none.
-    found = deviations(np.stack([matrix, 9 * matrix, 0.25 * np.ones((3, 3)), np.full((3, 3), np.nan)]))
+    found = scoring.deviations(np.stack([matrix, 9 * matrix, 0.25 * np.ones((3, 3)), np.full((3, 3), np.nan)]))
     np.testing.assert_allclose(found[:2], [expected, 3 * np.array(expected)], rtol=1e-12)
     np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 0, 0], atol=1e-12)
     assert np.isnan(found[3]).all()
@@ -100,8 +90,8 @@ def test_deviations_of_ratios_in_closed_form():
 def test_identifiable_is_decided_for_each_parameter():
     information = np.diag((0.001 / np.array([0.1, 0.6, 0.1])) ** 2)
     found = table([recovery(0, information=information)])
-    assert [found["all", name]["n"] for name in QUANTITIES] == [1, 0, 1, 1, 1]
-    assert [found["every clip", name]["n"] for name in QUANTITIES[:3]] == [1, 1, 1]
+    assert [found["all", name]["n"] for name in scoring.QUANTITIES] == [1, 0, 1, 1, 1]
+    assert [found["every clip", name]["n"] for name in scoring.QUANTITIES[:3]] == [1, 1, 1]
     assert found["every clip", "damping"]["coverage90"] == 1.0
     assert found["every clip", "damping"]["bound_log"] == pytest.approx(0.6)
     assert found["non-identifiable", "force/damping"]["n"] == 1
@@ -121,36 +111,36 @@ def test_calibrated_and_efficient_estimates_score_1_and_90_percent():
 
 def test_the_interval_is_the_normal_one():
     assert norm.cdf(NINETY) - norm.cdf(-NINETY) == pytest.approx(0.9)
-    assert coverage(np.array([0.16, -0.17]), np.array([0.1, 0.1])) == 0.5
+    assert scoring.coverage(np.array([0.16, -0.17]), np.array([0.1, 0.1])) == 0.5
 
 
 def test_noise_is_pooled_over_clips_once_each():
     rows = [recovery(0, tracking=np.full(10, 0.001)), recovery(0, estimator="constant", tracking=np.full(10, 0.001))]
     rows += [recovery(1, tracking=np.full(10, -0.003))]
-    assert measure_noise(rows)[0] == pytest.approx(math.sqrt((1 + 9) / 2) * 1e-3)
+    assert scoring.measure_noise(rows)[0] == pytest.approx(math.sqrt((1 + 9) / 2) * 1e-3)
 
 
 def test_lost_tracks_do_not_excuse_estimators():
     errors = np.random.default_rng(0).normal(0, 0.001, 1000)
     lost = np.concatenate((errors, np.full(10, 0.1)))
-    sigma, whole = measure_noise([recovery(tracking=lost)])
+    sigma, whole = scoring.measure_noise([recovery(tracking=lost)])
     assert sigma == pytest.approx(0.001, rel=0.06)
     assert whole == pytest.approx(0.01, rel=0.06)
 
 
 def test_a_suites_bound_follows_its_measured_noise():
     rows = [recovery(0), recovery(0, suite="noisy", tracking=np.array([0.003, -0.003]))]
-    bounds = [scores.bounds[0, 0] for scores in score_all(rows, BY_CONTACT)]
+    bounds = [scores.bounds[0, 0] for scores in scoring.score_all(rows, BY_CONTACT)]
     assert bounds == pytest.approx([0.1, 0.3])
     # The depth-change sequence knows its own.
-    assert [scores.bounds[0, 0] for scores in score_all(rows)] == pytest.approx([0.05, 0.05])
+    assert [scores.bounds[0, 0] for scores in scoring.score_all(rows)] == pytest.approx([0.05, 0.05])
 
 
 def test_without_a_sequence_the_sequence_bounds_nothing():
     rows = [recovery(0), recovery(1, field_information=None)]
     assert table(rows)["all", "stiffness"]["n"] == 2
-    assert table(rows, Bound())["all", "stiffness"]["n"] == 1
-    assert table(rows, Bound())["every clip", "stiffness"]["n"] == 2
+    assert table(rows, scoring.Bound())["all", "stiffness"]["n"] == 1
+    assert table(rows, scoring.Bound())["every clip", "stiffness"]["n"] == 2
 
 
 @pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("field", 1.0)])
@@ -162,15 +152,15 @@ def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, sha
     fields = {"information": None, "field_information": None}
     fields["information" if observation == "contact" else "field_information"] = share * information
     rows = [recovery(0, **fields)]
-    stamp, between = (table(rows, Bound(observation, onset)) for onset in ("stamp", "between"))
-    bounds = [[found["all", name]["bound_log"] for name in QUANTITIES[:2]] for found in (stamp, between)]
+    stamp, between = (table(rows, scoring.Bound(observation, onset)) for onset in ("stamp", "between"))
+    bounds = [[found["all", name]["bound_log"] for name in scoring.QUANTITIES[:2]] for found in (stamp, between)]
     assert bounds[0] == pytest.approx([0.1, 0.1])
     assert bounds[1] == pytest.approx([0.2, 0.1])
 
 
 def test_clips_without_estimate_are_kept_apart():
     rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, information=None)]
-    scores = score(rows, measure_noise(rows), BY_CONTACT)
+    scores = scoring.score(rows, scoring.measure_noise(rows), BY_CONTACT)
     assert [row["index"] for row in scores.rows] == [0]
     assert [row["index"] for row in scores.failed] == [1]
 

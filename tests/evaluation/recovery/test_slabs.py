@@ -177,9 +177,9 @@ def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyP
     """A short press, a shorter pull in a quarter of the pixels, and the truth of both by fewer elements."""
     suite = SLAB_SUITES["fem"]
     monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
-    for name, value in (("frames", 20), ("press_seconds", (0.16, 0.16))):
+    for name, value in (("frames", 14), ("press_seconds", (0.16, 0.16))):
         monkeypatch.setitem(suite.turns[0][0], name, value)
-    for name, size in (("width", 427), ("height", 240), ("frames", 16)):
+    for name, size in (("width", 427), ("height", 240), ("frames", 12)):
         monkeypatch.setitem(suite.turns[0][2], name, size)
     options = {"direct": EstimatorOptions("direct", onset="stamp", threads=1)}
     [pressed] = run_trial(Trial(0, 7, {"fem": options}))

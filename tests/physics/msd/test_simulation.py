@@ -18,18 +18,7 @@ from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 from palpate.physics.msd import grid_kernel, reference
 from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
-from tests.physics.sheets import (
-    energy,
-    gripped,
-    hand_mesh,
-    loose,
-    position_form_force,
-    pressed,
-    sheet,
-    smooth_path,
-    surface,
-    whole_field,
-)
+from tests.physics import sheets
 
 compiled = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 
@@ -38,7 +27,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 def press_on(mesh, vertex, direction, mechanics) -> Press:
     """A press on one vertex over the steps that the mechanics name."""
-    return pressed(mesh, vertex, mechanics.load_steps, mechanics.steps, direction)
+    return sheets.pressed(mesh, vertex, mechanics.load_steps, mechanics.steps, direction)
 
 
 def solve(mesh, load, theta, mechanics, course, corners) -> np.ndarray:
@@ -61,7 +50,7 @@ def solve(mesh, load, theta, mechanics, course, corners) -> np.ndarray:
 
     def derivative(time, state):
         displacement, velocity = state.reshape(2, count, 3)
-        total = position_form_force(place(displacement, time), mesh, stiffness) - damping * velocity
+        total = sheets.position_form_force(place(displacement, time), mesh, stiffness) - damping * velocity
         if isinstance(load, Press):
             total[load.vertices] += course(time) * force * np.outer(load.weights, load.direction)
         total[held] = 0
@@ -87,7 +76,7 @@ def test_single_mass_follows_the_discrete_closed_form(damping):
         velocity = a * (velocity + mechanics.time_step / mechanics.mass * (-0.3 if step < 25 else 0.0))
         position += mechanics.time_step * velocity
         expected.append(position)
-    mesh = hand_mesh([[0, 0, 1]], [])
+    mesh = sheets.hand_mesh([[0, 0, 1]], [])
     seen = simulate([0.5, damping, -0.3], mesh, press_on(mesh, 0, Z, mechanics), mechanics, dtype=np.float64)
     np.testing.assert_allclose(seen[:, 2], expected, rtol=1e-12)
     assert not seen[:, :2].any()
@@ -101,30 +90,30 @@ def convergence(mesh, theta, load_of, mechanics_of, exact) -> tuple[float, float
     errors = []
     for factor in REFINEMENTS:
         mechanics = mechanics_of(factor)
-        seen = whole_field(theta, mesh, load_of(factor, mechanics), mechanics, dtype=np.float64)
+        seen = sheets.whole_field(theta, mesh, load_of(factor, mechanics), mechanics, dtype=np.float64)
         errors.append(np.abs(seen[factor - 1 :: factor] - exact).max() / np.abs(exact).max())
     return -np.polyfit(np.log(REFINEMENTS), np.log(errors), 1)[0], errors[0]
 
 
 @pytest.mark.parametrize("kind", ["vertex", "patch", "grip"])
 def test_order_of_convergence_on_a_sheet(kind):
-    mesh, theta = sheet(9, 9), (0.6, 0.02, -0.02)
+    mesh, theta = sheets.sheet(9, 9), (0.6, 0.02, -0.02)
     corners, shares = ([0, 0.04, 0.1], None) if kind == "vertex" else ([0, 0.02, 0.05, 0.08, 0.1], [0, 1, 1, 0, 0])
 
     def load_of(factor, mechanics):
         if kind == "vertex":
-            return pressed(mesh, 40, 20 * factor, 50 * factor)
+            return sheets.pressed(mesh, 40, 20 * factor, 50 * factor)
         if kind == "patch":
             times = ramped(10 * factor, 15 * factor, 15 * factor, 50 * factor)
             return Press.on_patch(mesh, 40, 2.5, contact_normal(mesh, 40), times)
-        return gripped(mesh, [38, 39, 48], 0.08, 50 * factor, mechanics.time_step)
+        return sheets.gripped(mesh, [38, 39, 48], 0.08, 50 * factor, mechanics.time_step)
 
     coarse = Mechanics(time_step=0.002, steps=50, load_steps=0)
     load = load_of(1, coarse)
 
     def course(time):
         if kind == "grip":
-            return smooth_path(time, 0.08) * load.displacement[-1]
+            return sheets.smooth_path(time, 0.08) * load.displacement[-1]
         return float(time < 0.04) if kind == "vertex" else np.interp(time, corners, shares)
 
     exact = solve(mesh, load, theta, coarse, course, corners)
@@ -139,24 +128,24 @@ def test_order_of_convergence_on_a_sheet(kind):
 
 
 def test_held_vertices_stay_and_the_contact_vertex_moves_even_on_the_rim():
-    mesh = sheet(6, 7)
+    mesh = sheets.sheet(6, 7)
     corner = 0
     assert mesh.rim[corner]
-    load = pressed(mesh, corner, 10, 30, Z)
-    field = whole_field([0.5, 0.1, -0.1], mesh, load, Mechanics())
+    load = sheets.pressed(mesh, corner, 10, 30, Z)
+    field = sheets.whole_field([0.5, 0.1, -0.1], mesh, load, Mechanics())
     kept = mesh.rim.copy()
     kept[corner] = False
     assert not field[:, kept].any()
     assert np.abs(field[:, corner]).max() > 0
-    free = whole_field([0.5, 0.1, -0.1], loose(mesh), load, Mechanics())
+    free = sheets.whole_field([0.5, 0.1, -0.1], sheets.loose(mesh), load, Mechanics())
     assert np.abs(free[-1, kept]).max() > 0
 
 
 def test_momentum_of_a_free_undamped_mesh_is_the_impulse():
-    mesh, mechanics = loose(sheet(7, 8)), Mechanics(load_steps=50)
+    mesh, mechanics = sheets.loose(sheets.sheet(7, 8)), Mechanics(load_steps=50)
     direction = contact_normal(mesh, 20)
     load = press_on(mesh, 20, direction, mechanics)
-    field = whole_field([0.8, 0.0, -0.05], mesh, load, mechanics, dtype=np.float64)
+    field = sheets.whole_field([0.8, 0.0, -0.05], mesh, load, mechanics, dtype=np.float64)
     velocity = np.diff(field, axis=0, prepend=0) / mechanics.time_step
     momentum = mechanics.mass * velocity.sum(axis=1)
     loaded = np.minimum(np.arange(1, 201), 50)[:, None] * mechanics.time_step
@@ -166,16 +155,16 @@ def test_momentum_of_a_free_undamped_mesh_is_the_impulse():
 @pytest.mark.parametrize("scheme", ["euler", "dkd"])
 def test_energy_without_load(scheme):
     def relative_error(refinement, damping):
-        mesh = sheet(7, 8)
+        mesh = sheets.sheet(7, 8)
         mechanics = Mechanics(
             time_step=1e-3 / refinement, steps=1000 * refinement, load_steps=20 * refinement, scheme=scheme
         )
         theta = (0.8, damping, -0.02)
         load = press_on(mesh, 27, contact_normal(mesh, 27), mechanics)
-        field = whole_field(theta, mesh, load, mechanics, dtype=np.float64)
+        field = sheets.whole_field(theta, mesh, load, mechanics, dtype=np.float64)
         # Velocity at the steps by central differences, second order for both schemes.
         speed = (field[2:] - field[:-2]) / (2 * mechanics.time_step)
-        values = [energy(u, v, mesh, 0.8, mechanics.mass) for u, v in zip(field[1:-1], speed, strict=True)]
+        values = [sheets.energy(u, v, mesh, 0.8, mechanics.mass) for u, v in zip(field[1:-1], speed, strict=True)]
         return np.array(values[20 * refinement :])
 
     coarse, fine = relative_error(1, 0.0), relative_error(2, 0.0)
@@ -191,29 +180,29 @@ def test_energy_without_load(scheme):
 
 def test_strong_damping_never_diverges():
     """Three times what explicit damping would bear, 2m/Δt."""
-    mesh = sheet(6, 6)
-    load = pressed(mesh, 14, 50, 200, Z)
+    mesh = sheets.sheet(6, 6)
+    load = sheets.pressed(mesh, 14, 50, 200, Z)
     assert np.abs(simulate([0.5, 1.2, -0.1], mesh, load, Mechanics(), dtype=np.float64)).max() < 1
 
 
 def test_the_motion_follows_the_load_s_course():
-    mesh, theta = sheet(6, 6), [0.5, 0.05, -0.1]
-    quarter = simulate(theta, mesh, pressed(mesh, 14, 10, 40, Z), Mechanics())
+    mesh, theta = sheets.sheet(6, 6), [0.5, 0.05, -0.1]
+    quarter = simulate(theta, mesh, sheets.pressed(mesh, 14, 10, 40, Z), Mechanics())
     halved = simulate([0.5, 0.05, -0.2], mesh, Press.at(14, Z, 0.5 * held(10, 40)), Mechanics())
     np.testing.assert_allclose(halved, quarter, rtol=1e-5, atol=1e-9)
-    earlier = simulate(theta, mesh, pressed(mesh, 14, 10, 40, Z).until(25), Mechanics())
+    earlier = simulate(theta, mesh, sheets.pressed(mesh, 14, 10, 40, Z).until(25), Mechanics())
     np.testing.assert_array_equal(earlier, quarter[:25])
-    assert not simulate(theta, mesh, pressed(mesh, 14, 0, 40, Z), Mechanics()).any()
+    assert not simulate(theta, mesh, sheets.pressed(mesh, 14, 0, 40, Z), Mechanics()).any()
 
 
 def test_bad_input_is_named():
-    mesh, mechanics = sheet(5, 5), Mechanics()
-    load, theta = pressed(mesh, 3, 5, 10, Z), [0.5, 0.1, 1.0]
+    mesh, mechanics = sheets.sheet(5, 5), Mechanics()
+    load, theta = sheets.pressed(mesh, 3, 5, 10, Z), [0.5, 0.1, 1.0]
     for arguments, said in (
         (([0.5, 0.1], mesh, load, mechanics), "three finite numbers k_s, k_d and F"),
         (([0.5, np.nan, 1.0], mesh, load, mechanics), "three finite"),
         (([-0.5, 0.1, 1.0], mesh, load, mechanics), "neither may be negative"),
-        ((theta, mesh, pressed(mesh, 25, 5, 10, Z), mechanics), "load names vertex 25; the mesh has 25"),
+        ((theta, mesh, sheets.pressed(mesh, 25, 5, 10, Z), mechanics), "load names vertex 25; the mesh has 25"),
         ((theta, mesh, Grip(np.array([3, -1]), np.zeros((4, 2, 3))), mechanics), "load names vertex -1"),
         ((theta, dataclasses.replace(mesh, springs=np.array([[0, 25]])), load, mechanics), "springs .* up to 25;"),
     ):
@@ -237,17 +226,17 @@ def flat_sheet(height: int = 8, width: int = 9):
 
 
 @pytest.mark.parametrize("scheme", ["euler", "dkd"])
-@pytest.mark.parametrize("mesh", [flat_sheet(), loose(flat_sheet())], ids=["fixed", "free"])
+@pytest.mark.parametrize("mesh", [flat_sheet(), sheets.loose(flat_sheet())], ids=["fixed", "free"])
 def test_an_affine_grip_of_the_rim_moves_the_inside_affinely(mesh, scheme):
     """Stretched, sheared and tilted: opposite springs of an inner vertex then pull alike, whatever the strain."""
     mechanics = Mechanics(scheme=scheme)
     affine = np.array([[0.2, 0.03, 0.0], [-0.02, 0.15, 0.0], [0.1, -0.05, 0.0]])
     goal = mesh.vertices.astype(np.float64) @ affine.T
     rim = np.flatnonzero(flat_sheet().rim)
-    way = smooth_path(mechanics.time_step * np.arange(1, 1201), 0.2)
+    way = sheets.smooth_path(mechanics.time_step * np.arange(1, 1201), 0.2)
     grip = Grip(rim, way[:, None, None] * goal[rim])
     theta = (0.8, 0.02, 0.0)
-    field = whole_field(theta, mesh, grip, mechanics, dtype=np.float64)
+    field = sheets.whole_field(theta, mesh, grip, mechanics, dtype=np.float64)
     size = np.abs(goal).max()
     assert np.abs(field[30] - way[30] * goal).max() > 0.1 * size  # on the way it is not affine
     np.testing.assert_allclose(field[-1], goal, atol=1e-12 * size)
@@ -256,7 +245,7 @@ def test_an_affine_grip_of_the_rim_moves_the_inside_affinely(mesh, scheme):
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("dkd", 2)])
 def test_work_becomes_energy_and_heat(scheme, order):
     """Work of the load = elastic and kinetic energy + ∫ k_d·v², up to an error that falls with the scheme's order."""
-    mesh, stiffness, damping, errors = loose(sheet(8, 8)), 0.8, 0.02, []
+    mesh, stiffness, damping, errors = sheets.loose(sheets.sheet(8, 8)), 0.8, 0.02, []
     refinements = [1, 2, 4, 8]
     for factor in refinements:
         steps, step = 60 * factor, 0.002 / factor
@@ -265,12 +254,14 @@ def test_work_becomes_energy_and_heat(scheme, order):
         course = ramped(15 * factor, 30 * factor, 10 * factor, steps)
         load = Press.on_patch(mesh, 27, 2.5, contact_normal(mesh, 27), course)
         force = -0.05 * course[:, None, None] * np.outer(load.weights, load.direction)
-        field = np.concatenate([np.zeros((1, 64, 3)), whole_field(theta, mesh, load, mechanics, dtype=np.float64)])
+        field = np.concatenate(
+            [np.zeros((1, 64, 3)), sheets.whole_field(theta, mesh, load, mechanics, dtype=np.float64)]
+        )
         moved = np.diff(field, axis=0)
         work = (force * moved[:, load.vertices]).sum()
         heat = damping * np.square(moved).sum() / step
         speed = (3 * field[-1] - 4 * field[-2] + field[-3]) / (2 * step)
-        stored = energy(field[-1], speed, mesh, stiffness, mechanics.mass)
+        stored = sheets.energy(field[-1], speed, mesh, stiffness, mechanics.mass)
         assert min(heat, stored) > 0.1 * work
         errors.append(abs(work - stored - heat) / work)
     slope = -np.polyfit(np.log(refinements), np.log(errors), 1)[0]
@@ -288,13 +279,13 @@ ISLANDS[:, 8:10] = False
 @pytest.mark.parametrize("kind", ["vertex", "patch", "grip"])
 def test_derivatives_equal_differences_wherever_one_looks(kind, mechanics, keep):
     """Watched: in the load, beside it, further off, on the held rim, and on an island that nothing connects with it."""
-    mesh = grid_mesh(surface(8, 13), ISLANDS, max_edge=1.0, keep=keep)
+    mesh = grid_mesh(sheets.surface(8, 13), ISLANDS, max_edge=1.0, keep=keep)
     middle = nearest_vertex(mesh, mesh.vertices[mesh.pixels[:, 1] < 8].mean(axis=0))
     beside = np.argsort(np.linalg.norm(mesh.pixels - mesh.pixels[middle], axis=1))
     loads = {
-        "vertex": pressed(mesh, middle, 15, 60),
+        "vertex": sheets.pressed(mesh, middle, 15, 60),
         "patch": Press.on_patch(mesh, middle, 2.2, contact_normal(mesh, middle), ramped(10, 20, 10, 60)),
-        "grip": gripped(mesh, beside[[0, 1, 3]], 0.2, 60),
+        "grip": sheets.gripped(mesh, beside[[0, 1, 3]], 0.2, 60),
     }
     load, theta = loads[kind], np.array([0.6, 0.04, -0.1])
     rim = np.flatnonzero(mesh.rim & (mesh.pixels[:, 1] < 7))[0]
@@ -305,7 +296,7 @@ def test_derivatives_equal_differences_wherever_one_looks(kind, mechanics, keep)
         return simulate(values, mesh, load, mechanics, watch=watch, dtype=np.float64)
 
     path, slopes = simulate_sensitivities(theta, mesh, load, mechanics, watch=watch, dtype=np.float64)
-    field = whole_field(theta, mesh, load, mechanics, dtype=np.float64)
+    field = sheets.whole_field(theta, mesh, load, mechanics, dtype=np.float64)
     np.testing.assert_allclose(path, field[:, watch], atol=1e-14 * np.abs(field).max())
     np.testing.assert_allclose(motion(theta), path, atol=1e-14 * np.abs(path).max())
     assert not path[:, -2:].any()
@@ -338,14 +329,14 @@ def shuffled(mesh: Mesh) -> Mesh:
 
 
 MESHES = {
-    "grid": sheet(9, 8),
-    "holes": grid_mesh(surface(14, 17), HOLES, max_edge=1.0),
-    "shuffled": shuffled(grid_mesh(surface(14, 17), HOLES, max_edge=1.0)),
-    "free": loose(sheet(9, 8)),
-    "neck": grid_mesh(surface(11, 15), NECK, max_edge=1.0),
-    "one": hand_mesh([[0, 0, 1]], []),
-    "two": hand_mesh([[0, 0, 1], [0.1, 0, 1]], [[0, 1]], [False, True]),
-    "isolated": hand_mesh([[0, 0, 1], [0.02, 0, 1], [0.5, 0.02, 1]], [[0, 1]]),
+    "grid": sheets.sheet(9, 8),
+    "holes": grid_mesh(sheets.surface(14, 17), HOLES, max_edge=1.0),
+    "shuffled": shuffled(grid_mesh(sheets.surface(14, 17), HOLES, max_edge=1.0)),
+    "free": sheets.loose(sheets.sheet(9, 8)),
+    "neck": grid_mesh(sheets.surface(11, 15), NECK, max_edge=1.0),
+    "one": sheets.hand_mesh([[0, 0, 1]], []),
+    "two": sheets.hand_mesh([[0, 0, 1], [0.1, 0, 1]], [[0, 1]], [False, True]),
+    "isolated": sheets.hand_mesh([[0, 0, 1], [0.02, 0, 1], [0.5, 0.02, 1]], [[0, 1]]),
 }
 MECHANICS = {
     "default": (Mechanics(), 200),
@@ -364,10 +355,10 @@ def load_of(kind: str, mesh: Mesh, vertex: int, steps: int) -> Load:
     if kind == "patch":
         return Press.on_patch(mesh, vertex, 2.5, DIRECTION, ramped(5, 30, 10, steps))
     if kind == "grip":
-        return gripped(
+        return sheets.gripped(
             mesh, np.unique(np.clip([vertex, vertex + 1, vertex - 2], 0, len(mesh.vertices) - 1)), 0.3, steps
         )
-    return pressed(mesh, vertex, 50 if steps > 50 else 3, steps, DIRECTION)
+    return sheets.pressed(mesh, vertex, 50 if steps > 50 else 3, steps, DIRECTION)
 
 
 @pytest.mark.parametrize(("mechanics", "steps"), MECHANICS.values(), ids=MECHANICS)
@@ -394,12 +385,12 @@ def test_compiled_equals_plain(kind, mesh, mechanics, steps):
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
 @compiled
 def test_cone_equals_whole_mesh_to_round_off(kind):
-    mesh, mechanics = sheet(50, 60), Mechanics()
+    mesh, mechanics = sheets.sheet(50, 60), Mechanics()
     vertex = 25 * 60 + 30
     watch = vertex + np.array([0, 1, -3 * 60 + 2, 7 * 60 + 12])
-    load = pressed(mesh, vertex, 20, 70, DIRECTION) if kind == "vertex" else load_of(kind, mesh, vertex, 70)
+    load = sheets.pressed(mesh, vertex, 20, 70, DIRECTION) if kind == "vertex" else load_of(kind, mesh, vertex, 70)
     for theta in ((1.0, 0.0, -0.5), (0.5, 0.1, -0.05)):
-        whole = whole_field(theta, mesh, load, mechanics, dtype=np.float64)[:, watch]
+        whole = sheets.whole_field(theta, mesh, load, mechanics, dtype=np.float64)[:, watch]
         for chosen in (watch[:1], watch):
             cone = simulate(theta, mesh, load, mechanics, watch=chosen, dtype=np.float64)
             np.testing.assert_allclose(cone, whole[:, : len(chosen)], atol=1e-15 * np.abs(whole).max() * 70)
@@ -407,8 +398,8 @@ def test_cone_equals_whole_mesh_to_round_off(kind):
 
 @pytest.mark.slow
 def test_every_row_length_gives_the_same(monkeypatch):
-    mesh = sheet(30, 60)
-    arguments = ((0.7, 0.05, -0.1), mesh, pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())
+    mesh = sheets.sheet(30, 60)
+    arguments = ((0.7, 0.05, -0.1), mesh, sheets.pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())
     short = simulate_sensitivities(*arguments)
     monkeypatch.setattr(grid_kernel, "PITCHES", (144,))
     for seen, expected in zip(simulate_sensitivities(*arguments), short, strict=True):
@@ -425,8 +416,8 @@ box = box_of(Bounds())
 @settings(max_examples=20, deadline=None)
 @given(theta=box.filter(lambda theta: theta[1] > 0.003), scheme=st.sampled_from(["euler", "dkd"]))
 def test_window_error_is_kept(theta, scheme):
-    mesh = sheet(64, 64)
-    load = pressed(mesh, 32 * 64 + 32, 50, 200, DIRECTION)
+    mesh = sheets.sheet(64, 64)
+    load = sheets.pressed(mesh, 32 * 64 + 32, 50, 200, DIRECTION)
     exact, window = (Mechanics(scheme=scheme, window_error=error) for error in (0.0, 1e-4))
     expected, expected_jacobian = simulate_sensitivities(theta, mesh, load, exact, dtype=np.float64)
     seen, jacobian = simulate_sensitivities(theta, mesh, load, window, dtype=np.float64)
@@ -435,7 +426,7 @@ def test_window_error_is_kept(theta, scheme):
     assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale).all()
 
 
-WIDE = sheet(64, 64)
+WIDE = sheets.sheet(64, 64)
 
 
 @settings(max_examples=30, deadline=None)
@@ -465,8 +456,8 @@ def test_window_error_is_kept_for_wide_loads_and_many_watched_vertices(theta, sc
 
 def test_a_window_that_ends_before_a_watched_vertex_is_not_used():
     """Both windows then say that it doesn't move at all, and agree."""
-    mesh, theta = sheet(64, 64), (0.1, 0.4, -0.1)
-    load = pressed(mesh, 32 * 64 + 32, 50, 120, DIRECTION)
+    mesh, theta = sheets.sheet(64, 64), (0.1, 0.4, -0.1)
+    load = sheets.pressed(mesh, 32 * 64 + 32, 50, 120, DIRECTION)
     watch = np.array([32 * 64 + 62])
     expected = simulate(theta, mesh, load, Mechanics(), watch=watch, dtype=np.float64)
     assert np.abs(expected).max() > 0
@@ -476,8 +467,8 @@ def test_a_window_that_ends_before_a_watched_vertex_is_not_used():
 
 def test_a_window_that_fails_its_check_is_not_used():
     # Without damping, far beyond the box: chaotic, so that the smallest neglected part grows.
-    mesh, theta = sheet(130, 130), (5.34, 0.0, -5.0)
-    load = pressed(mesh, 65 * 130 + 65, 50, 200, DIRECTION)
+    mesh, theta = sheets.sheet(130, 130), (5.34, 0.0, -5.0)
+    load = sheets.pressed(mesh, 65 * 130 + 65, 50, 200, DIRECTION)
     expected = simulate(theta, mesh, load, Mechanics(), dtype=np.float64)
     seen = simulate(theta, mesh, load, Mechanics(window_error=1e-4), dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
@@ -493,21 +484,21 @@ def test_a_window_that_fails_its_check_is_not_used():
     where=st.integers(0, 10**6),
 )
 def test_any_mask_and_any_theta_is_finite_and_silent(valid, keep, theta, mechanics, kind, where):
-    mesh = grid_mesh(surface(*valid.shape), valid, max_edge=1.0, keep=keep)
+    mesh = grid_mesh(sheets.surface(*valid.shape), valid, max_edge=1.0, keep=keep)
     if len(mesh.vertices) == 0:
         return
     load = load_of(kind, mesh, where % len(mesh.vertices), mechanics[1])
     arguments = theta, mesh, load, mechanics[0]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [*simulate_sensitivities(*arguments), whole_field(*arguments)]
+        found = [*simulate_sensitivities(*arguments), sheets.whole_field(*arguments)]
     for values in found:
         assert np.isfinite(values).all()
         assert values.dtype == np.float32
 
 
 def test_single_precision_follows_double():
-    mesh, watch = sheet(20, 21), np.array([200, 205, 150])
+    mesh, watch = sheets.sheet(20, 21), np.array([200, 205, 150])
     for kind in ("vertex", "patch", "grip"):
         load, theta = load_of(kind, mesh, 200, 200), (0.5, 0.08, -0.1)
         for mechanics in (Mechanics(), Mechanics(scheme="dkd")):
@@ -519,7 +510,7 @@ def test_single_precision_follows_double():
 
 def test_threads_share_nothing():
     """Cases of several kinds and sizes at once give what each gives alone."""
-    meshes = [sheet(20, 21), sheet(30, 30), sheet(20, 20, keep=0.5)]
+    meshes = [sheets.sheet(20, 21), sheets.sheet(30, 30), sheets.sheet(20, 20, keep=0.5)]
     jobs = [
         ((0.5, 0.05 + 0.01 * index, -0.1), mesh, load_of(kind, mesh, 90, 60), Mechanics(window_error=1e-4))
         for index, (mesh, kind) in enumerate(itertools.product(meshes, ("vertex", "patch", "grip")))

@@ -157,17 +157,17 @@ def remove_last(clip: Path) -> None:
 @pytest.mark.parametrize(("output", "change"), [("clip", repaint_last), (".", repaint_last), ("out", remove_last)])
 def test_changed_frames_are_seen_wherever_the_output_is(inputs, tmp_path, capsys, output, change):
     """Also in the input, and above it."""
-    shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
-    model = str(inputs / "parameters.onnx")
-    arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / output), "--model", model, "--no-overlay"]
-    assert infer.main(arguments) == 0
-    assert infer.main(arguments) == 0
+    clip = shutil.copytree(inputs / "clips" / "folder", tmp_path / "clip")
+
+    def run(*options: str) -> int:
+        return call(inputs, tmp_path / output, "--no-overlay", *options, clips=str(clip))
+
+    assert run() == run() == 0
     assert "up to date" in capsys.readouterr().err
-    change(tmp_path / "clip")
-    assert infer.main(arguments) == 1
+    change(clip)
+    assert run() == 1
     assert "of frames that have changed since" in capsys.readouterr().err
-    assert infer.main([*arguments, "--overwrite"]) == 0
-    assert infer.main(arguments) == 0
+    assert run("--overwrite") == run() == 0
     assert "up to date" in capsys.readouterr().err
     (table,) = (tmp_path / output).glob("clip*/parameters.csv")
     assert len(rows(table.parent)) == len(list((tmp_path / "clip").glob("*_endo.png")))
@@ -176,7 +176,7 @@ def test_changed_frames_are_seen_wherever_the_output_is(inputs, tmp_path, capsys
 def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     for _ in range(2):
-        assert call(tmp_path, tmp_path / "clips" / "folder", "--model", str(inputs / "parameters.onnx")) == 0
+        assert call(inputs, tmp_path / "clips" / "folder", clips=str(tmp_path / "clips")) == 0
     made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
     assert made == ["drawn", "folder"]
 
@@ -226,8 +226,7 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
     camera = {"fx": 150.0, "fy": 150.0, "cx": 80.0, "cy": 48.0, "width": 160, "height": 96}
     (tmp_path / "camera.yaml").write_text(json.dumps(camera))
     options = ("--layout", str(tmp_path / "layout.yaml"), "--camera", str(tmp_path / "camera.yaml"))
-    arguments = [str(tmp_path / "clip"), "--output", str(tmp_path / "out"), "--model", str(inputs / "parameters.onnx")]
-    assert infer.main([*arguments, *options]) == 0
+    assert call(inputs, tmp_path / "out", *options, clips=str(tmp_path / "clip")) == 0
     found = rows(tmp_path / "out" / "clip")
     assert float(found[1]["time_s"]) == pytest.approx(0.02)
     assert [row["status"] for row in found[4:]] == ["ok"] * 4
@@ -376,29 +375,21 @@ def test_without_contact_the_table_of_contacts_is_empty_and_contact_from_the_fir
     assert record(tmp_path / "out" / "begun")["contacts"] == {"no_estimate": 1}
 
 
-@pytest.mark.parametrize(
-    ("seen", "reason"),
-    [
-        (0, "The tissue at the contact could not be followed after its onset."),
-        (2, "The contact was followed over 2 frames after its onset; 3 are needed."),
-    ],
-)
-def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
-    seen, reason, synthetic, tmp_path, monkeypatch
-):
-    """The clip ends `seen` frames after the onset, and its outlines disagree with its depth."""
+def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(synthetic, tmp_path, monkeypatch):
+    """The clip ends with the onset, and its outlines disagree with its depth."""
     folder = shutil.copytree(synthetic / "video01_00000", tmp_path / "clip")
     onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
     for path in folder.glob("frame_*"):
-        if int(path.name.split("_")[1]) > onset + seen:
+        if int(path.name.split("_")[1]) > onset:
             path.unlink()
     layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
-    layout["times"] = layout["times"][: onset + seen + 1]
+    layout["times"] = layout["times"][: onset + 1]
     (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
     monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
     assert direct(folder, tmp_path / "out", "--no-overlay") == 0
     (row,) = runs(tmp_path / "out" / "clip")
-    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), str(seen), "no_estimate")
+    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), "0", "no_estimate")
+    reason = "The tissue at the contact could not be followed after its onset."
     assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 

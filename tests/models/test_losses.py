@@ -25,20 +25,14 @@ def test_adversarial_terms():
 def test_masked_l1_leaves_out_pixels_without_a_measurement():
     assert losses.masked_l1(picture(0.5, 0.9, 0.1), picture(0.25, 0.0, 0.2)).item() == pytest.approx((0.25 + 0.1) / 2)
     assert losses.masked_l1(picture(0.5, 0.9), picture(0.0, 0.0)).item() == 0
-
-
-def test_masked_l1_has_no_gradient_at_invalid_pixels():
     prediction = picture(0.5, 0.9).requires_grad_()
     losses.masked_l1(prediction, picture(0.25, 0.0)).backward()
     assert prediction.grad.flatten().tolist() == [1.0, 0.0]
 
 
-def test_cycle_is_half_of_both_directions():
+def test_cycle_is_half_of_both_directions_and_identity_has_null_parameters():
     value = losses.cycle_loss(picture(0.5, 0.5), picture(0.4, 0.6), picture(0.3), picture(0.7))
     assert value.item() == pytest.approx(0.5 * (0.1 + 0.4))
-
-
-def test_identity_and_its_null_parameters():
     assert losses.identity_loss(picture(0.5, 0.2), picture(0.4, 0.4)).item() == pytest.approx(0.15)
     theta = torch.tensor([[0.4, 0.2, -3.0]], requires_grad=True)
     null = losses.null_parameters(theta)

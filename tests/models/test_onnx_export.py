@@ -17,6 +17,8 @@ from palpate.physics.mechanics import Bounds
 
 SIZE = (24, 40)
 METADATA = {"input": {"window": 1, "height": 24, "width": 40}}
+TWO = {"input": {"window": 2, "height": 24, "width": 32}}
+BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +96,9 @@ def test_without_calibration_the_covariance_is_the_networks_own(posterior: Conta
 
 def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
     torch.manual_seed(0)
-    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
-    generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10)
+    generator = Generator(2, 4, 1, BOUNDS, head="posterior", contact_features=10)
     generator.head.posterior.picture.weight.data.normal_()
-    document = {"input": {"window": 2, "height": 24, "width": 32}}
-    assert onnx_export.export(generator, tmp_path / "both.onnx", document) < 1e-5
+    assert onnx_export.export(generator, tmp_path / "both.onnx", TWO) < 1e-5
     model = PosteriorModel(tmp_path / "both.onnx")
     assert model.takes_depth
     random = np.random.default_rng(0)
@@ -113,12 +113,8 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
 
 
 def test_a_generator_without_a_picture_takes_none(tmp_path) -> None:
-    bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
-    generator = Generator(2, 4, 1, bounds, head="posterior", contact_features=10, picture=False)
-    assert (
-        onnx_export.export(generator, tmp_path / "blind.onnx", {"input": {"window": 2, "height": 24, "width": 32}})
-        < 1e-5
-    )
+    generator = Generator(2, 4, 1, BOUNDS, head="posterior", contact_features=10, picture=False)
+    assert onnx_export.export(generator, tmp_path / "blind.onnx", TWO) < 1e-5
     model = PosteriorModel(tmp_path / "blind.onnx")
     assert (model.takes_depth, model.inputs) == (False, {"contact": (10,)})
     contact = np.random.default_rng(0).normal(size=(3, 10)).astype(np.float32)
@@ -137,7 +133,6 @@ def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPost
     assert model(contact)[2].max() > 1000
     assert exported < 1e-5
     plain = PosteriorModel.run
-    monkeypatch.setattr(
-        PosteriorModel, "run", lambda *given: [*plain(*given)[:2], plain(*given)[2] * 1.001]
-    )  # a thousandth off
+    # A thousandth off.
+    monkeypatch.setattr(PosteriorModel, "run", lambda *given: [*plain(*given)[:2], plain(*given)[2] * 1.001])
     assert onnx_export.parity(onnx_export._Posterior(posterior), model, (1, 24, 40)) > onnx_export.PARITY_TOLERANCE

@@ -30,26 +30,20 @@ def test_a_patch_spreads_the_force_over_the_pixels_within_its_radius():
     np.testing.assert_array_equal(Press.on_patch(mesh, 30, 0.1, Z, np.ones(4)).vertices, [30])
 
 
-def test_a_press_on_one_vertex_carries_all_of_the_force():
+def test_a_press_on_one_vertex_carries_all_of_the_force_and_a_grip_moves_all_of_its_own():
     load = Press.at(9, [0, 0, -1], [1, 1, 0])
     assert (load.vertex, load.steps, load.weights.tolist()) == (9, 3, [1.0])
     np.testing.assert_array_equal(load.until(2).factor, [1, 1])
-
-
-def test_a_grip_over_its_first_steps():
     path = np.arange(30.0).reshape(5, 2, 3)
     load = grip(displacement=path)
     assert (load.vertex, load.steps) == (3, 5)
     np.testing.assert_array_equal(load.until(2).displacement, path[:2])
 
 
-def test_held_loads_share_their_last_step():
+def test_held_loads_share_their_last_step_and_ramps_count_with_their_mean_over_each():
     np.testing.assert_allclose(held(2.25, 5), [1, 1, 0.25, 0, 0])
     np.testing.assert_allclose(held(0, 2), [0, 0])
     np.testing.assert_allclose(held(9, 3), [1, 1, 1])
-
-
-def test_ramps_count_with_their_mean_over_each_step():
     np.testing.assert_allclose(ramped(2, 1, 4, 9), [0.25, 0.75, 1, 0.875, 0.625, 0.375, 0.125, 0, 0])
     np.testing.assert_allclose(ramped(0, 2, 0, 4), held(2, 4))
     np.testing.assert_allclose(ramped(0, 2.25, 0, 5), held(2.25, 5))
@@ -73,16 +67,12 @@ def test_a_patch_beside_a_vertex_and_one_between_vertices():
     np.testing.assert_array_equal(Press.on_patch(mesh, middle, 0.3, Z, np.ones(4), (0.4, 0.0)).vertices, [middle])
 
 
-def test_a_shape_is_a_step_on_a_vertex_along_the_normal_as_it_stands():
+def test_a_shape_is_a_step_on_a_vertex_or_holds_its_patch_its_course_and_its_lean():
     mesh = sheet(9, 9)
     load = PressShape().press(mesh, 40, Z, 0.0225, 0.01, 5)
     assert load.vertices.tolist() == [40]
     np.testing.assert_allclose(load.factor, held(2.25, 5))
     np.testing.assert_allclose(load.direction, Z)
-
-
-def test_a_shape_holds_its_patch_its_course_and_its_lean():
-    mesh = sheet(9, 9)
     shape = PressShape(2.5, (1.0, 0.0), 0.02, 0.03, (0.3, 0.4))
     load = shape.press(mesh, 40, Z, 0.1, 0.01, 12)
     np.testing.assert_allclose(load.factor, ramped(2, 5, 3, 12))

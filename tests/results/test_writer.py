@@ -25,6 +25,7 @@ from tests.results.fields import PULL
 from tests.results.test_stiffness_overlay import field_of, grip_of
 from tests.tables import read_rows
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 SIZE = (64, 48)
 FRAME = PreparedFrame(
     Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8)),
@@ -55,7 +56,6 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
     assert [(row["onset_frame"], row["force"]) for row in read_rows(folder / "interactions.csv")] == [("7", "0.1")]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) -> None:
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
         output.finish({}, title="clip", subtitle="")
@@ -64,7 +64,6 @@ def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) 
             assert list(csv.reader(stream)) == [list(columns)]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> None:
     """The force is 3 N at the end of a run that begins at 0.5 s; half of it is measured, and all of it told."""
     times = np.linspace(0.1, 0.8, 8)
@@ -88,7 +87,6 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     assert "forces.csv" in own_files(tmp_path / "clip")
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_frames_of_a_run_wait_for_its_map_of_stiffness(tmp_path: Path) -> None:
     """Frames before and after it do not; all are in the overlay, in order, and those of the run are painted."""
     size, grip = (192, 96), grip_of(field_of())
@@ -115,7 +113,6 @@ def test_frames_of_a_run_wait_for_its_map_of_stiffness(tmp_path: Path) -> None:
     assert [change > 10 for change in changed] == [False, True, True, False]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_runs_of_contact_are_counted_by_verdict_and_those_with_a_motion_are_drawn_first(tmp_path: Path) -> None:
     loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(GOOD.estimate, covariance=np.eye(3)))
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
@@ -127,7 +124,6 @@ def test_runs_of_contact_are_counted_by_verdict_and_those_with_a_motion_are_draw
     assert drawn == ["determined", "undetermined", "determined"] + ["no_estimate"] * (MOST_PANELS - 3)
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
     write_clip(folder, "first")
@@ -143,7 +139,6 @@ def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     write_clip(tmp_path / "clip", "earlier")
     killed = partial_folder(tmp_path / "clip")
@@ -156,7 +151,6 @@ def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_an_interruption_while_files_are_moved_ends_with_the_new_results(tmp_path, monkeypatch) -> None:
     folder, replace, left = tmp_path / "clip", os.replace, [3]
     write_clip(folder, "first")
@@ -177,7 +171,6 @@ def test_an_interruption_while_files_are_moved_ends_with_the_new_results(tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
     folder = tmp_path / "clip"
     write_clip(folder, "first")
@@ -194,7 +187,6 @@ def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
     assert read_record(folder)["fingerprint"] == "second"
 
 
-@pytest.mark.usefixtures("blank_pictures")
 def test_fields_that_are_not_explained_or_not_determined_are_gathered_as_doubts(tmp_path: Path) -> None:
     lost = dataclasses.replace(PULL.last, known=np.zeros(4, bool))
     runs = [

@@ -108,7 +108,7 @@ def test_contact_information_is_that_of_the_motion_at_the_truth() -> None:
     information = limits.contact_information(contact, *truth())
     assert information.shape == (5, 5)
     sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(information / sizes, expected / sizes, atol=0.06)
+    np.testing.assert_allclose(information / sizes, expected / sizes, atol=0.02)
 
 
 def test_information_is_symmetric_and_positive_and_a_dent_tells_more_than_its_deepest_point(found) -> None:

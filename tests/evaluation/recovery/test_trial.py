@@ -23,7 +23,7 @@ from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, TrueClip, run_trial
 from palpate.physics.identifiability import bounds, fisher_information, log_jacobian
 from palpate.physics.load import Press, held
-from palpate.physics.msd.simulation import simulate, simulate_sensitivities
+from palpate.physics.msd.simulation import simulate_sensitivities
 from palpate.physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
@@ -68,35 +68,6 @@ def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     late = dataclasses.replace(motion, delay=0.04)
     blind = contact.observed(np.arange(1))
     np.testing.assert_array_equal(contact_information(blind, scene, late), np.zeros((5, 5)))
-
-
-def test_the_bound_counts_the_delays_of_a_press_in_frames():
-    """Against presses a step of the simulator, a 16th of a frame, earlier and later, and held for a step longer."""
-    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
-    scene, motion = draw_press(settings, SEED)
-    after, step = np.arange(1, 26), MECHANICS.time_step
-    loaded = round(motion.load_seconds / step)
-
-    def moved(began: int, ended: int) -> np.ndarray:
-        press = Press.at(scene.vertex, scene.direction, held(loaded + ended - began, 400))
-        path = simulate(motion.theta, scene.mesh, press, MECHANICS, dtype=np.float64)
-        return path[16 * after - 9 - began]
-
-    observed = Observation.of_point(scene.vertex, after / 25, moved(0, 0), 0.001)
-    press = Press.at(scene.vertex, scene.direction, held(loaded, 400))
-    contact = Interaction(scene.mesh, press, observed, step)
-    # Forward: a force that ends with a whole step gives another derivative for an earlier end than for a later one.
-    ended = 16 * (moved(0, 1) - moved(0, 0))
-    slopes = np.stack([8 * (moved(1, 1) - moved(-1, -1)) - ended, ended], axis=-1)
-    information = contact_information(contact, scene, motion)
-    np.testing.assert_allclose(information[3:, 3:], fisher_information(slopes, 1.0), rtol=0.02)
-    # Where the release was not seen nothing is known of its delay.
-    under = contact.observed(after / 25 < 0.2)
-    pressed = dataclasses.replace(under, load=dataclasses.replace(press, factor=np.ones(400)))
-    information = contact_information(pressed, scene, motion)
-    assert (np.diag(information)[:4] > 0).all()
-    assert not information[4].any()
-    assert not information[:, 4].any()
 
 
 def test_a_press_without_a_tool_is_compared_as_it_was_stamped():

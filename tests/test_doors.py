@@ -8,34 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_architecture import ROOT, modules
+from tests.test_architecture import ROOT, faces, modules
 
-DOORS = {
-    "calibrate": ["calibrate.py"],
-    "infer": ["infer.py"],
-    "plan": ["plan.py"],
-    "train": ["train.py"],
-    "palpate.__main__": ["-m", "palpate", "infer"],
-    "palpate.data.synthetic.__main__": ["-m", "data.synthetic"],
-    "palpate.data.cholecseg8k": ["-m", "data.cholecseg8k"],
-    "palpate.data.depth.photometric": ["-m", "data.depth.photometric"],
-    "palpate.evaluation.benchmark": ["-m", "evaluation.benchmark"],
-    "palpate.estimators.network.calibration": ["-m", "estimators.network.calibration"],
-    "palpate.estimators.network.light_calibration": ["-m", "estimators.network.light_calibration"],
-    "palpate.evaluation.ablation.__main__": ["-m", "evaluation.ablation"],
-    "palpate.evaluation.compare_with_truth": ["-m", "evaluation.compare_with_truth"],
-    "palpate.evaluation.plain_video": ["-m", "evaluation.plain_video"],
-    "palpate.evaluation.foreign": ["-m", "evaluation.foreign"],
-    "palpate.evaluation.online.__main__": ["-m", "evaluation.online"],
-    "palpate.evaluation.palpation.__main__": ["-m", "evaluation.palpation"],
-    "palpate.evaluation.palpation.example": ["-m", "evaluation.palpation.example"],
-    "palpate.evaluation.paper.recovered": ["-m", "evaluation.paper.recovered"],
-    "palpate.evaluation.result_figure": ["-m", "evaluation.result_figure"],
-    "palpate.evaluation.model_errors": ["-m", "evaluation.model_errors"],
-    "palpate.evaluation.real.__main__": ["-m", "evaluation.real"],
-    "palpate.benchmarks.inference": ["-m", "benchmarks.inference"],
-    "palpate.benchmarks.rollout": ["-m", "benchmarks.rollout"],
-}
+MODULES = (
+    *("benchmarks.inference", "benchmarks.rollout", "data.cholecseg8k", "data.depth.photometric", "data.synthetic"),
+    *("estimators.network.calibration", "estimators.network.light_calibration", "evaluation.ablation"),
+    *("evaluation.benchmark", "evaluation.compare_with_truth", "evaluation.foreign", "evaluation.model_errors"),
+    *("evaluation.online", "evaluation.palpation", "evaluation.palpation.example", "evaluation.paper.recovered"),
+    *("evaluation.plain_video", "evaluation.real", "evaluation.result_figure"),
+)
+DOORS = {name: [f"{name}.py"] for name in ("calibrate", "infer", "plan", "train")}
+DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"]}
+DOORS |= {f"palpate.{name}" + ".__main__" * (f"palpate.{name}" in faces()): ["-m", name] for name in MODULES}
+"""How each program is started, by its file's name."""
 INTERRUPTING = """
 import os, signal, time
 os.kill(os.getpid(), signal.SIGINT)

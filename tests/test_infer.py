@@ -23,16 +23,9 @@ from tests.tables import read_rows
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
 SCENE = SceneSettings(
-    width=214,
-    height=120,
-    frames=22,
-    onset_fraction=(0.15, 0.2),
-    press_seconds=(0.2, 0.2),
-    stiffness=(0.4, 0.4),
-    damping=(0.03, 0.03),
-    force=(-0.05, -0.05),
-    depth_noise=0.0005,
-)
+    width=214, height=120, frames=22, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.0005,
+    stiffness=(0.4, 0.4), damping=(0.03, 0.03), force=(-0.05, -0.05),
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +59,7 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def test_folder_and_video_give_complete_results_and_a_table_that_fits_a_narrow_terminal(
-    inputs, tmp_path, capsys, monkeypatch
-):
+def test_folder_and_video_give_complete_results_and_a_narrow_table(inputs, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]

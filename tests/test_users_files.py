@@ -148,11 +148,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
 
 def quick_material() -> SimpleNamespace:
     """Of no palpations."""
-    unknown, found = (
-        np.full((2, 2), np.nan),
-        {"young": 1e4 * random.random(), "poisson": 0.4, "noise": 0.0, "solves": 0},
-    )
-    return SimpleNamespace(**found, verdict=NOTHING, covariance=unknown, poses=[], rests=[])
+    found = {"young": 1e4 * random.random(), "poisson": 0.4, "noise": 0.0, "solves": 0, "verdict": NOTHING}
+    return SimpleNamespace(**found, covariance=np.full((2, 2), np.nan), poses=[], rests=[])
 
 
 def runs_of(inputs: Path) -> dict[str, Run]:

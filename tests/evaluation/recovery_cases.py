@@ -18,27 +18,12 @@ def recovery(index: int = 0, **changes) -> Row:
 
     Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
     """
-    fields = {
-        "suite": "clean",
-        "index": index,
-        "estimator": "direct",
-        "seed": suite_clip_seed("test", 0, index),
-        "action": "press",
-        "regime": REGIMES[index % 3],
-        "status": "ok",
-        "theta": TRUTH,
-        "information": np.eye(3) * (0.001 / 0.1) ** 2,
-        "field_information": np.eye(3) / 0.05**2,
-        "tracking": np.array([0.001, -0.001]),
-        "estimate": TRUTH,
-        "covariance": np.eye(3) * 0.01,
-        "verdict": "determined",
-        "noise": 0.001,
-        "misfit": 1.0,
-        "at_bound": np.zeros(3, bool),
-        "seconds": 1.0,
-    }
-    fields |= changes
+    clip = {"suite": "clean", "index": index, "estimator": "direct", "seed": suite_clip_seed("test", 0, index)}
+    truth = {"action": "press", "regime": REGIMES[index % 3], "status": "ok", "theta": TRUTH}
+    told = {"information": np.eye(3) * (0.001 / 0.1) ** 2, "field_information": np.eye(3) / 0.05**2}
+    told |= {"tracking": np.array([0.001, -0.001]), "noise": 0.001, "misfit": 1.0, "at_bound": np.zeros(3, bool)}
+    found = {"estimate": TRUTH, "covariance": np.eye(3) * 0.01, "verdict": "determined", "seconds": 1.0}
+    fields = clip | truth | told | found | changes
     for name in ("information", "field_information"):
         if fields[name] is not None:
             fields[name] = np.pad(fields[name], (0, 5 - len(fields[name])))

@@ -49,18 +49,8 @@ def record(theta, estimate, clip="a", frame=0, **changes):
     trajectory, error = simulate_contacts(estimate, [seen], MECHANICS)
     constants = with_reference_tissue(torch.from_numpy(estimate[None])).numpy()
     reference, reference_error = simulate_contacts(constants, [seen], MECHANICS)
-    return {
-        "clip": clip,
-        "frame": frame,
-        "theta": estimate,
-        "trajectory": trajectory[0],
-        "reference_trajectory": reference[0],
-        "mesh": seen.mesh,
-        "load": seen.load,
-        "observation": seen.observation,
-        "error_predicted": float(error[0]),
-        "error_reference": float(reference_error[0]),
-        "next_depth_error": 0.004 + 1e-5 * frame,
-        "copy_error": 0.005 + 2e-5 * frame,
-        "theta_sensitivity": 0.001,
-    } | changes
+    told = {"clip": clip, "frame": frame, "mesh": seen.mesh, "load": seen.load, "observation": seen.observation}
+    told |= {"theta": estimate, "trajectory": trajectory[0], "reference_trajectory": reference[0]}
+    told |= {"error_predicted": float(error[0]), "error_reference": float(reference_error[0])}
+    told |= {"next_depth_error": 0.004 + 1e-5 * frame, "copy_error": 0.005 + 2e-5 * frame}
+    return told | {"theta_sensitivity": 0.001} | changes

@@ -168,9 +168,7 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--bound", "sequence"), "sequence"),
     ],
 )
-def test_options_that_take_something_else_or_do_not_belong_together_are_wrong_usage(
-    tmp_path, arguments, sentence, capsys
-):
+def test_options_that_take_something_else_or_do_not_belong_together(tmp_path, arguments, sentence, capsys):
     with pytest.raises(SystemExit) as stop:
         run(tmp_path, *arguments)
     assert stop.value.code == 2

@@ -122,11 +122,6 @@ def test_a_folder_of_something_else_is_refused(tmp_path, content):
         harness.Store(tmp_path / "file", WANTED, KEYS)
 
 
-def test_a_name_that_no_folder_has_is_a_sentence(tmp_path):
-    with pytest.raises(OutputError, match=r"writing failed \(File name too long\); check the output folder or choose"):
-        harness.Store(tmp_path / ("a" * 300), WANTED, KEYS)
-
-
 def square(case: int) -> list[harness.Row]:
     """Of one number; 13 interrupts."""
     if case == 13:

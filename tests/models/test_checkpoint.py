@@ -19,16 +19,8 @@ from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 
-SETTINGS = {
-    "window": 1,
-    "width": 4,
-    "residual_blocks": 1,
-    "decoder": "direct",
-    "head": "parameters",
-    "picture": True,
-    "bounds": asdict(Bounds()),
-    "mechanics": asdict(Mechanics(steps=40, load_steps=10)),
-}
+SETTINGS = {"window": 1, "width": 4, "residual_blocks": 1, "decoder": "direct", "head": "parameters", "picture": True}
+SETTINGS |= {"bounds": asdict(Bounds()), "mechanics": asdict(Mechanics(steps=40, load_steps=10))}
 
 
 @pytest.fixture
@@ -180,9 +172,7 @@ def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, cont
         checkpoints.load_posterior(posterior, SHIPPED)
 
 
-def test_a_pretrained_posterior_says_how_much_it_is_told_and_is_refused_where_it_does_not_fit(
-    pretrained, checkpoint: Path, tmp_path: Path
-):
+def test_a_pretrained_posterior_says_how_much_it_is_told_and_must_fit(pretrained, checkpoint: Path, tmp_path: Path):
     path, _ = pretrained
     assert checkpoints.posterior_features(path) == 7
     torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")

@@ -18,6 +18,7 @@ from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
+QUIET = {"accelerator": "cpu", "logger": False, "enable_progress_bar": False, "enable_checkpointing": False}
 NETWORKS = ("generator_ab", "generator_ba", "discriminator_a", "discriminator_b")
 
 
@@ -27,14 +28,7 @@ def build(kind: type[PhysicsInformedGAN] = PhysicsInformedGAN, **settings) -> Ph
 
 
 def fit(module: PhysicsInformedGAN, batches: list[dict], epochs: int = 1) -> Trainer:
-    trainer = Trainer(
-        max_epochs=epochs,
-        accelerator="cpu",
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
+    trainer = Trainer(max_epochs=epochs, enable_model_summary=False, **QUIET)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Lightning on worker counts
         trainer.fit(module, DataLoader(batches, batch_size=None), DataLoader(batches, batch_size=None))
@@ -185,9 +179,7 @@ def test_one_record_a_test_pair(make_batch):
     batch = make_batch()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        Trainer(accelerator="cpu", logger=False, enable_progress_bar=False).test(
-            module, DataLoader([batch, batch], batch_size=None), verbose=False
-        )
+        Trainer(**QUIET).test(module, DataLoader([batch, batch], batch_size=None), verbose=False)
     assert [(record["clip"], record["frame"]) for record in module.test_records] == [("one", 3), ("two", 7)] * 2
 
 
@@ -348,7 +340,7 @@ def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
 
 def test_test_records_of_head_posterior(make_told_batch):
     module, batch = build(**POSTERIOR), make_told_batch()
-    module.trainer = Trainer(accelerator="cpu", logger=False, enable_progress_bar=False, enable_checkpointing=False)
+    module.trainer = Trainer(**QUIET)
     module.log = lambda *_, **__: None
     module.test_step(batch, 0)
     theta = module.generator_ab.estimate(batch["window_a"], batch["contact_features_a"])
@@ -383,7 +375,7 @@ def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_p
 
     def longest_step(**settings) -> dict[str, float]:
         module = build(learning_rate=1e-3, **POSTERIOR | settings)
-        module.trainer = Trainer(accelerator="cpu", logger=False, enable_progress_bar=False, enable_checkpointing=False)
+        module.trainer = Trainer(**QUIET)
         module.on_fit_start()
         optimizer = module.configure_optimizers()[0]
         before = {name: parts(getattr(module.generator_ab, name)) for name in ("head", "decoder")}

@@ -115,15 +115,10 @@ def start(checkout: Path, dtype: str = "float32", **environment: str) -> subproc
 
     It prints the folder of the compiled code, waits for a line, and prints the result.
     """
-    return subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(SHOW).replace("FOLDER", repr(str(checkout))).replace("TYPE", dtype)],
-        cwd=checkout,
-        env={**os.environ, "PYTHONPATH": str(checkout), **environment},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    code = textwrap.dedent(SHOW).replace("FOLDER", repr(str(checkout))).replace("TYPE", dtype)
+    pipes, own = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE), {"PYTHONPATH": str(checkout)}
+    command, variables = [sys.executable, "-c", code], os.environ | own | environment
+    return subprocess.Popen(command, cwd=checkout, env=variables, text=True, **pipes)
 
 
 def shown(*processes: subprocess.Popen) -> list[tuple[str, float]]:

@@ -54,15 +54,8 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         distributed.barrier()
         os._exit(0)  # gloo's threads may abort an interpreter that ends as usual
     """)
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", code, str(rank), str(tmp_path / "store")],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(2)
-    ]
+    command, pipes = [sys.executable, "-c", code], {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    processes = [subprocess.Popen([*command, str(rank), str(tmp_path / "store")], **pipes) for rank in range(2)]
     gradients = []
     for process in processes:
         output, errors = process.communicate(timeout=240)
@@ -79,13 +72,8 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
 def test_no_index_leaves_its_array(tmp_path):
     # numba's own check, which raises where an index lies outside, over all meshes and random masks.
     chosen = ["tests/physics/msd/test_simulation.py", "-k", "any_mask or (compiled_equals_plain and default)"]
-    result = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *chosen],
-        cwd=ROOT,
-        env={**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *chosen]
+    checked = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    result = subprocess.run(command, cwd=ROOT, env=checked, capture_output=True, text=True, timeout=600)
     assert result.returncode == 0, result.stdout
     assert "passed" in result.stdout

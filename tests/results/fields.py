@@ -9,40 +9,26 @@ from palpate.estimators.online.particle_field import FieldEstimate, ParticleFiel
 
 REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
 FIELD_SEEN = ParticleField(
-    onset_frame=3,
-    rest=REST,
-    faces=np.array([[0, 1, 2], [1, 3, 2]]),
-    tetrahedra=np.empty((0, 4), int),
-    positions=REST + 0.5,
-    pixels=np.array([[4, 4], [44, 4], [4, 34], [44, 34]], float),
-    distance=np.array([4.0, 4.0, 4.0, 64.0]),
-    shape=np.full(4, 0.01),
-    distance_log_sd=np.array([0.2, 0.3, 0.4, 0.9]),
-    shape_log_sd=np.full(4, 0.8),
+    onset_frame=3, rest=REST, faces=np.array([[0, 1, 2], [1, 3, 2]]), tetrahedra=np.empty((0, 4), int),
+    positions=REST + 0.5, pixels=np.array([[4, 4], [44, 4], [4, 34], [44, 34]], float),
+    distance=np.array([4.0, 4.0, 4.0, 64.0]), distance_log_sd=np.array([0.2, 0.3, 0.4, 0.9]),
     known=np.array([True, True, True, False]),
-    shape_known=np.zeros(4, bool),
-    skill=0.75,
-    gap=0.25,
-)
+    shape=np.full(4, 0.01), shape_log_sd=np.full(4, 0.8), shape_known=np.zeros(4, bool), skill=0.75, gap=0.25,
+)  # fmt: skip
 TIMES = np.array([0.0, 0.04, 0.08])
+_NUMBERS = {"skill": np.array([np.nan, 0.7, 0.75]), "field_known": np.array([0.0, 0.5, 0.75])}
+for _end in ("_low", "", "_high"):
+    _NUMBERS |= {
+        f"distance_stiffness{_end}": np.array([np.nan, 3.0, 4.0]),
+        f"shape_stiffness{_end}": np.full(3, np.nan),
+    }
 PULL = FieldEstimate(
-    last=FIELD_SEEN,
-    picture=np.full((40, 50, 3), 90, np.uint8),
-    places=FIELD_SEEN.pixels,
-    points=np.array([[10.0, 10.0], [30.0, 20.0]]),
-    observed=np.array([[3.0, 4.0], [np.nan, np.nan]]),
-    predicted=np.array([[3.0, 3.0], [1.0, 0.0]]),
-    times=TIMES,
+    last=FIELD_SEEN, picture=np.full((40, 50, 3), 90, np.uint8), places=FIELD_SEEN.pixels,
+    points=np.array([[10.0, 10.0], [30.0, 20.0]]), observed=np.array([[3.0, 4.0], [np.nan, np.nan]]),
+    predicted=np.array([[3.0, 3.0], [1.0, 0.0]]), times=TIMES,
     course=np.array([[0.0, 0.0, 0.0], [2.0, 1.5, 0.6], [5.0, 4.2, 1.0]]),
-    numbers={
-        "skill": np.array([np.nan, 0.7, 0.75]),
-        "field_known": np.array([0.0, 0.5, 0.75]),
-        "shape_known": np.zeros(3),
-        **{f"distance_stiffness{end}": np.array([np.nan, 3.0, 4.0]) for end in ("_low", "", "_high")},
-        **{f"shape_stiffness{end}": np.full(3, np.nan) for end in ("_low", "", "_high")},
-    },
-    stretched=True,
-)
+    numbers=_NUMBERS | {"shape_known": np.zeros(3)}, stretched=True,
+)  # fmt: skip
 """Of two followed points, one of which is lost by the last frame."""
 _SECONDS = np.arange(1.0, 4.0)
 GRIP = GripEstimate(

@@ -39,20 +39,9 @@ def test_a_frame_leaves_unknown_cells_empty() -> None:
         "undetermined", (0.25, 0.125, -2.0), number=5, time_s=0.2, contact=True, contact_u=3.5, contact_v=4.0
     )
     filled = {name: value for name, value in of_frame(frame).items() if value}
-    assert filled == {
-        "frame": "5",
-        "time_s": "0.200000",
-        "stiffness": "0.25",
-        "damping": "0.125",
-        "force": "2",
-        "damping_over_stiffness": "0.5",
-        "force_over_stiffness": "8",
-        "contact": "1",
-        "contact_u": "3.5",
-        "contact_v": "4",
-        "status": "ok",
-        "verdict": "undetermined",
-    }
+    told = {"frame": "5", "time_s": "0.200000", "contact": "1", "contact_u": "3.5", "contact_v": "4"}
+    told |= {"stiffness": "0.25", "damping": "0.125", "force": "2", "status": "ok", "verdict": "undetermined"}
+    assert filled == told | {"damping_over_stiffness": "0.5", "force_over_stiffness": "8"}
 
 
 def test_detail_stays_on_one_line() -> None:
@@ -94,16 +83,9 @@ def test_estimates_have_the_same_columns_in_the_same_order_in_both_tables() -> N
 
 
 def test_a_run_without_estimate_has_no_numbers() -> None:
-    filled = {
-        name: value for name, value in of_run(InteractionEstimate(7, 7, 0.28, detail="Because.")).items() if value
-    }
-    assert filled == {
-        "onset_frame": "7",
-        "onset_time_s": "0.280000",
-        "frames": "0",
-        "status": "no_estimate",
-        "detail": "Because.",
-    }
+    found = of_run(InteractionEstimate(7, 7, 0.28, detail="Because."))
+    told = {"onset_frame": "7", "onset_time_s": "0.280000", "frames": "0", "status": "no_estimate"}
+    assert {name: value for name, value in found.items() if value} == told | {"detail": "Because."}
 
 
 def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:

@@ -46,20 +46,10 @@ def test_a_file_holds_every_frame_and_every_run_once(tmp_path: Path) -> None:
 
 def test_columns_tell_quantiles_where_it_is_known() -> None:
     cells = dict(zip(FRAMES, row(FRAMES, SAID.values), strict=True))
-    assert {name: cells[name] for name in FIELD} == {
-        "distance_stiffness": "4",
-        "distance_stiffness_low": "4",
-        "distance_stiffness_high": "4",
-        "distance_stiffness_log_sd": "0.3",
-        "shape_stiffness": "",
-        "shape_stiffness_low": "",
-        "shape_stiffness_high": "",
-        "shape_stiffness_log_sd": "",
-        "field_known": "0.75",
-        "shape_known": "0",
-        "skill": "0.75",
-        "gap": "0.25",
-    }
+    told = dict.fromkeys(("distance_stiffness", "distance_stiffness_low", "distance_stiffness_high"), "4")
+    told |= dict.fromkeys((f"shape_stiffness{end}" for end in ("", "_low", "_high", "_log_sd")), "")
+    told |= {"distance_stiffness_log_sd": "0.3", "field_known": "0.75", "shape_known": "0"}
+    assert {name: cells[name] for name in FIELD} == told | {"skill": "0.75", "gap": "0.25"}
     assert FIELD_SEEN.verdict == "stiffness_ratios"
     nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), gap=None)
     assert nothing.numbers() == {"field_known": 0.0, "shape_known": 0.0, "skill": 0.75}

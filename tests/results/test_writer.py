@@ -27,13 +27,8 @@ from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
 SIZE = (64, 48)
-FRAME = PreparedFrame(
-    Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8)),
-    "ok",
-    "",
-    np.ones((12, 16), np.float32),
-    np.zeros((12, 16), np.uint8),
-)
+SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
+FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
 NAMES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
 

@@ -16,16 +16,9 @@ from palpate.physics.mechanics import RECOMMENDED, Mechanics
 
 def write_checkpoint(path: Path, decoder: Literal["direct", "residual", "physics"] = "physics") -> Path:
     """Of a generator with the shipped head whose decoder's layers add nothing, four frames ahead."""
-    module = PhysicsInformedGAN(
-        window=2,
-        width=4,
-        residual_blocks=1,
-        decoder=decoder,
-        head="posterior",
-        contact_features=FEATURES + SEQUENCE_FEATURES,
-        bounds=RECOMMENDED,
-        mechanics=Mechanics(scheme="dkd", window_error=1e-4),
-    )
+    told = {"contact_features": FEATURES + SEQUENCE_FEATURES, "bounds": RECOMMENDED}
+    told |= {"mechanics": Mechanics(scheme="dkd", window_error=1e-4), "decoder": decoder, "head": "posterior"}
+    module = PhysicsInformedGAN(window=2, width=4, residual_blocks=1, **told)
     load_posterior(module.generator_ab.posterior, SHIPPED)
     with torch.no_grad():
         for parameter in module.generator_ab.decoder.output.parameters():

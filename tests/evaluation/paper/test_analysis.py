@@ -71,14 +71,9 @@ def test_simulations_that_are_not_finite_or_leave_the_scene_are_counted(followed
     reference = followed.motion.loc[analysis.REFERENCE]
     assert (reference["not finite"], reference["peak over 1 scene unit"]) == (1, 1)
     assert followed.motion.loc[analysis.PREDICTED, "not finite"] == 0
-    assert (followed.summaries[analysis.REFERENCE]["n"].value, followed.summaries[analysis.PREDICTED]["n"].value) == (
-        11,
-        12,
-    )
-    assert (
-        followed.comparisons[analysis.REFERENCE]["n"].value,
-        followed.comparisons[analysis.REFERENCE]["left_out"].value,
-    ) == (11, 1)
+    numbers = [followed.summaries[name]["n"].value for name in (analysis.REFERENCE, analysis.PREDICTED)]
+    compared = followed.comparisons[analysis.REFERENCE]
+    assert (numbers, compared["n"].value, compared["left_out"].value) == ([11, 12], 11, 1)
     failed = followed.settling[followed.settling["state"] == "not finite"]
     assert failed["simulation"].tolist() == [analysis.REFERENCE]
 

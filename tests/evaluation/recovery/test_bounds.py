@@ -26,15 +26,9 @@ from tests.estimators.direct.test_brightness_problem import FRAME_S, lit_contact
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(
-    width=214,
-    height=120,
-    frames=12,
-    press_seconds=(0.16, 0.16),
-    onset_fraction=(0.2, 0.25),
-    regime="critical",
-    onset_delay=(0.3, 0.3),
-    release_delay=(0.6, 0.6),
-)
+    width=214, height=120, frames=12, press_seconds=(0.16, 0.16), onset_fraction=(0.2, 0.25), regime="critical",
+    onset_delay=(0.3, 0.3), release_delay=(0.6, 0.6),
+)  # fmt: skip
 SIDE = 2 * REACH + 1
 
 

@@ -24,12 +24,13 @@ def test_ranks_of_truths_are_even_where_posteriors_are_right():
     np.testing.assert_allclose(ranks(np.array([0.2, 0.0, -0.2]), np.full(3, 0.2)), [0.158655, 0.5, 0.841345], atol=1e-6)
     generator = np.random.default_rng(3)
     errors = generator.normal(0, 0.1, (200, 3))
-    right, narrow, biased = (
-        details([recovery(i, estimate=off_by(e + shift), covariance=sd**2 * np.eye(3)) for i, e in enumerate(errors)])[
-            "all", "stiffness", "rank_uniformity"
-        ]["value"]
-        for shift, sd in ((0.0, 0.1), (0.0, 0.04), (0.05, 0.1))
-    )
+
+    def uniformity(shift: float, sd: float) -> float:
+        known = {"covariance": sd**2 * np.eye(3)}
+        rows = [recovery(i, estimate=off_by(error + shift), **known) for i, error in enumerate(errors)]
+        return details(rows)["all", "stiffness", "rank_uniformity"]["value"]
+
+    right, narrow, biased = uniformity(0.0, 0.1), uniformity(0.0, 0.04), uniformity(0.05, 0.1)
     assert right > 0.1
     assert max(narrow, biased) < 1e-4
     assert ("all", "stiffness", "rank_uniformity") not in details([recovery(i, covariance=None) for i in range(5)])

@@ -46,10 +46,5 @@ def test_the_best_constant_is_that_of_the_identifiable_clips():
 
 
 def test_files_of_every_estimator_and_suite(scores):
-    assert [name for name, _ in figures(scores)] == [
-        "recovery_direct_clean.png",
-        "errors_direct_clean.png",
-        "recovery_direct_noisy.png",
-        "errors_direct_noisy.png",
-        "coverage_direct.png",
-    ]
+    names = [f"{kind}_direct_{suite}.png" for suite in ("clean", "noisy") for kind in ("recovery", "errors")]
+    assert [name for name, _ in figures(scores)] == [*names, "coverage_direct.png"]

@@ -39,17 +39,8 @@ def drawn(**changes: Any) -> tuple[Scene, GrippedMotion]:
 def recovery(index: int, error: float, **changes) -> Row:
     foundation = np.array([-3.0, -3.0 + error, 0.1, 0.05])
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.65, 1.0], [0.01, 0.02, 0.0]])
-    return {
-        "suite": "retraction",
-        "index": index,
-        "skill": 0.8,
-        "contact_right": 0.9,
-        "verdict": "foundation",
-        "foundation": foundation,
-        "force": foundation + 8.0,
-        "curve": curve,
-        **changes,
-    }
+    found = {"suite": "retraction", "index": index, "skill": 0.8, "contact_right": 0.9, "verdict": "foundation"}
+    return found | {"foundation": foundation, "force": foundation + 8.0, "curve": curve} | changes
 
 
 def test_the_table_holds_errors_against_bounds() -> None:

@@ -204,9 +204,7 @@ def test_an_estimator_that_breaks_becomes_a_result(monkeypatch, truth):
 @pytest.mark.parametrize(
     ("misfit", "angle", "warned"), [(1.4, 1.0, False), (1.6, 1.0, True), (1.4, 4.9, False), (1.4, 5.1, True)]
 )
-def test_an_estimate_warns_of_a_motion_it_does_not_explain_and_of_one_seen_aslant(
-    monkeypatch, truth, misfit, angle, warned
-):
+def test_motions_that_are_not_explained_or_seen_aslant_are_warned_of(monkeypatch, truth, misfit, angle, warned):
     theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
     said: dict[str, Any] = {"noise": 0.001, "misfit": misfit, "largest_misfit": 1.5, "at_bound": at_bound}
     estimate = Estimate(theta, np.eye(3), information=np.eye(3), **said, view_angle=angle)

@@ -168,17 +168,9 @@ def pressed(law: str, logs: np.ndarray, relaxing: bool, directions: bool) -> Mot
     along = [Direction(young=1.0), Direction(damping=damping), Direction(pattern=pattern, course=factor)]
     along += [Direction(ratio=ratio), Direction(time=time)] if relaxing else []
     along += [Direction(pattern=pattern, course=np.eye(8)[4])]
-    return simulate(
-        body,
-        Material(law, young, 0.4),
-        clamped(body),
-        load,
-        0.01,
-        inertia=Inertia(DENSITY, damping),
-        force=force,
-        relaxation=Relaxation(ratio, time) if relaxing else None,
-        directions=along if directions else (),
-    )
+    told = (body, Material(law, young, 0.4), clamped(body), load, 0.01)
+    how = {"inertia": Inertia(DENSITY, damping), "relaxation": Relaxation(ratio, time) if relaxing else None}
+    return simulate(*told, **how, force=force, directions=along if directions else ())
 
 
 @pytest.mark.parametrize("relaxing", [False, True])

@@ -4,9 +4,7 @@ import numpy as np
 
 from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
-from palpate.physics.load import Press, held
-from palpate.physics.mesh import Mesh, grid_mesh
-from palpate.physics.observation import Observation
+from palpate.physics import Mesh, Observation, Press, grid_mesh, held
 
 FOCAL, DISTANCE, RADIUS = 160.0, 0.4, 12
 """Of the camera [grid pixels], of the tissue [scene units], and rows from the contact to its rim."""

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from palpate.physics.load import Press, held
-from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import contact_normal, grid_mesh
+from palpate.physics import Mechanics, Press, contact_normal, grid_mesh, held
 from palpate.physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
 
 HEIGHT, WIDTH = 40, 48

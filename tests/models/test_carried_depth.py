@@ -13,8 +13,7 @@ from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.carried_depth import carried, change_of, shifted
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd import rollout
-from palpate.physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.msd import MeshBatch, PressBatch, rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 SECOND = Mechanics(scheme="dkd")

@@ -7,8 +7,7 @@ import torch
 from palpate.models.generator import Generator
 from palpate.models.records import farthest_corner, pair_records, with_reference_tissue
 from palpate.physics.mechanics import Bounds, Mechanics
-from palpate.physics.msd import rollout
-from palpate.physics.msd.batch import MeshBatch, PressBatch
+from palpate.physics.msd import MeshBatch, PressBatch, rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))

@@ -1,7 +1,6 @@
 """Batches for the tests of the torch side."""
 
-from palpate.physics.load import Press
-from palpate.physics.mesh import Mesh
+from palpate.physics import Mesh, Press
 from palpate.physics.msd.batch import MeshBatch, PressBatch
 from tests.physics.sheets import pressed
 

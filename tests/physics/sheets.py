@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from palpate.physics.load import Grip, Press, held
-from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics import Grip, Mesh, Press, contact_normal, grid_mesh, held
 from palpate.physics.msd.simulation import simulate
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from palpate.physics import Mechanics
 from palpate.physics import identifiability as fisher
-from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import pressed, sheet
 

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.physics import jit
+from palpate.physics import Mechanics, jit
 from palpate.physics.jit import Kernel
-from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.grid_kernel import MOBILE
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import gripped, pressed, sheet

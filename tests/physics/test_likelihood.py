@@ -5,13 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from palpate.physics import Likelihood, Mechanics, Observation, Press, contact_normal, ramped
 from palpate.physics.identifiability import log_jacobian
-from palpate.physics.likelihood import Likelihood
-from palpate.physics.load import Press, ramped
-from palpate.physics.mechanics import Mechanics, theta_of
-from palpate.physics.mesh import contact_normal
+from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
-from palpate.physics.observation import Observation
 from tests.physics.sheets import loose, pressed, sheet
 
 MECHANICS = Mechanics(time_step=0.0025, scheme="dkd")

@@ -16,12 +16,10 @@ from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.evaluation.recovery import bounds as limits
+from palpate.physics import Observation, Press, PressShape, contact_normal, held
 from palpate.physics.identifiability import bounds, box_information, fisher_information
-from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED, theta_of
-from palpate.physics.mesh import contact_normal
 from palpate.physics.msd.simulation import simulate
-from palpate.physics.observation import Observation
 from tests.estimators.direct.test_brightness_problem import FRAME_S, lit_contact
 
 SIGMA = 1e-3

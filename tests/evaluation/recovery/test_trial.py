@@ -21,10 +21,9 @@ from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, k
 from palpate.evaluation.recovery.estimators import draw_log_theta
 from palpate.evaluation.recovery.suites import SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, TrueClip, run_trial
+from palpate.physics import Observation, Press, held
 from palpate.physics.identifiability import bounds, fisher_information, log_jacobian
-from palpate.physics.load import Press, held
 from palpate.physics.msd.simulation import simulate_sensitivities
-from palpate.physics.observation import Observation
 from tests.estimators.sessions import clip_info
 
 CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), given_verdict="undetermined")

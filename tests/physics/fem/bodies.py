@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from palpate.physics.fem.meshing import box
-from palpate.physics.fem.solid import Solid, make_solid
+from palpate.physics.fem import Solid, box, make_solid
 
 
 def block(cells: int = 2, order: int = 1, *, seed: int | None = None) -> Solid:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.evaluation.palpation.synthetic import sphere
-from palpate.physics.fem import box, make_solid, mesh_surface
+from palpate.physics.fem import Solid, box, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
-from palpate.physics.fem.solid import Solid
 
 BALL = 4 / 3 * np.pi
 

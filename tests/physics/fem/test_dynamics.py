@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from palpate.physics.fem.dynamics import Direction, Inertia, Motion, Relaxation, simulate
-from palpate.physics.fem.laws import LAWS, Material, respond
-from palpate.physics.fem.meshing import box
-from palpate.physics.fem.solid import Solid, make_solid
+from palpate.physics.fem import LAWS, Inertia, Material, Motion, Relaxation, Solid, box, make_solid, simulate
+from palpate.physics.fem.dynamics import Direction
+from palpate.physics.fem.laws import respond
 from palpate.physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped
 

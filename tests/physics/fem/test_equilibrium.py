@@ -7,11 +7,8 @@ import pytest
 import skfem
 from skfem.helpers import ddot, sym_grad, trace
 
-from palpate.physics.fem import linear_system
-from palpate.physics.fem.equilibrium import NoEquilibrium, applied, find_equilibrium
-from palpate.physics.fem.laws import LAWS, Material
-from palpate.physics.fem.meshing import box
-from palpate.physics.fem.solid import Solid, make_solid
+from palpate.physics.fem import LAWS, Material, NoEquilibrium, Solid, box, find_equilibrium, linear_system, make_solid
+from palpate.physics.fem.equilibrium import applied
 from palpate.physics.load import Grip, Press
 from tests.physics.fem.bodies import block, clamped
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.physics.fem.dynamics import Inertia, Relaxation, simulate
-from palpate.physics.fem.laws import Material
+from palpate.physics.fem import Inertia, Material, Relaxation, simulate
 from palpate.physics.fem.modes import Modes
 from palpate.physics.load import Press
 from tests.physics.fem.bodies import clamped

@@ -13,11 +13,10 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from palpate.common.doors import interruptible
-from palpate.physics import jit
-from palpate.physics.mechanics import Mechanics
+from palpate.physics import Mechanics, jit
 from palpate.physics.msd import autograd as msd_autograd
+from palpate.physics.msd import rollout, rollout_sensitivities
 from palpate.physics.msd.autograd import UnreliableGradient
-from palpate.physics.msd.rollouts import rollout, rollout_sensitivities
 from tests.physics.batches import batch_of
 from tests.physics.sheets import loose, sheet
 

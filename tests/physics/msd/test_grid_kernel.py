@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.physics import jit
-from palpate.physics.mechanics import Mechanics
+from palpate.physics import Mechanics, jit
 from palpate.physics.msd.grid_kernel import specialised
 from tests.physics.sheets import pressed, sheet, whole_field
 

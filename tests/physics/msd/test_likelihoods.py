@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from palpate.physics.likelihood import Likelihood
-from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd import rollout_sensitivities
-from palpate.physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.physics import Likelihood, Mechanics, Observation
+from palpate.physics.msd import DepthBatch, ObservationBatch, rollout_sensitivities
 from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
-from palpate.physics.observation import Observation
 from tests.physics.batches import batch_of
 from tests.physics.sheets import pressed, sheet
 

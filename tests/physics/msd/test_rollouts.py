@@ -6,14 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.physics import jit
-from palpate.physics.load import Press, ramped
-from palpate.physics.mechanics import Bounds, Mechanics
-from palpate.physics.mesh import contact_normal
-from palpate.physics.msd import reference
-from palpate.physics.msd.batch import MeshBatch
-from palpate.physics.msd.rollouts import rollout, rollout_sensitivities
-from palpate.physics.msd.simulation import simulate_sensitivities
+from palpate.physics import Bounds, Mechanics, Press, contact_normal, jit, ramped
+from palpate.physics.msd import MeshBatch, reference, rollout, rollout_sensitivities, simulate_sensitivities
 from tests.physics.batches import batch_of, joined
 from tests.physics.sheets import hand_mesh, loose, pressed, sheet
 

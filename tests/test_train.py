@@ -292,7 +292,6 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("seed_everything", -1, "seed_everything is -1; give 0 to 4294967295"),
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
         ("seed_everything", "9" * 400, "seed_everything is a number beyond ±1e+15; give 0 to 4294967295"),
-        ("trainer.devices", -1, "trainer.devices is -1; give 1 to at most"),
         ("trainer.devices", 0, "trainer.devices is 0; give 1 to at most"),
         ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
         ("data.root", "", "data.root is empty; name the folder"),

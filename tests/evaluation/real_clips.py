@@ -61,14 +61,8 @@ def write_pull(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (
     return frames, masks
 
 
-LAYOUT = """
-image: frames/{number}.png
-color_mask: null
-class_mask: null
-label_mask: masks/{number}.png
-tool_values: [0]
-tissue_values: [255]
-"""
+LAYOUT = """{image: "frames/{number}.png", label_mask: "masks/{number}.png", color_mask: null, class_mask: null,
+tool_values: [0], tissue_values: [255]}"""
 
 
 def pull_clip(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> PulledClip:

@@ -13,6 +13,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.estimators.calibration_file import ClipLength, read_calibration
 from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.results import calibrated as newtons
 from palpate.results.columns import CALIBRATED, COMPARED
 from palpate.results.plots import draw_comparison
@@ -30,6 +31,14 @@ def calibrated(folder: Path, **fields: Any) -> newtons.ClipCalibration:
     return newtons.ClipCalibration(read_calibration(folder / "known.yaml"))
 
 
+def concluded(told: newtons.ClipCalibration, *runs: InteractionEstimate, length: ClipLength = UNKNOWN):
+    """Of a clip with these runs of contact."""
+    for run in runs:
+        told.add(run)
+    told.conclude(length)
+    return told
+
+
 def write_forces(folder: Path, force: np.ndarray, interval: float = 0.02) -> None:
     rows = [f"{interval * i:.4f},{value}" for i, value in enumerate(force)]
     (folder / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
@@ -38,9 +47,7 @@ def write_forces(folder: Path, force: np.ndarray, interval: float = 0.02) -> Non
 def test_every_run_has_a_row_with_its_unit_and_source(tmp_path: Path) -> None:
     """0.1 units are 2 N at frame 7: k_s of 0.5 is 10 N over half a metre."""
     told = calibrated(tmp_path, force_N=2.0, force_sd_N=0.1, force_time_s=0.3)
-    for run in (NONE, GOOD, LATER):
-        told.add(run)
-    told.conclude(METRIC)
+    concluded(told, NONE, GOOD, LATER, length=METRIC)
     none, known, later = told.rows
     assert none["detail"] == "No press was estimated in this run of contact."
     assert (known["force"], known["stiffness"], known["damping"]) == pytest.approx((2.0, 20.0, 2.4))
@@ -54,43 +61,34 @@ def test_every_run_has_a_row_with_its_unit_and_source(tmp_path: Path) -> None:
 
 
 def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
-    told = calibrated(tmp_path, force_N=2.0, force_time_s=9.0)
-    told.add(GOOD)
-    told.conclude(UNKNOWN)
+    told = concluded(calibrated(tmp_path, force_N=2.0, force_time_s=9.0), GOOD)
     assert "no press was estimated in contact at 9 s" in told.rows[0]["detail"]
     assert told.record()["reason"] == told.rows[0]["detail"]
     assert newtons.carried_from({"calibration": told.record()}) == told.reason
     far = newtons.ClipCalibration(told.calibration, home=False, carried=told.reason)
-    far.add(LATER)
-    far.conclude(UNKNOWN)
-    assert far.rows[0]["detail"] == told.reason
+    assert concluded(far, LATER).rows[0]["detail"] == told.reason
 
 
 def test_another_clip_gets_the_scale_of_the_one_with_the_known_force(tmp_path: Path) -> None:
-    home = calibrated(tmp_path, force_N=2.0, force_time_s=0.3)
-    home.add(GOOD)
-    home.conclude(ClipLength(1.0, stored=True))
+    home = concluded(calibrated(tmp_path, force_N=2.0, force_time_s=0.3), GOOD, length=ClipLength(1.0, stored=True))
     away = newtons.ClipCalibration(
         home.calibration, home=False, carried=newtons.carried_from({"calibration": home.record()})
     )
-    away.add(GOOD)  # the same frame of another clip is another contact
-    away.conclude(ClipLength(2.0, stored=True))
+    concluded(away, GOOD, length=ClipLength(2.0, stored=True))  # the same frame of another clip is another contact
     assert away.rows[0]["force"] == pytest.approx(4.0)
     assert away.rows[0]["force_high"] / 4.0 == pytest.approx(math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4)
     lost = newtons.ClipCalibration(home.calibration, home=False, carried=newtons.carried_from({}))
-    lost.add(GOOD)
-    lost.conclude(UNKNOWN)
-    assert lost.rows[0]["detail"] == "No results in newtons: the clip with the known force has no results."
+    assert (
+        concluded(lost, GOOD).rows[0]["detail"]
+        == "No results in newtons: the clip with the known force has no results."
+    )
 
 
 def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
     """The sensor says 2 N at the first contact, which tells the scale, and 2.5 N at the second, where 2 N are found."""
     times = np.arange(100) * 0.02
     write_forces(tmp_path, np.where(times < 1, 2.0, 2.5))
-    told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0])
-    told.add(GOOD)
-    told.add(LATER)
-    told.conclude(UNKNOWN)
+    told = concluded(calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0]), GOOD, LATER)
     rows = told.compared_rows()
     assert {row["onset_frame"]: row["known"] for row in rows} == {7: True, 30: False}
     assert all(row["estimated"] == pytest.approx(2.0) and row["estimated_unit"] == newtons.NEWTONS for row in rows)
@@ -108,11 +106,8 @@ def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
 def test_without_newtons_the_factor_and_the_correlation_are_told(tmp_path: Path) -> None:
     times = np.arange(100) * 0.02
     write_forces(tmp_path, np.where(times < 1, 2.0, 4.0))
-    told = calibrated(tmp_path, measured="forces.csv")
     double = dataclasses.replace(LATER, estimate=dataclasses.replace(GOOD.estimate, theta=np.array([0.5, 0.06, -0.2])))
-    told.add(GOOD)
-    told.add(double)
-    told.conclude(UNKNOWN)
+    told = concluded(calibrated(tmp_path, measured="forces.csv"), GOOD, double)
     assert {row["estimated_unit"] for row in told.compared_rows()} == {newtons.NORMALISED}
     found = told.record()["comparison"]
     assert (found["measured_over_estimated"], found["correlation"]) == pytest.approx((20.0, 1.0))
@@ -143,8 +138,7 @@ def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
     grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8), 20.0, 18.0, 22.0)
     write_forces(tmp_path, 3 * np.arange(60) * 0.02 / 0.8)
     told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 0.4])
-    told.add(dataclasses.replace(NONE, onset_time_s=0.0, grip=grip))
-    told.conclude(UNKNOWN)
+    concluded(told, dataclasses.replace(NONE, onset_time_s=0.0, grip=grip))
     assert told.curves[0].force == pytest.approx(3 * times / 0.8)
 
 
@@ -176,9 +170,7 @@ def test_the_picture_shows_both(tmp_path: Path) -> None:
     times = np.arange(100) * 0.02
     write_forces(tmp_path, np.where(times < 1, 2.0, 4.0))
     for fields, axes in (({"known_s": [0.0, 1.0]}, 1), ({}, 2)):
-        told = calibrated(tmp_path, measured="forces.csv", **fields)
-        told.add(GOOD)
-        told.conclude(UNKNOWN)
+        told = concluded(calibrated(tmp_path, measured="forces.csv", **fields), GOOD)
         assert told.measured is not None
         figure = draw_comparison(told.measured, told.curves, told.known, "clip")
         assert len(figure.axes) == axes

@@ -87,26 +87,14 @@ def test_instruments_stay_as_they_are() -> None:
     assert (shown[:, :9] == GREY).all()
 
 
-def test_where_nothing_is_known_nothing_is_drawn_and_that_is_said() -> None:
-    grip = grip_of(field_of(known=False))
-    assert (drawn(START + 0.5, grip, TISSUE_ALONE) == GREY).all()
-    found = stiffness_map(grip, START)
-    assert found.note == UNKNOWN
-
-
-def test_a_map_says_whether_it_is_determined() -> None:
+def test_a_map_says_whether_it_is_determined_and_shows_what_is_known_during_the_motion() -> None:
     sure, loose = stiffness_map(grip_of(field_of()), START), grip_of(dataclasses.replace(field_of(), excess=0.3))
-    off = stiffness_map(loose, START)
     assert sure.note == KNOWN
-    assert off.note == f"{KNOWN} {LOOSE}"
-
-
-def test_frames_beyond_the_motion_show_no_map() -> None:
-    found = stiffness_map(grip_of(field_of()), START)
-    assert [found.shows(time) for time in (1.9, 2.0, 2.7, 3.0, 3.1)] == [False, True, True, True, False]
-
-
-def test_without_a_field_there_is_no_map() -> None:
-    assert stiffness_map(None, START) is None
-    assert stiffness_map(dataclasses.replace(grip_of(field_of()), stiffness=None), START) is None
-    assert stiffness_map(dataclasses.replace(grip_of(field_of()), points=np.empty((0, 2))), START) is None
+    assert [sure.shows(time) for time in (1.9, 2.0, 2.7, 3.0, 3.1)] == [False, True, True, True, False]
+    assert stiffness_map(loose, START).note == f"{KNOWN} {LOOSE}"
+    unknown = grip_of(field_of(known=False))
+    assert stiffness_map(unknown, START).note == UNKNOWN
+    assert (drawn(START + 0.5, unknown, TISSUE_ALONE) == GREY).all()
+    without = ({"stiffness": None}, {"points": np.empty((0, 2))})
+    for grip in (None, *(dataclasses.replace(grip_of(field_of()), **lack) for lack in without)):
+        assert stiffness_map(grip, START) is None

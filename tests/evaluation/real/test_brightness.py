@@ -1,5 +1,6 @@
 """Light of drawn tissue whose motion and light are known: how well it is predicted, and what it adds to motion."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -41,10 +42,6 @@ def drawn() -> tuple[brightness.LitPull, np.ndarray]:
     return brightness.LitPull(points, SPACING, SIZE, list(range(COUNT)), frames, nothing[0], nothing), np.array(moved)
 
 
-def lit(pull: brightness.LitPull, frames: list[GripFrame], rest: np.ndarray, light: np.ndarray) -> brightness.LitPull:
-    return brightness.LitPull(pull.points, pull.spacing, pull.size, pull.numbers, frames, rest, light)
-
-
 def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generator) -> None:
     """Texture that is carried along is predicted by motion alone; what also darkens as the grip moves, by light."""
     pull, moved = drawn()
@@ -55,11 +52,11 @@ def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generato
         brightness.light_at(shares * (way @ [1.0, -0.5]), origin, SIZE)
         for way, origin in zip(WAYS, origins, strict=True)
     ]
-    matt, _ = brightness.evaluate_light(lit(pull, pull.frames, rest, carried))
+    matt, _ = brightness.evaluate_light(replace(pull, rest=rest, light=carried))
     assert matt["skill of motion: sheet"] > 0.97
     assert matt["skill of light: nothing moves"] == pytest.approx(0, abs=1e-6)
     assert matt["skill of light: sheet"] > 0.9
-    shaded, _ = brightness.evaluate_light(lit(pull, pull.frames, rest, carried + own))
+    shaded, _ = brightness.evaluate_light(replace(pull, rest=rest, light=carried + own))
     assert shaded["skill of light: sheet, brightness"] > 0.9
     assert shaded["skill of light: followed motion, brightness"] > 0.9
     assert shaded["skill of light: sheet"] < 0.8
@@ -72,7 +69,7 @@ def test_light_that_goes_with_the_motion_is_predicted(random: np.random.Generato
 def test_noise_is_not_predicted(random: np.random.Generator) -> None:
     pull, _ = drawn()
     noise = 0.1 * random.normal(size=(COUNT, *SHAPE))
-    found, figure = brightness.evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), noise))
+    found, figure = brightness.evaluate_light(replace(pull, light=noise))
     assert found["change of light"] == pytest.approx(0.1, rel=0.02)
     assert all(value < 1e-6 for name, value in found.items() if name.startswith("skill of light"))
     assert found["skill of motion: sheet, brightness"] <= found["skill of motion: sheet"]
@@ -93,7 +90,7 @@ def test_light_that_tells_of_other_motion_adds_to_what_a_sheet_predicts(random: 
         GripFrame(frame.moved + np.where(frame.gripped[:, None], 0, each), frame.gripped)
         for frame, each in zip(pull.frames, own, strict=True)
     ]
-    found, _ = brightness.evaluate_light(lit(pull, frames, np.zeros(SHAPE), light))
+    found, _ = brightness.evaluate_light(replace(pull, frames=frames, light=light))
     off = {name: 1 - value for name, value in found.items()}
     assert off["skill of motion: sheet, brightness"] < 0.3 * off["skill of motion: sheet"]
     assert off["skill of motion: sheet, brightness of other places"] > 0.9 * off["skill of motion: sheet"]
@@ -105,7 +102,7 @@ def test_too_little_light_is_a_sentence() -> None:
     light = np.full((COUNT, *SHAPE), np.nan)
     light[:, :20, :20] = 0.0
     with pytest.raises(NoEstimate, match="fewer than 500 places of tissue that is predicted"):
-        brightness.evaluate_light(lit(pull, pull.frames, np.zeros(SHAPE), light))
+        brightness.evaluate_light(replace(pull, light=light))
 
 
 def test_shares_are_those_of_the_first_half_place_by_place(random: np.random.Generator) -> None:

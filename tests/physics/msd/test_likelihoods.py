@@ -112,7 +112,7 @@ def test_depth_is_weighed_by_the_whole_covariance() -> None:
         torch.testing.assert_close(information[index], jacobian.T @ weighed[:, 1:], rtol=1e-5, atol=1e-8)
 
 
-def test_pixels_that_show_nothing_known_do_not_count() -> None:
+def test_pixels_that_show_nothing_known_do_not_count_and_where_none_was_seen_nothing_is_known() -> None:
     seen, path, slopes, theta = depths(np.random.default_rng(3))
     seen.views[0].along[1] = np.nan
     hidden = linearise_depth(path, slopes, theta, seen)
@@ -121,10 +121,6 @@ def test_pixels_that_show_nothing_known_do_not_count() -> None:
     for found, expected in zip(hidden, linearise_depth(path, slopes, theta, seen), strict=True):
         assert found.isfinite().all()
         torch.testing.assert_close(found, expected)
-
-
-def test_where_no_depth_was_seen_nothing_is_known() -> None:
-    seen, path, slopes, theta = depths(np.random.default_rng(2))
     seen.weight[0] = 0
     seen.change[0] = 0
     misfit, gradient, information = linearise_depth(path, slopes, theta, seen)

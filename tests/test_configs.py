@@ -167,11 +167,3 @@ def test_the_paper_s_bounds_and_what_passes_them_are_as_the_list_says():
     assert f"Of what `fitted` tries, {BENDINGS[0]:g}, {BENDINGS[1]:g} and {BENDINGS[2]:g} times" in text
     settings = OnlineSettings()
     assert settings.bounds.shape == max(BENDINGS) * settings.bounds.distance  # no smaller one allows all of them
-
-
-def test_lists_and_fields_are_read_as_they_stand():
-    """What the comparison above goes by."""
-    head = ["# Departures in fields; more:", "#   a.b   why", "#   c d    why", "#       more"]
-    found = listed([*head, "# Departures in the code:"])
-    assert found == {"Departures in fields": {"a.b", "c d"}, "Departures in the code": set()}
-    assert leaves({"a": {"b": 1, "videos": {"train": []}}, "c": 2}) == {"a.b": 1, "a.videos": {"train": []}, "c": 2}

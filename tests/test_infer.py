@@ -224,13 +224,6 @@ def test_files_of_another_layout_and_a_camera_are_read(inputs, tmp_path):
     assert record(tmp_path / "out" / "clip")["camera"]["fx"] == 150.0
 
 
-@pytest.mark.parametrize("option", ["--version", "--help"])
-def test_help_and_version(option, capsys):
-    with pytest.raises(SystemExit, match=r"^0$"):
-        infer.main([option])
-    assert capsys.readouterr().out
-
-
 # --- the direct estimator, on a clip of known truth, and on drawn ones ---
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd.reference import free_vertices, integrator, spring_force, spring_tangents, steps
+from palpate.physics.msd.reference import free_vertices, integrator, spring_force
 from tests.physics.sheets import gripped, hand_mesh, loose, position_form_force, pressed, sheet
 
 
@@ -45,45 +45,6 @@ def test_displacement_form_keeps_digits_that_the_textbook_form_loses():
     displacement = np.array([[0, 0, 0], [1e-8, 0, 0]], np.float32)
     pull = spring_force(displacement, rest, np.array([[0, 1]]))
     np.testing.assert_allclose(pull, [[1e-8, 0, 0]], rtol=1e-6)
-
-
-def test_tangents_are_the_force_s_derivative():
-    mesh = sheet(4, 4)
-    random = np.random.default_rng(1)
-    displacement, moved = 0.002 * random.standard_normal((16, 3)), random.standard_normal((2, 16, 3))
-    vertices = mesh.vertices.astype(np.float64)
-    rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
-    seen = spring_tangents(displacement, moved, rest, mesh.springs)
-    for index in range(2):
-        plus, minus = (spring_force(displacement + sign * 1e-7 * moved[index], rest, mesh.springs) for sign in (1, -1))
-        np.testing.assert_allclose(seen[index], (plus - minus) / 2e-7, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("scheme", ["euler", "dkd"])
-@pytest.mark.parametrize("kind", ["press", "grip"])
-def test_derivatives_equal_finite_differences(kind, scheme):
-    mesh, mechanics = sheet(8, 8), Mechanics(scheme=scheme)
-    load = pressed(mesh, 27, 50, 200, np.array([0.3, 0.0, -0.95]))
-    if kind == "grip":
-        load = gripped(mesh, [27, 28, 35], 0.3, 200)
-    theta, watch = np.array([0.7, 0.05, -0.1]), [27, 29, 44]
-
-    def motion(values, sensitive=False):
-        return [
-            np.stack(parts) for parts in zip(*steps(values, mesh, load, mechanics, sensitive=sensitive), strict=True)
-        ]
-
-    path, moved = motion(theta, sensitive=True)
-    plain_path, no_moved = motion(theta)
-    np.testing.assert_allclose(path, plain_path, atol=1e-14)
-    assert not no_moved.any()
-    for index in range(3):
-        offset = np.zeros(3)
-        offset[index] = 1e-6 * abs(theta[index])
-        plus, minus = motion(theta + offset)[0], motion(theta - offset)[0]
-        central = ((plus - minus) / (2 * offset[index]))[:, watch]
-        np.testing.assert_allclose(moved[:, index][:, watch], central, atol=1e-5 * np.abs(central).max())
-    assert moved[:, 2].any() == (kind == "press")
 
 
 def test_free_vertices():

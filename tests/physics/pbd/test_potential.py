@@ -50,11 +50,6 @@ def test_a_rotation_is_found_from_wherever_it_begins():
         assert energy.slope(points @ rotation(seed).T)[0] == pytest.approx(expected, rel=1e-10)
 
 
-def test_a_rigid_motion_stores_nothing():
-    energy, points, _ = case_of("sheet", seed=4, size=0.0)
-    assert energy.slope(points + 0.3)[0] < 1e-16  # of the guard under the root
-
-
 def test_stiffness_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="stiffness has shape"):
         Potential(BODIES["sheet"], np.ones(3))

@@ -331,9 +331,7 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tm
     (row,) = runs(tmp_path / "video01_00000")
     assert row["status"] == "no_estimate"
     assert row["detail"] == "The depth's noise isn't known; set --smoothing above 0, or give --noise."
-    assert f"video01_00000: no estimate of 1 of 1 contacts: {row['detail']}" in " ".join(
-        capsys.readouterr().err.split()
-    )
+    assert f"video01_00000: no estimate of 1 of 1 contacts: {row['detail']}" in flat(capsys.readouterr().err)
     assert {row[name] for name in INTERACTIONS if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {""}
     assert int(row["frames"]) > 10
     # A noise of one's own makes another result of it, which takes the first one's place only when asked.

@@ -82,12 +82,10 @@ def inputs(tmp_path: Path) -> Path:
     (tmp_path / "forces" / "hold.csv").write_text("t_s,force_N,displacement_mm\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
-    settings = {
-        "trainer": {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False},
-        "tracking": False,
-        "model": {"width": 4, "residual_blocks": 1, "mechanics": {"steps": 40, "load_steps": 10}},
-        "data": {"root": str(tmp_path / "clips"), "geometry": {"height": 40, "width": 56}},
-    }
+    trainer = {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False}
+    model = {"width": 4, "residual_blocks": 1, "mechanics": {"steps": 40, "load_steps": 10}}
+    data = {"root": str(tmp_path / "clips"), "geometry": {"height": 40, "width": 56}}
+    settings = {"trainer": trainer, "tracking": False, "model": model, "data": data}
     (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(settings))
     return tmp_path
 

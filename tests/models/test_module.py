@@ -169,9 +169,11 @@ def test_hyperparameters_are_plain_values():
     assert {type(value) for value in hparams.values()} <= {bool, int, float, str, dict, list}
 
 
-def test_impossible_learning_rate_is_refused():
-    with pytest.raises(ValueError, match="learning_rate is 0"):
-        build(learning_rate=0.0)
+def test_impossible_settings_are_refused():
+    rates = ({"learning_rate": 0.0}, "learning_rate is 0"), ({"pretrained_rate": 1.5}, r"rate is 1\.5; give a share")
+    for settings, said in (*rates, ({"pretrained": "some.pt"}, r"pretrained is some\.pt and head parameters")):
+        with pytest.raises(ValueError, match=said):
+            build(**settings)
 
 
 def test_one_record_a_test_pair(make_batch):
@@ -362,11 +364,6 @@ def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, t
     assert "pretrained" not in module.hparams
 
 
-def test_pretrained_weights_need_the_head_that_they_are_for():
-    with pytest.raises(ValueError, match="pretrained is some\\.pt and head parameters"):
-        build(pretrained="some.pt")
-
-
 def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_path):
     """Adam's first step is as long as its rate, whatever the gradient; the decoder keeps the whole one."""
     torch.save(
@@ -397,8 +394,3 @@ def test_every_parameter_of_the_generators_is_trained_once(tmp_path):
     found = [id(parameter) for group in groups for parameter in group["params"]]
     networks = (module.generator_ab, module.generator_ba)
     assert sorted(found) == sorted(id(parameter) for network in networks for parameter in network.parameters())
-
-
-def test_impossible_pretrained_rate_is_refused():
-    with pytest.raises(ValueError, match="pretrained_rate is 1\\.5; give a share"):
-        build(pretrained_rate=1.5)

@@ -69,14 +69,12 @@ def test_standard_deviations_are_widened_by_what_was_seen(plain: Path, tmp_path:
     np.testing.assert_array_equal(bound, expected)
     noise = np.exp(contact[:, 8] + contact[:, 9])[:, None]
     damping = np.exp(mean[:, 1:2] - 0.5 * mean[:, :1])
-    whole_sd, pressed_sd = (
-        np.array(each.scale)
-        * deviations(own) ** np.array(each.power)
-        * noise ** np.array(each.noise)
-        * damping ** np.array(each.damping)
-        for each in (WHOLE, pressed)
-    )
-    np.testing.assert_allclose(deviations(covariance), np.where(still, pressed_sd, whole_sd), rtol=1e-4)
+
+    def widened(by: Widths) -> np.ndarray:
+        factors = noise ** np.array(by.noise) * damping ** np.array(by.damping)
+        return np.array(by.scale) * deviations(own) ** np.array(by.power) * factors
+
+    np.testing.assert_allclose(deviations(covariance), np.where(still, widened(pressed), widened(WHOLE)), rtol=1e-4)
     np.testing.assert_allclose(correlations(covariance), correlations(own), atol=1e-4)
 
 

@@ -34,20 +34,13 @@ def test_a_good_file(tmp_path):
     assert model.input_size == (4, 6)
     windows = np.arange(96, dtype=np.float64).reshape(2, 2, 4, 6)
     assert model(windows).tolist() == [[0, 1, 2], [48, 49, 50]]
-
-
-def test_windows_of_another_shape_are_refused(tmp_path):
-    model = onnx_session.ParameterModel(write_model(tmp_path / "m.onnx"))
     with pytest.raises(ValueError, match=r"\[1, 1, 4, 6\]; expected \[B, 2, 4, 6\]"):
         model(np.zeros((1, 1, 4, 6)))
 
 
-def test_missing_file(tmp_path):
+def test_not_an_onnx_file(tmp_path):
     with pytest.raises(onnx_session.ModelFileError, match=r"nothing\.onnx is not a file; give"):
         onnx_session.ParameterModel(tmp_path / "nothing.onnx")
-
-
-def test_not_an_onnx_file(tmp_path):
     path = write_model(tmp_path / "m.onnx")
     cut = path.read_bytes()[:-40]
     for content, said in ((b"", "not a"), (b"this is text", "not a"), (bytes(range(256)) * 8, "not a"), (cut, "")):

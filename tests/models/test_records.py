@@ -13,12 +13,9 @@ MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
 
 
-def test_reference_keeps_the_force():
+def test_reference_keeps_the_force_and_the_farthest_corner_is_that_of_the_box():
     theta = torch.tensor([[0.5, 0.1, -3.0]])
     assert with_reference_tissue(theta).tolist() == [[pytest.approx(5.34), pytest.approx(0.127), -3.0]]
-
-
-def test_farthest_corner():
     theta = torch.tensor([[0.4, 0.9, -1.0]])
     corner = farthest_corner(theta, torch.tensor([0.0, 0.0, -10.0]), torch.tensor([1.0, 1.0, 0.0]))
     assert corner.tolist() == [[1.0, 0.0, -10.0]]

@@ -13,11 +13,15 @@ def observation(noise=(1e-3, 1e-3, 1e-2), displacement=None, times=TIMES) -> Obs
     return Observation(np.array([4, 7]), times, moved, np.asarray(noise))
 
 
-def test_one_point_is_the_simplest():
+def test_one_point_is_the_simplest_and_moved_points_have_another_noise():
     seen = Observation.of_point(5, [0.1, 0.2], np.ones((2, 3)), 2e-3)
     assert (len(seen), seen.vertices.tolist(), seen.displacement.shape) == (2, [5], (1, 2, 3))
     assert seen.displacement.dtype == np.float32
     np.testing.assert_array_equal(seen.noise, [2e-3] * 3)
+    moved = observation().moved(np.zeros((2, 3, 3)), 5e-3)
+    assert not moved.displacement.any()
+    np.testing.assert_array_equal(moved.noise, [5e-3] * 3)
+    np.testing.assert_array_equal(moved.times, TIMES)
 
 
 def test_instants_belong_to_the_nearest_step():
@@ -36,13 +40,6 @@ def test_chosen_instants_keep_their_noise(shape):
         whole = np.broadcast_to(noise, (2, 3, 3))
         np.testing.assert_array_equal(np.broadcast_to(chosen.noise, (2, 2, 3)), whole[:, [0, 2]])
     assert seen.depth_noise == pytest.approx(np.sqrt(np.square(np.broadcast_to(noise, (2, 3, 3))[..., 2]).mean()))
-
-
-def test_moved_points_have_another_noise():
-    seen = observation().moved(np.zeros((2, 3, 3)), 5e-3)
-    assert not seen.displacement.any()
-    np.testing.assert_array_equal(seen.noise, [5e-3] * 3)
-    np.testing.assert_array_equal(seen.times, TIMES)
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,9 @@ FIELD_SEEN = ParticleField(
 )  # fmt: skip
 TIMES = np.array([0.0, 0.04, 0.08])
 _NUMBERS = {"skill": np.array([np.nan, 0.7, 0.75]), "field_known": np.array([0.0, 0.5, 0.75])}
-for _end in ("_low", "", "_high"):
-    _NUMBERS |= {
-        f"distance_stiffness{_end}": np.array([np.nan, 3.0, 4.0]),
-        f"shape_stiffness{_end}": np.full(3, np.nan),
-    }
+_ENDS = ("_low", "", "_high")
+_NUMBERS |= {f"distance_stiffness{end}": np.array([np.nan, 3.0, 4.0]) for end in _ENDS}
+_NUMBERS |= {f"shape_stiffness{end}": np.full(3, np.nan) for end in _ENDS}
 PULL = FieldEstimate(
     last=FIELD_SEEN, picture=np.full((40, 50, 3), 90, np.uint8), places=FIELD_SEEN.pixels,
     points=np.array([[10.0, 10.0], [30.0, 20.0]]), observed=np.array([[3.0, 4.0], [np.nan, np.nan]]),

@@ -27,12 +27,7 @@ from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECH
 from tests.results.fields import FIELD_SEEN, GRIP, PULL, SOLID, TIMES, WIDE
 
 
-def clip(
-    count: int = 20,
-    contact_from: int = 10,
-    verdict: str = "undetermined",
-    factors: tuple[float, float, float] | None = (1.6, 40.0, 1.2),
-) -> list[FrameEstimate]:
+def clip(count=20, contact_from=10, verdict="undetermined", factors=(1.6, 40.0, 1.2)) -> list[FrameEstimate]:
     moved = {"observed_displacement": 0.01, "simulated_displacement": 0.012}
     seen = frame_in_contact(verdict, (0.5, 0.1, -3.0), factors, **moved)
     return [
@@ -405,10 +400,8 @@ def test_a_field_that_was_found_is_told_and_shown() -> None:
 
 def test_a_field_is_on_the_summary_with_its_map_and_its_course() -> None:
     run = dataclasses.replace(NONE, field=PULL)
-    frames = [
-        FrameEstimate(1, 0.0, "ok", verdict="undetermined"),
-        FrameEstimate(2, 0.04, "ok", verdict="stiffness_ratios"),
-    ]
+    verdicts = ("undetermined", "stiffness_ratios")
+    frames = [FrameEstimate(1 + index, 0.04 * index, "ok", verdict=told) for index, told in enumerate(verdicts)]
     strip, below = draw_summary(frames, Counter({"stiffness_ratios": 1}), [run], title="clip").axes
     assert heading(strip) == "stiffness ratios on 1 of 1 runs of contact; 2 frames in contact"
     assert legend(strip) == ["stiffness ratios: 1", "undetermined: 1"]

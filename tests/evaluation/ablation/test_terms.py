@@ -66,9 +66,7 @@ def test_the_table_divides_by_the_whole_system() -> None:
     assert without["depth_copy"] == pytest.approx(12 / 6)
     spread = np.std(TRUTH[:, 0] + [0.1, -0.1, 0.1]) / np.std(TRUTH[:, 0])
     assert whole["spread_stiffness"] == pytest.approx(spread)
-
-
-def test_without_the_whole_system_nothing_is_relative() -> None:
+    # Without the whole system nothing is relative.
     (row, _) = table(of_every_suite("no-gan", 0, judged(0.1))).to_dict("records")
     assert row["depth_copy"] == pytest.approx(1)
     assert np.isnan(row["error"])

@@ -16,12 +16,9 @@ def scores():
     return score_all(rows, BY_CONTACT)
 
 
-def test_a_calibrated_estimate_lies_on_the_diagonal(scores):
-    np.testing.assert_allclose(coverage_curve(scores[0], 0), LEVELS, atol=0.07)
-
-
-def test_no_curve_without_standard_deviations(scores):
+def test_a_calibrated_estimate_lies_on_the_diagonal_and_without_standard_deviations_there_is_no_curve(scores):
     assert np.isnan(coverage_curve(scores[1], 0)).all()
+    np.testing.assert_allclose(coverage_curve(scores[0], 0), LEVELS, atol=0.07)
 
 
 def test_every_panel_names_its_axes_and_unit(scores):

@@ -163,8 +163,5 @@ def test_clips_without_estimate_are_kept_apart():
     scores = scoring.score(rows, scoring.measure_noise(rows), BY_CONTACT)
     assert [row["index"] for row in scores.rows] == [0]
     assert [row["index"] for row in scores.failed] == [1]
-
-
-def test_nothing_estimated_gives_empty_rows():
     failed = recovery(0, status="no contact", estimate=None, covariance=None, information=None, tracking=None)
     assert {row["n"] for row in table([failed]).values()} == {0}

@@ -188,12 +188,9 @@ NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))
         ((InteractionEstimate(3, 3, 0.12, estimate=NOT_FINITE),), "its θ is not finite."),
     ],
 )
-def test_contacts_without_an_estimate_become_results(monkeypatch, truth, said, reason):
+def test_contacts_without_an_estimate_and_estimators_that_break_become_results(monkeypatch, truth, said, reason):
     row = told(monkeypatch, truth, Telling(*said))
     assert (row["status"], row["reason"], "estimate" in row) == ("no estimate", reason, False)
-
-
-def test_an_estimator_that_breaks_becomes_a_result(monkeypatch, truth):
     broken = Telling()
     broken.finish = raising(ValueError("broken"))
     row = told(monkeypatch, truth, broken)

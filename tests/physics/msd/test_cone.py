@@ -13,9 +13,6 @@ def test_exact_radii_are_what_a_walk_there_and_back_allows():
     np.testing.assert_array_equal(exact_radii(7), [0, 1, 2, 3, 2, 1, 0])
     np.testing.assert_array_equal(exact_radii(4), [0, 1, 1, 0])
     np.testing.assert_array_equal(exact_radii(1), [0])
-
-
-def test_radii_reach_over_wide_loads_and_to_what_is_watched():
     np.testing.assert_array_equal(exact_radii(6, Reach(loaded=2)), [2, 3, 3, 2, 1, 0])
     np.testing.assert_array_equal(exact_radii(6, Reach(watched=3)), [0, 1, 2, 3, 4, 3])
 

@@ -164,6 +164,7 @@ def test_a_generator_is_judged_by_its_last_word_and_by_the_pictures_between(tmp_
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 def test_a_real_row_at_toy_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trained in this process, which has the libraries."""
 
@@ -171,6 +172,7 @@ def test_a_real_row_at_toy_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         return subprocess.CompletedProcess(command, training.main(command[2:]), "", "")
 
     monkeypatch.setattr(terms.subprocess, "run", run)
+    monkeypatch.chdir(terms.ROOT)
     scene = SceneSettings(width=214, height=120, frames=20, depth_noise=0.001)
     for number in range(1, 5):
         write_clip(tmp_path / "clips", number, scene, number)

@@ -55,7 +55,7 @@ class ModelErrors:
     brightness_force: float
     """Of its F/k_s."""
     brightness_scale: float
-    """Common to k_s, k_d and F by it, over the square of the damping ratio."""
+    """Common to k_s, k_d and F by it, which inertia alone tells."""
     hidden_force: float
     """Of the force on the foundation of tissue that isn't visible, where the grip's motion is taken as it was seen; a
     share of it."""

@@ -108,14 +108,13 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
 
 
 def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of both ratios of presses in plain videos; arguments as of `grip_errors`.
+    """Errors of k_s and of both ratios of presses in plain videos; arguments as of `grip_errors`.
 
-    A fit takes its model's errors to be larger where residuals belong together and tissue is damped more
-    (`estimators.direct.brightness_fit`); by that factor errors are divided. The scale's error is not measured: most
-    clips are as near as their residuals say, and a few that found another optimum far off.
+    A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
+    (`estimators.direct.brightness_fit`); by that factor errors are divided.
     """
     found: Errors = {}
-    quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness"}
+    quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness", "scale": "stiffness"}
     for row in rows:
         for kind, quantity in quantities.items() if row.get("explained") else ():
             name, error, sd, counted = f"brightness_{kind}", *(row[f"{quantity}_{end}"] for end in ENDS)

@@ -21,7 +21,7 @@ from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import PressShape
-from palpate.physics.mechanics import RECOMMENDED, Mechanics, damping_ratio
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
@@ -52,10 +52,9 @@ FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
 LEAST_SKILL = 0.6
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
-TOGETHER = 40.0
-"""So many residuals count as one where tissue is lit by the fit's own law; where it isn't, more of them."""
-DAMPED = 3.0
-"""Damping ratio from which on errors of the law weigh more: small late changes alone tell how tissue recovers."""
+LEFT, TOGETHER = 0.2, 40.0
+"""Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
+the more wrong is the law."""
 FEWEST_FRAMES = 3
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
@@ -210,13 +209,10 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     ]
     optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong shows in how far residuals belong together. Inertia determines the scale, and its part in
-    # the motion is about 1/ζ².
-    stiffness, damping, _ = motion.theta(mean)
-    ratio = damping_ratio(stiffness, damping, motion.mechanics.mass)
-    wrong = max(problem.together / TOGETHER, 1.0) * (1 + (ratio / DAMPED) ** 2)
-    model_error = wrong * np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
-    model_error += np.square(MODEL_ERRORS.brightness_scale * ratio**2)
+    # What the law gets wrong shows in what it leaves unexplained, and in how far residuals belong together.
+    wrong = ((1 - problem.skill) / LEFT) ** 2 * max(problem.together / TOGETHER, 1.0)
+    model_error = np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
+    model_error = wrong * (model_error + MODEL_ERRORS.brightness_scale**2)
     refuted = ""
     if problem.skill < LEAST_SKILL:
         refuted = (

@@ -60,9 +60,9 @@ def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     assert few["measured"]["clips"] == model_errors.ENOUGH - 1
 
 
-def test_videos_tell_ratios_whatever_a_fit_makes_of_each_clip() -> None:
+def test_videos_tell_three_quantities_whatever_a_fit_makes_of_each_clip() -> None:
     generator = np.random.default_rng(3)
-    quantities = {"damping_over_stiffness": "damping", "force_over_stiffness": "force"}
+    quantities = {"damping_over_stiffness": "damping", "force_over_stiffness": "force", "stiffness": "scale"}
     rows: list[Row] = [{"verdict": "no_estimate"}, {"verdict": "undetermined", "explained": 0}]
     for factor in generator.uniform(1, 4, 400):
         row: Row = {"explained": 1}

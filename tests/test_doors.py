@@ -10,16 +10,37 @@ import pytest
 
 from tests.test_architecture import ROOT, faces, modules
 
-MODULES = (
-    *("benchmarks.inference", "benchmarks.rollout", "data.cholecseg8k", "data.depth.photometric", "data.synthetic"),
-    *("estimators.network.calibration", "estimators.network.light_calibration", "evaluation.ablation"),
-    *("evaluation.benchmark", "evaluation.compare_with_truth", "evaluation.foreign", "evaluation.model_errors"),
-    *("evaluation.online", "evaluation.palpation", "evaluation.palpation.example", "evaluation.paper.recovered"),
-    *("evaluation.plain_video", "evaluation.real", "evaluation.result_figure"),
-)
+MODULES = [
+    "benchmarks.inference",
+    "benchmarks.rollout",
+    "data.cholecseg8k",
+    "data.depth.photometric",
+    "data.synthetic",
+    "estimators.network.calibration",
+    "estimators.network.light_calibration",
+    "evaluation.ablation",
+    "evaluation.benchmark",
+    "evaluation.compare_with_truth",
+    "evaluation.foreign",
+    "evaluation.model_errors",
+    "evaluation.online",
+    "evaluation.palpation",
+    "evaluation.palpation.example",
+    "evaluation.paper.recovered",
+    "evaluation.plain_video",
+    "evaluation.real",
+    "evaluation.result_figure",
+]
+"""Programs that `python -m` starts."""
+
+
+def named(module: str) -> str:
+    """The file's name of such a program: a package is started by its `__main__`."""
+    return f"palpate.{module}.__main__" if f"palpate.{module}" in faces() else f"palpate.{module}"
+
+
 DOORS = {name: [f"{name}.py"] for name in ("calibrate", "infer", "plan", "train")}
-DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"]}
-DOORS |= {f"palpate.{name}" + ".__main__" * (f"palpate.{name}" in faces()): ["-m", name] for name in MODULES}
+DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"], **{named(module): ["-m", module] for module in MODULES}}
 """How each program is started, by its file's name."""
 INTERRUPTING = """
 import os, signal, time

@@ -23,6 +23,7 @@ from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent
 from palpate.data.contact.lit_frame import (
     ARRIVED,
     REACH,
+    STILL,
     LitFrame,
     centre,
     darkest,
@@ -175,7 +176,7 @@ class LightContacts:
         before = self._waiting[-BEGINS - 1 :: -1]
         before = before[_went_along(before, dents[0]) :]
         if is_half_hidden(dents[0]):
-            at_tissue = [is_at(one, self._place) or stands(one, dents[0]) for one in before[1:HIDDEN_FOR]]
+            at_tissue = [is_at(one, self._place) or _pressed_already(one, dents[0]) for one in before[1:HIDDEN_FOR]]
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
@@ -301,6 +302,14 @@ def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
         if since > 1:
             break
     return count
+
+
+def _pressed_already(lit: LitFrame, first: LitFrame) -> bool:
+    """Whether the instrument that hides a dent was where it is in the first frame that shows it.
+
+    Where outlines have it in contact, too, it may have been farther off: its mask changes as the tissue darkens.
+    """
+    return stands(lit, first, ARRIVED if lit.prepared.in_contact else STILL)
 
 
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:

@@ -119,12 +119,12 @@ def lie_together(places: Sequence[tuple[int, int] | None]) -> bool:
     return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
 
 
-def stands(first: LitFrame, last: LitFrame) -> bool:
-    """Whether the instrument next to the dent of a frame is where one was some frames before."""
+def stands(first: LitFrame, last: LitFrame, within: float = STILL) -> bool:
+    """Whether the instrument next to the dent of a frame is where one was some frames before, within grid pixels."""
     if last.dent is None or not last.tips or not first.tips:
         return False
     tip = min(last.tips, key=lambda each: float(np.linalg.norm(each - np.array(last.dent) / FINE)))
-    return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < STILL)
+    return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < within)
 
 
 def goes_along(lit: LitFrame) -> bool:

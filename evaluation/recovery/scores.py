@@ -107,7 +107,7 @@ class Bound:
     """Which Cramér–Rao bound errors are compared with."""
 
     observation: str = FIELD
-    """Of what is observed: one of `estimators.direct.estimator.OBSERVATIONS`."""
+    """Of what is observed: one of `data.contact.interaction.OBSERVATIONS`."""
     onset: str = STAMP
     """Whether the instants of the press are known: one of `estimators.onset.ONSETS`."""
 

@@ -25,7 +25,7 @@ from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
-"""Its error lies far below the light's noise: half its step changed no logarithm by more than 0.02."""
+"""Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
 CANDIDATES = 64
 """Points of a Sobol sequence over the box among which the starts are chosen."""
 DEPTHS = (0.03, 0.06, 0.1)

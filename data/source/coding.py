@@ -15,7 +15,7 @@ import numpy as np
 from av.sidedata.sidedata import Type
 from av.video.frame import PictureType
 
-from palpate.data.source.video import H264, OPTIONS
+from palpate.data.source.video import H264, X264
 
 LOOKED_AT = 32
 """First frames of a video that say how it is coded."""
@@ -67,7 +67,7 @@ def recoded(pictures: Iterable[np.ndarray], quality: float, bidirectional: bool)
         for picture in pictures:
             if stream is None:
                 # One thread: several cut pictures into slices, as many as the machine has cores.
-                options = {"crf": f"{quality:.2f}", "threads": "1"} | OPTIONS
+                options = {"crf": f"{quality:.2f}", "threads": "1"} | X264
                 options |= {} if bidirectional else {"bf": "0"}
                 stream = container.add_stream(H264.encoder, rate=RATE, options=options)
                 stream.height, stream.width = picture.shape[:2]

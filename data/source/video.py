@@ -14,9 +14,9 @@ import av
 import cv2
 import numpy as np
 
-OPTIONS = {"preset": "veryfast", "x264-params": "cpu-independent=1"}
-"""Of x264. Its version for the processor codes the same pictures differently from time to time: it reads memory that it
-has not written."""
+X264 = {"preset": "veryfast", "x264-params": "cpu-independent=1"}
+"""Options of x264, whose version for the processor codes the same pictures differently from time to time: it reads
+memory that it has not written."""
 
 
 def open_video(path: Path, size: tuple[int, int], fps: float, crf: int = 21) -> H264 | Mpeg4:
@@ -55,7 +55,7 @@ class H264:
     def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int) -> None:
         self._container = av.open(str(path), "w", options={"movflags": "+faststart"})
         rate = Fraction(fps).limit_denominator(1001)
-        self._stream = self._container.add_stream(self.encoder, rate=rate, options={"crf": str(crf)} | OPTIONS)
+        self._stream = self._container.add_stream(self.encoder, rate=rate, options={"crf": str(crf)} | X264)
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
 

@@ -52,7 +52,7 @@ FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
 LEAST_SKILL = 0.6
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
-LEFT, TOGETHER = 0.2, 40.0
+USUALLY_LEFT, TOGETHER = 0.2, 40.0
 """Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
 the more wrong is the law."""
 FEWEST_FRAMES = 3
@@ -210,7 +210,7 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     # What the law gets wrong shows in what it leaves unexplained, and in how far residuals belong together.
-    wrong = ((1 - problem.skill) / LEFT) ** 2 * max(problem.together / TOGETHER, 1.0)
+    wrong = ((1 - problem.skill) / USUALLY_LEFT) ** 2 * max(problem.together / TOGETHER, 1.0)
     model_error = np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
     model_error = wrong * (model_error + MODEL_ERRORS.brightness_scale**2)
     refuted = ""

@@ -6,6 +6,7 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 
 import contextlib
 import dataclasses
+import functools
 import math
 import time
 from collections import defaultdict
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.common.ahead import ahead
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
 from palpate.data.contact.dents import DentContacts
 from palpate.data.contact.evidence import ContactEvidence
@@ -31,6 +33,11 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
+
+AHEAD = 4
+"""Frames that wait between two stages that overlap."""
+Stage = Callable[[Iterator[PreparedFrame]], Iterator[PreparedFrame]]
+"""How a stage gives its frames to the next one."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +118,17 @@ class ClipStream:
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
         """
+        return self._frames(iter)
+
+    def overlapped(self) -> Iterator[PreparedFrame]:
+        """The same frames, while threads prepare the next ones and decide about their contact."""
+        return self._frames(functools.partial(ahead, most=AHEAD))
+
+    def _frames(self, staged: Stage) -> Iterator[PreparedFrame]:
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings, from_shading=self._depth.from_shading)
         held: list[PreparedFrame] = []
-        for prepared in self._judged():
+        for prepared in staged(self._judged(staged)):
             held.append(prepared)
             if len(held) > 1:
                 with self._timed("tracking"):
@@ -125,9 +139,9 @@ class ClipStream:
         motion.settle()
         yield from held
 
-    def _judged(self) -> Iterator[PreparedFrame]:
+    def _judged(self, staged: Stage) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, frames = self.settings.geometry, self._prepared()
+        geometry, frames = self.settings.geometry, staged(self._prepared())
         if geometry.contact == "motion":
             frames = self._decided(frames, DentContacts(self.camera, geometry))
         elif geometry.contact == "touching":

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from palpate.data.brightness.registration import View
 from palpate.data.brightness.sequence import LabelledPicture
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.source.frames import Frame
+from palpate.data.tracks.following import Shown
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
 """Statuses of a frame: `ok` means in contact; the others name the reason why a frame gives no contact."""
@@ -101,6 +103,11 @@ class PreparedFrame:
         if self.picture_labels is None:
             raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
         return self.frame.picture, self.picture_labels
+
+    @cached_property
+    def shown(self) -> Shown:
+        """That view as points are followed in it, made once for all who follow."""
+        return Shown.of_view(self.view)
 
     @property
     def has_depth(self) -> bool:

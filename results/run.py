@@ -238,7 +238,7 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
 
 def _kept(clip: ClipStream, frames: deque[PreparedFrame], done: Callable[[], None]) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
-    for frame in clip:
+    for frame in clip.overlapped():
         frames.append(frame)
         yield frame
         done()

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import csv
 import time
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from palpate.data.prepared import PreparedFrame
-from palpate.data.source.video import open_video
+from palpate.data.source.video import H264, Mpeg4, open_video
 from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
@@ -26,6 +27,9 @@ from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
 from palpate.results.verdicts import in_words, state
+
+MOST_UNDRAWN = 4
+"""Pictures that wait to be drawn."""
 
 
 class ClipResults:
@@ -75,6 +79,8 @@ class ClipResults:
         self.doubts: list[str] = []
         """Sentences on runs of contact that have a field of stiffness of which nothing is determined."""
         self._open = ExitStack()
+        self._drawing: deque[Future[None]] = deque()
+        """Pictures that are drawn and coded in a thread of their own, in order."""
         try:
             with writing(folder.parent):
                 self._partial = store.partial_folder(folder)
@@ -85,6 +91,7 @@ class ClipResults:
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
                 video = self._partial / store.OVERLAY
                 self._video = keep(closing(open_video(video, canvas_size(size), fps))) if overlay else None
+                self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
                 self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and maps else None
         except BaseException:
             self.__exit__()
@@ -107,7 +114,6 @@ class ClipResults:
 
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
-        start = time.perf_counter()
         if self.calibration is not None:
             self.calibration.see(prepared)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
@@ -120,19 +126,23 @@ class ClipResults:
                 self._waiting.add(shown)
             else:
                 self._draw(shown, None)
-        self.seconds["overlay"] += time.perf_counter() - start
 
     def _draw(self, frame: Waiting, stiffness: StiffnessMap | None) -> None:
-        """Append a picture to the overlay, if there is one."""
+        """Append a picture to the overlay, if there is one, once those before it are drawn."""
         if self._video is not None:
-            self._video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
+            while len(self._drawing) >= MOST_UNDRAWN:
+                self._drawing.popleft().result()
+            self._drawing.append(self._drawer.submit(self._drawn, self._video, frame, stiffness))
+
+    def _drawn(self, video: H264 | Mpeg4, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+        start = time.perf_counter()
+        video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
+        self.seconds["overlay"] += time.perf_counter() - start
 
     def _draw_waiting(self, stiffness: StiffnessMap | None) -> None:
         """Append the pictures that wait for a map, or for the news that there is none."""
-        start = time.perf_counter()
         for frame in self._waiting.drain() if self._waiting is not None else ():
             self._draw(frame, stiffness)
-        self.seconds["overlay"] += time.perf_counter() - start
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
@@ -168,6 +178,8 @@ class ClipResults:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
             self._draw_waiting(None)
+            while self._drawing:
+                self._drawing.popleft().result()
             self._open.close()
             runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
             described = f"{subtitle} · runs of contact: {runs or 'none'}"

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from palpate.data.labels import TOOL
 from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
@@ -61,17 +60,17 @@ class Registration:
         self._last = np.eye(3)
         """Homography from the reference's picture to the last one."""
 
-    def push(self, picture: np.ndarray, labels: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
+    def push(self, shown: Shown, picture: np.ndarray, labels: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
         """The next frame.
 
         Args:
+            shown: picture and tool as points are followed in them.
             picture: RGB, uint8 [H, W, 3].
             labels: label map, uint8 [H, W].
 
         Returns:
             Its view, and picture and labels in the view of the reference; black and 0 where it doesn't show that.
         """
-        shown = Shown.of(picture, labels == TOOL)
         motion = None if self._reference is None else self._motion(shown)
         if motion is None:
             share = shown.gray.shape[1] / 854

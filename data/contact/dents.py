@@ -109,7 +109,7 @@ class DentContacts:
 
     def _motion(self, frame: PreparedFrame) -> np.ndarray:
         """Motion of the picture on the grid from the frame before to this one, shape [3, 3]."""
-        before, self._shown = self._shown, Shown.of_view(frame.view)
+        before, self._shown = self._shown, frame.shown
         if before is None or not self._waiting:
             return np.eye(3)
         return grid_motion(picture_motion(before, self._shown), before, frame)

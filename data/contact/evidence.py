@@ -128,10 +128,10 @@ class ContactEvidence:
             self._came = True
         self._number, self._apart = number, apart
         if apart and prepared.visible:
-            self._begin(Shown.of_view(prepared.view), prepared)
+            self._begin(prepared.shown, prepared)
         if not prepared.in_contact:
             return
-        probability = self._push(Shown.of_view(prepared.view), prepared)
+        probability = self._push(prepared.shown, prepared)
         # A tool that was observed to come to the tissue has met it: a narrow dent hardly moves what is around it.
         met = self._came and not prepared.distance > self._near
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)

@@ -115,7 +115,7 @@ class LightContacts:
         gap = self._forget() if number is not None and self._number != number + 1 else []
         if self._registration is None:
             self._registration = Registration(prepared.depth.shape)
-        view, picture, labels = self._registration.push(*prepared.view)
+        view, picture, labels = self._registration.push(prepared.shown, *prepared.view)
         another = self._view is not None and view.reference != self._view.reference
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
         prepared.light_picture = picture, labels

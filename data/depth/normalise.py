@@ -241,12 +241,13 @@ def resize_depth(
     shares = np.stack([resized(member) for member in members])
     winner = shares.argmax(axis=0)
     valid = depth > 0
+    complete = bool(valid.all())
     result = np.zeros((height, width), np.float32)
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
         if value == OUTSIDE_LABEL:
             continue
-        usable = member * valid
-        weight = resized(usable)
+        usable = member if complete else member * valid
+        weight = shares[index] if complete else resized(usable)
         chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
-        result[chosen] = resized(np.where(usable > 0, depth, 0).astype(np.float32))[chosen] / weight[chosen]
+        result[chosen] = resized(depth * usable)[chosen] / weight[chosen]
     return result, np.asarray(order, np.uint8)[winner]

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.brightness.registration import Registration
+from palpate.data.brightness.registration import Registration, View
 from palpate.data.labels import TISSUE, TOOL
+from palpate.data.tracks.following import Shown
 
 SHAPE, GRID = (240, 320), (60, 80)
 
@@ -26,6 +27,10 @@ def labels(tool: slice | None = None) -> np.ndarray:
     return found
 
 
+def push(registration: Registration, picture: np.ndarray, named: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
+    return registration.push(Shown.of_view((picture, named)), picture, named)
+
+
 PICTURE = texture()
 
 
@@ -33,14 +38,14 @@ PICTURE = texture()
 def registration() -> Registration:
     """That of a clip which begins with the picture."""
     begun = Registration(GRID)
-    begun.push(PICTURE, labels())
+    push(begun, PICTURE, labels())
     return begun
 
 
 def test_a_camera_that_stands_leaves_every_pixel_as_it_is(registration):
     noise = np.random.default_rng(2).normal(0, 2, PICTURE.shape)
     noisy = (PICTURE + noise).clip(0, 255).astype(np.uint8)
-    view, shown, named = registration.push(noisy, labels())
+    view, shown, named = push(registration, noisy, labels())
     assert view.reference == 1
     assert np.array_equal(view.matrix, np.eye(3))
     assert np.array_equal(shown, noisy)
@@ -50,7 +55,7 @@ def test_a_camera_that_stands_leaves_every_pixel_as_it_is(registration):
 def test_places_of_a_moved_picture_are_found_in_the_reference_and_back(registration):
     matrix = np.vstack([cv2.getRotationMatrix2D((160, 120), 4, 1.03), [0, 0, 1]])
     matrix[:2, 2] += [6, -3]
-    view, shown, _ = registration.push(moved(PICTURE, matrix), labels(slice(150, 170)))
+    view, shown, _ = push(registration, moved(PICTURE, matrix), labels(slice(150, 170)))
     assert view.reference == 1
     column, row = (matrix @ [100.0, 80.0, 1.0])[:2]
     place = (np.array([row, column]) + 0.5) / 4 - 0.5
@@ -62,7 +67,7 @@ def test_places_of_a_moved_picture_are_found_in_the_reference_and_back(registrat
 
 def test_the_instrument_is_warped_with_its_picture(registration):
     matrix = np.array([[1, 0, 10.0], [0, 1, 0], [0, 0, 1]])
-    _, _, named = registration.push(moved(PICTURE, matrix), labels(slice(150, 170)))
+    _, _, named = push(registration, moved(PICTURE, matrix), labels(slice(150, 170)))
     assert (named[120] == TOOL).nonzero()[0][[0, -1]] == pytest.approx([140, 159], abs=1)
 
 
@@ -71,5 +76,5 @@ def test_another_scene_and_a_view_far_away_have_another_reference(registration, 
     following, speed = (texture(2), 0.0) if other == "scene" else (PICTURE, 10.0)
     for step in range(1, 12):
         shift = np.array([[1, 0, speed * step], [0, 1, 0], [0, 0, 1]])
-        view, _, _ = registration.push(moved(following, shift), labels())
+        view, _, _ = push(registration, moved(following, shift), labels())
     assert view.reference == 2

@@ -4,10 +4,13 @@ Straight edges come from the line segment detector of Grompone von Gioi 2010 (Op
 working picture whose longer side is `WORKING_SIZE`.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
+from palpate.physics.jit import inlined, kernel
 
 WORKING_SIZE = 640
 """Longer side that pictures are brought to before edges are sought, so that lengths mean the same everywhere [px]."""
@@ -74,15 +77,11 @@ def find_bands(gray: np.ndarray, field: np.ndarray) -> list[Band]:
     segments = straight_edges(gray, field)
     vectors = segments[:, 2:] - segments[:, :2]
     lengths = np.linalg.norm(vectors, axis=1)
-    bands = []
+    directions, bands = vectors / lengths[:, None], []
     for base in np.argsort(-lengths):
         if lengths[base] < SHORTEST_BASE:
             break
-        for side in (1, -1):
-            for widest in (WIDEST_BAND / 3, WIDEST_BAND):
-                band = _grow(base, side, widest, segments, vectors / lengths[:, None], lengths, field)
-                if band is not None:
-                    bands.append(band)
+        bands += _grown(base, segments, directions, lengths, field)
     return sorted(bands, key=lambda band: -band.support / np.sqrt(band.width))
 
 
@@ -102,34 +101,69 @@ def straight_edges(gray: np.ndarray, field: np.ndarray) -> np.ndarray:
 
 
 def _join(segments: np.ndarray) -> np.ndarray:
-    """Join segments on one line, of one polarity and with gaps below 0.4 of the longer one."""
-    free = np.ones(len(segments), bool)
-    joined = []
-    for index in range(len(segments)):
+    """Join segments on one line, of one polarity and with gaps below 0.4 of the longer one; longest first."""
+    result = _joined(np.ascontiguousarray(segments))
+    return result[np.argsort(-np.linalg.norm(result[:, 2:] - result[:, :2], axis=1))]
+
+
+@kernel
+def _joined(segments):
+    """The same in any order, shape [J, 4]; segments [S, 4] come longest first."""
+    count, found = len(segments), 0
+    free, joined = np.ones(count, np.bool_), np.empty_like(segments)
+    for index in range(count):
         if not free[index]:
             continue
-        free[index] = False
-        start, end = segments[index, :2], segments[index, 2:]
-        while True:
-            length = np.linalg.norm(end - start)
-            axis = (end - start) / length
-            normal = np.array([-axis[1], axis[0]])
-            first, last = segments[:, :2] - start, segments[:, 2:] - start
-            step = last - first
-            along = np.sort(np.stack([first @ axis, last @ axis]), axis=0)
-            same = (step @ axis) > COLLINEAR_COSINE * np.linalg.norm(step, axis=1)
-            near = (np.abs(first @ normal) < 2) & (np.abs(last @ normal) < 2)
-            touching = free & same & near & (along[0] < 1.4 * length) & (along[1] > -0.4 * length)
-            if not touching.any():
-                break
-            other = int(np.argmax(touching))
+        line, other = segments[index].copy(), index
+        while other >= 0:
             free[other] = False
-            ends = np.stack([start, end, segments[other, :2], segments[other, 2:]])
-            order = np.argsort((ends - start) @ axis)
-            start, end = ends[order[0]], ends[order[-1]]
-        joined.append([*start, *end])
-    result = np.array(joined).reshape(-1, 4)
-    return result[np.argsort(-np.linalg.norm(result[:, 2:] - result[:, :2], axis=1))]
+            length = math.hypot(line[2] - line[0], line[3] - line[1])
+            right, down = (line[2] - line[0]) / length, (line[3] - line[1]) / length
+            # Its ends are the outermost of the four, along the line as it was.
+            low, high = 0.0, length
+            start = line[:2].copy()
+            for place in (segments[other, :2], segments[other, 2:]):
+                along = (place[0] - start[0]) * right + (place[1] - start[1]) * down
+                if along < low:
+                    low = along
+                    line[:2] = place
+                if along > high:
+                    high = along
+                    line[2:] = place
+            other = _touching(line, segments, free)
+        joined[found] = line
+        found += 1
+    return joined[:found]
+
+
+@inlined
+def _touching(line, segments, free):
+    """The first of the free segments that continues a line (u0, v0, u1, v1), or -1."""
+    length = math.hypot(line[2] - line[0], line[3] - line[1])
+    right, down = (line[2] - line[0]) / length, (line[3] - line[1]) / length
+    for index in range(len(segments)):
+        if free[index]:
+            across, along = segments[index, 0] - line[0], segments[index, 1] - line[1]
+            first, first_off = across * right + along * down, along * right - across * down
+            across, along = segments[index, 2] - line[0], segments[index, 3] - line[1]
+            last, last_off = across * right + along * down, along * right - across * down
+            size = math.hypot(segments[index, 2] - segments[index, 0], segments[index, 3] - segments[index, 1])
+            on_line = max(abs(first_off), abs(last_off)) < 2 and last - first > COLLINEAR_COSINE * size
+            if on_line and min(first, last) < 1.4 * length and max(first, last) > -0.4 * length:
+                return index
+    return -1
+
+
+def _grown(
+    base: int, segments: np.ndarray, directions: np.ndarray, lengths: np.ndarray, field: np.ndarray
+) -> list[Band]:
+    """Narrow and wide bands on either side of a base segment, from all segments parallel to it."""
+    parallel = np.abs(directions @ directions[base]) > PARALLEL_COSINE
+    start = int(parallel[:base].sum())
+    chosen = segments[parallel], lengths[parallel], directions[base], field
+    sizes = [(side, widest) for side in (1, -1) for widest in (WIDEST_BAND / 3, WIDEST_BAND)]
+    found = [_grow(start, side, widest, *chosen) for side, widest in sizes]
+    return [band for band in found if band is not None]
 
 
 def _grow(
@@ -137,17 +171,18 @@ def _grow(
     side: int,
     widest: float,
     segments: np.ndarray,
-    directions: np.ndarray,
     lengths: np.ndarray,
+    axis: np.ndarray,
     field: np.ndarray,
 ) -> Band | None:
-    """Band on one side of a base segment from all segments parallel to it, or None where there is none."""
-    origin, axis = segments[base, :2], directions[base]
-    normal = np.array([-axis[1], axis[0]]) * side
+    """Band on one side of a base segment along an axis from segments that are parallel to it; None where none is."""
+    origin, normal = segments[base, :2], np.array([-axis[1], axis[0]]) * side
     first, last = segments[:, :2] - origin, segments[:, 2:] - origin
     across = (first + last) @ normal / 2
     along = np.sort(np.stack([first @ axis, last @ axis]), axis=0)
-    eligible = (np.abs(directions @ axis) > PARALLEL_COSINE) & (across > -2) & (across < widest)
+    eligible = (across > -2) & (across < widest)
+    if eligible.sum() < 2:  # the base alone
+        return None
     low, high = 0.0, lengths[base]
     member = np.zeros(len(segments), bool)
     member[base] = True

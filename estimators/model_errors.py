@@ -56,6 +56,11 @@ class ModelErrors:
     """Of its F/k_s."""
     brightness_scale: float
     """Common to k_s, k_d and F by it, which inertia alone tells."""
+    brightness_damping_slope: float
+    """No standard deviation, but by how much log k_d/k_s by brightness comes out too large for every unit of log ζ:
+    what a video's coding leaves out makes slow tissue seem slower."""
+    brightness_force_slope: float
+    """The same of log F/k_s."""
     hidden_force: float
     """Of the force on the foundation of tissue that isn't visible, where the grip's motion is taken as it was seen; a
     share of it."""

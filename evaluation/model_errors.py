@@ -26,11 +26,14 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 from rich.console import Console
+from scipy.optimize import least_squares
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
 from palpate.common.options import options, require_within
+from palpate.common.robust import median_sd
 from palpate.common.settings import LARGEST
+from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import Row
@@ -59,6 +62,8 @@ HEAD = (
 
 Errors = dict[str, list[tuple[float, float]]]
 """By entry: errors of the clips, and the variances that their residuals tell."""
+Entries = dict[str, dict[str, Any]]
+"""Of the file, by name."""
 
 
 def model_sd(off: float, residual: float) -> float:
@@ -107,23 +112,42 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     return found
 
 
-def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of k_s and of both ratios of presses in plain videos; arguments as of `grip_errors`.
+def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, dict[str, float]]:
+    """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `grip_errors`.
 
     A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
-    (`estimators.direct.brightness_fit`); by that factor errors are divided.
+    (`estimators.direct.brightness_fit`); by that factor errors are divided. Both ratios' errors go along with log ζ,
+    times the square of what is left: the slope of that is what their entries `…_slope` take off.
     """
-    found: Errors = {}
+    known, found, slopes = [row for row in rows if row.get("explained")], {}, {}
+    if not known:
+        return found, slopes
+    left = np.square(np.array([row["left"] for row in known]) / USUALLY_LEFT)
+    # As it seemed before anything was taken off.
+    seemed = np.array([row["log_damping_ratio"] for row in known]) / (1 - values["brightness_damping_slope"] * left)
     quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness", "scale": "stiffness"}
-    for row in rows:
-        for kind, quantity in quantities.items() if row.get("explained") else ():
-            name, error, sd, counted = f"brightness_{kind}", *(row[f"{quantity}_{end}"] for end in ENDS)
-            factor = counted / values[name]
-            found.setdefault(name, []).append((error / factor, (sd**2 - counted**2) / factor**2))
-    return found
+    for kind, quantity in quantities.items():
+        error, sd, counted = np.array([[row[f"{quantity}_{end}"] for end in ENDS] for row in known]).T
+        name, slope = f"brightness_{kind}", f"brightness_{kind}_slope"
+        factor, along = counted / values[name], left * seemed
+        if slope in values:
+            error = error + values[slope] * along
+            slopes[slope] = steepness(along, error, factor)
+            error = error - slopes[slope] * along
+        found[name] = list(zip(error / factor, (sd**2 - counted**2) / factor**2, strict=True))
+    return found, slopes
 
 
-def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, date: str) -> dict[str, dict[str, Any]]:
+def steepness(along: np.ndarray, errors: np.ndarray, sds: np.ndarray) -> float:
+    """Slope of errors [N] along a quantity [N], of which a few may be far off, to two digits; sds are in proportion."""
+    scale = max(median_sd(errors / sds), 1e-9)
+    found = least_squares(lambda slope: (errors - slope * along) / (sds * scale), 0.0, loss="soft_l1").x[0]
+    return float(f"{found:.2g}")
+
+
+def updated(
+    entries: Entries, errors: Errors, command: str, date: str, slopes: Mapping[str, float] | None = None
+) -> Entries:
     """Entries with what was measured; their values are that where enough clips were."""
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
@@ -133,10 +157,15 @@ def updated(entries: dict[str, dict[str, Any]], errors: Errors, command: str, da
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}
+    for name, slope in (slopes or {}).items():
+        clips = len(errors[name.removesuffix("_slope")])
+        found[name]["measured"] = {"slope": slope, "clips": clips, "command": command, "date": date}
+        if clips >= ENOUGH:
+            found[name] |= {"value": slope, "source": "measured"}
     return found
 
 
-def write_entries(path: Path, entries: dict[str, dict[str, Any]]) -> None:
+def write_entries(path: Path, entries: Entries) -> None:
     """Write the file."""
     with replacing(path) as partial:
         text = yaml.safe_dump(entries, sort_keys=False, width=110, allow_unicode=True)
@@ -183,12 +212,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)
-    errors = {"grip": grip_errors, "pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
+    slopes: dict[str, float] = {}
+    if asked.part == VIDEO:
+        errors, slopes = video_errors(rows, values)
+    else:
+        errors = {"grip": grip_errors, "pull": pull_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1
     command = f"python -m evaluation.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
-    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat()))
+    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat(), slopes))
     for name, pairs in errors.items():
         say(console, f"{name}: {len(pairs)} clips")
     say(console, f"written: {asked.output}")

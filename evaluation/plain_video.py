@@ -115,8 +115,14 @@ def measured_video(
         }
     row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
+    if not right:
+        return row | {"verdict": "no_estimate"}
     distance = float(scene.mesh.vertices[scene.vertex, 2])
-    return row | (compared(right[0], truth.theta, distance, 1 / settings.fps) if right else {"verdict": "no_estimate"})
+    estimate = right[0].estimate
+    assert estimate is not None
+    seemed = math.log(damping_ratio(*estimate.theta[:2], settings.mass))
+    row |= {"left": estimate.left, "log_damping_ratio": seemed}
+    return row | compared(right[0], truth.theta, distance, 1 / settings.fps)
 
 
 def normal_error(stream: ClipStream, scene: Scene) -> float:

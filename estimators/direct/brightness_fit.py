@@ -21,7 +21,7 @@ from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import PressShape
-from palpate.physics.mechanics import RECOMMENDED, Mechanics
+from palpate.physics.mechanics import RECOMMENDED, Mechanics, damping_ratio
 from palpate.physics.msd.simulation import simulate
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
@@ -209,8 +209,11 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     ]
     optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong shows in what it leaves unexplained, and in how far residuals belong together.
-    wrong = ((1 - problem.skill) / USUALLY_LEFT) ** 2 * max(problem.together / TOGETHER, 1.0)
+    # What law and coding get wrong shows in what is left unexplained, and in how far residuals belong together.
+    left = ((1 - problem.skill) / USUALLY_LEFT) ** 2
+    slopes = np.array([0.0, MODEL_ERRORS.brightness_damping_slope, MODEL_ERRORS.brightness_force_slope])
+    mean[:3] -= slopes * left * math.log(damping_ratio(*motion.theta(mean)[:2], motion.mechanics.mass))
+    wrong = left * max(problem.together / TOGETHER, 1.0)
     model_error = np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
     model_error = wrong * (model_error + MODEL_ERRORS.brightness_scale**2)
     refuted = ""
@@ -230,6 +233,7 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
         delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
         modes=count_modes(distinct(optima), prior),
         by_light=True,
+        left=1 - problem.skill,
         shape=motion.shape(mean[:-OTHERS]),
         refuted=refuted,
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
 from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
 from palpate.evaluation import model_errors
 from palpate.evaluation import model_errors as module
@@ -24,11 +25,14 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
         assert VALUES[name] == entry["value"]
         assert entry["source"]
         if entry["measured"] is not None:
-            assert entry["measured"]["sd"] == model_errors.model_sd(
-                entry["measured"]["off"], entry["measured"]["stated"]
-            )
-            assert entry["measured"]["command"].startswith("python -m evaluation.model_errors --part ")
-            assert entry["value"] == entry["measured"]["sd"] or entry["measured"]["clips"] < model_errors.ENOUGH
+            measured = entry["measured"]
+            if name.endswith("_slope"):
+                value = measured["slope"]
+            else:
+                value = measured["sd"]
+                assert value == model_errors.model_sd(measured["off"], measured["stated"])
+            assert measured["command"].startswith("python -m evaluation.model_errors --part ")
+            assert entry["value"] == value or measured["clips"] < model_errors.ENOUGH
 
 
 def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
@@ -64,15 +68,25 @@ def test_videos_tell_three_quantities_whatever_a_fit_makes_of_each_clip() -> Non
     generator = np.random.default_rng(3)
     quantities = {"damping_over_stiffness": "damping", "force_over_stiffness": "force", "stiffness": "scale"}
     rows: list[Row] = [{"verdict": "no_estimate"}, {"verdict": "undetermined", "explained": 0}]
+    slopes, taken_off = {"damping": 0.1, "force": 0.25, "scale": 0.0}, VALUES["brightness_damping_slope"]
     for factor in generator.uniform(1, 4, 400):
-        row: Row = {"explained": 1}
+        left, seemed = math.sqrt(factor), generator.normal(0, 1)
+        row: Row = {
+            "explained": 1,
+            "left": USUALLY_LEFT * left,
+            "log_damping_ratio": seemed * (1 - taken_off * left**2),
+        }
         for name, kind in quantities.items():
             counted = factor * VALUES[f"brightness_{kind}"]
-            row |= {f"{name}_error": factor * generator.normal(0, math.hypot(0.25, 0.1))}
+            slope = slopes[kind] - VALUES.get(f"brightness_{kind}_slope", 0.0)
+            row |= {f"{name}_error": factor * (slope * seemed + generator.normal(0, math.hypot(0.25, 0.1)))}
             row |= {f"{name}_model_sd": counted, f"{name}_sd": math.hypot(counted, factor * 0.1)}
         rows.append(row)
-    entries = model_errors.updated(read_entries(), model_errors.video_errors(rows, VALUES), "a command", "today")
+    errors, found = model_errors.video_errors(rows, VALUES)
+    entries = model_errors.updated(read_entries(), errors, "a command", "today", found)
     for kind in quantities.values():
+        if slopes[kind]:
+            assert entries[f"brightness_{kind}_slope"]["value"] == pytest.approx(slopes[kind], abs=0.03)
         assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
         assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
 

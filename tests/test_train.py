@@ -509,6 +509,7 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     given = ["-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}", "--run_name", "a/first"]
     assert train.main(["fit", *given]) == 0
     assert train.main(["fit", *given, "--ckpt_path", "last", "--trainer.max_epochs", "2"]) == 0
+    assert train.main(["validate", *given, "--ckpt_path", "best"]) == 0
     assert train.main(["test", *given, "--ckpt_path", "best"]) == 0
     assert train.main(["export", *given, "--ckpt_path", "best", "--output", str(output)]) == 0
     assert "MLflow: models:/a-first@best is version 1" in capsys.readouterr().out
@@ -519,7 +520,7 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     assert last(folder)[tracking.RUN_ID] == run.info.run_id
 
     terms = {f"train/{term}" for term in TERMS}
-    others = {"val/physics", "val/stiffness_mean", "val/stiffness_sd", "test/error_predicted"}
+    others = {"val/physics", "val/stiffness_mean", "val/stiffness_sd", "validate-val/physics", "test/error_predicted"}
     assert terms | others <= run.data.metrics.keys()
     history = [metric.step for metric in client.get_metric_history(run.info.run_id, "val/physics")]
     assert len(history) == 2  # an epoch before resuming, and one after
@@ -529,12 +530,12 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     assert parameters["trainer/max_epochs"] == "1"  # as it began; what resumed it is in configs/
 
     files = artifacts(client, run.info.run_id)
-    commands = ("fit", "fit", "test", "export")
+    commands = ("fit", "fit", "validate", "test", "export")
     configs = [f"configs/{number}_{command}.yaml" for number, command in enumerate(commands, start=1)]
     pictures = {f"samples/next_depth_epoch_{epoch:03d}.png" for epoch in range(2)}
     assert {*configs, *pictures, "best/best.ckpt", "last/last.ckpt", "evaluation/report.html"} <= files
     settings = [yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/{path}")) for path in configs]
-    assert [each["trainer"]["max_epochs"] for each in settings] == [1, 2, 1, 1]
+    assert [each["trainer"]["max_epochs"] for each in settings] == [1, 2, 1, 1, 1]
     kept = client.download_artifacts(run.info.run_id, "last/last.ckpt", str(tmp_path))
     assert Path(kept).read_bytes() == (folder / "checkpoints" / "last.ckpt").read_bytes()
 
@@ -578,7 +579,7 @@ def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, con
     for command in ("fit", "test"):  # a training that begins with another's weights is a run of its own
         assert train.main([command, "-c", str(config), "--ckpt_path", str(checkpoint), "--run_name", "mine"]) == 0
     run = config.parent / "run"
-    assert asked == [(run, False, "mine", None), (run, False, "mine", checkpoint)]
+    assert asked == [(run, False, "mine", None, ""), (run, False, "mine", checkpoint, "")]
 
 
 @pytest.mark.slow

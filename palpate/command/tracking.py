@@ -58,7 +58,7 @@ class RunLogger(MLFlowLogger):
 
 
 def run_loggers(
-    folder: Path, tracking: bool, name: str | None = None, checkpoint: Path | None = None
+    folder: Path, tracking: bool, name: str | None = None, checkpoint: Path | None = None, prefix: str = ""
 ) -> list[CSVLogger | MLFlowLogger]:
     """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above.
 
@@ -67,6 +67,7 @@ def run_loggers(
         tracking: whether there is MLflow.
         name: the run's in MLflow; none = the folder's, or as it is.
         checkpoint: goes on with the run of this one, where the database has it.
+        prefix: of its metrics' names in MLflow.
 
     Raises:
         InputError: the database can't be used.
@@ -80,7 +81,7 @@ def run_loggers(
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, name)
         place = {"tracking_uri": database, "artifact_location": str(root / "mlflow")}
-        loggers.append(RunLogger(name or folder.resolve().name, run_id, **place))
+        loggers.append(RunLogger(name or folder.resolve().name, run_id, prefix=prefix, **place))
     return loggers
 
 
@@ -144,7 +145,8 @@ def log_network(logger: MLFlowLogger, path: Path, checkpoint: Path) -> None:
     signature = ModelSignature(schema(model.graph.input), schema(model.graph.output))
     run, network = client.get_run(logger.run_id), ExportedModel(path)
     outputs = [value.name for value in model.graph.output]
-    data = [f"{each.dataset.name}, digest {each.dataset.digest}" for each in run.inputs.dataset_inputs]
+    trained = [each.dataset for each in run.inputs.dataset_inputs if "fit" in {tag.value for tag in each.tags}]
+    data = [f"{each.name}, digest {each.digest}" for each in trained]
     card = model_card(run.info.run_name, network, outputs, checkpoint, data, run.data.metrics)
     name = re.sub("[/:]", "-", run.info.run_name)
     with mlflow.start_run(logger.run_id), tempfile.TemporaryDirectory() as folder:
@@ -181,7 +183,7 @@ def model_card(
         network: the exported file.
         outputs: their names in it.
         checkpoint: what it was exported from.
-        data: data sets of the run, a description each.
+        data: data sets of the training, a description each.
         metrics: the run's latest; those of validation and test count.
     """
     known = network.metadata

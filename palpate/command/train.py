@@ -268,7 +268,9 @@ class TrainCLI(LightningCLI):
             # A training that begins with another one's weights is a run of its own.
             goes_on = self.subcommand != "fit" or resumes(config.ckpt_path, folder_of(folder, "checkpoints"))
             checkpoint = Path(config.ckpt_path) if config.ckpt_path and goes_on else None
-            kwargs["logger"] = run_loggers(folder, config.tracking, config.run_name, checkpoint)
+            # What `validate` finds has no step, and would stand among the epochs of the training.
+            prefix = "validate" if self.subcommand == "validate" else ""
+            kwargs["logger"] = run_loggers(folder, config.tracking, config.run_name, checkpoint, prefix)
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
         checkpoints = [
             ModelCheckpoint(folder_of(folder, "checkpoints"), name, save_on_train_epoch_end=True, **always, **when)

@@ -299,6 +299,7 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
         ("data.root", "", "data.root is empty; name the folder"),
         ("trainer.default_root_dir", "", "default_root_dir is empty"),
+        ("run_name", "", "run_name is empty; name the run, or leave it out."),
     ],
 )
 def test_a_value_without_room_or_sense_gets_a_sentence(config, capsys, option, value, expected):

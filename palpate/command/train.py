@@ -238,6 +238,8 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
+        if config.run_name == "":
+            raise UsageError("run_name is empty; name the run, or leave it out.")
         if str(trainer.default_root_dir) == "":
             raise UsageError("trainer.default_root_dir is empty; name the run folder.")
         if config.data.root == "":

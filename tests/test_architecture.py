@@ -34,9 +34,14 @@ FLOORS = {
 """What of the project each room may import: downwards only, and models and data not each other. `palpate` is the
 public face alone, `command` what a user types; benchmarks are doors of their own, and time the others as well."""
 FENCES = {
-    "lightning": ("palpate/command/train.py", "models/module.py", "data/training/datamodule.py"),
-    "lightning.pytorch.loggers": ("palpate/command/train.py",),
-    "mlflow": ("palpate/command/train.py",),
+    "lightning": (
+        "palpate/command/train.py",
+        "palpate/command/tracking.py",
+        "models/module.py",
+        "data/training/datamodule.py",
+    ),
+    "lightning.pytorch.loggers": ("palpate/command/tracking.py",),
+    "mlflow": ("palpate/command/train.py", "palpate/command/tracking.py"),
     "cv2": ("data/", "results/", "evaluation/"),
     "matplotlib": (
         "planning/pictures.py",

@@ -108,7 +108,8 @@ STATED = leaves({"trainer": {"max_epochs": 100}, "model": MODEL, "data": DATA})
 """What Bini 2026 states, by the fields of paper.yaml."""
 OURS = {"seed_everything", "trainer.default_root_dir", "trainer.accelerator", "trainer.devices", "data.root"}
 """Fields that say where and on what to run."""
-IN_CODE = {"damping", "rim", "anchor", "resizing", "holes", "depth", "discriminator", "no contact"}
+IN_CODE = {"damping", "rim", "hidden edge", "anchor", "resizing", "holes", "depth", "discriminator", "first block"}
+IN_CODE |= {"head", "input", "mesh", "d_obs", "directions", "checkpointing", "pairs", "no contact"}
 """Departures that no field can undo."""
 ONLINE: dict[str, Any] = {"particles": 600, "pins": "marked by hand", "path": "labelled by hand"}
 ONLINE |= {"match": "chamfer", "points": 9000, "start": {"distance": 1.0, "shape": 0.1}}

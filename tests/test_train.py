@@ -11,18 +11,21 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import mlflow
+import numpy as np
 import pytest
 import torch
 import yaml
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
 
-from palpate.command import infer, train
+from palpate.command import infer, tracking, train
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
+from palpate.results.record import sha256_of
 from tests.data.clips import write_clip
 from tests.tables import read_rows
 
@@ -296,6 +299,7 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
         ("data.root", "", "data.root is empty; name the folder"),
         ("trainer.default_root_dir", "", "default_root_dir is empty"),
+        ("run_name", "", "run_name is empty; name the run, or leave it out."),
     ],
 )
 def test_a_value_without_room_or_sense_gets_a_sentence(config, capsys, option, value, expected):
@@ -333,7 +337,7 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
 
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
 def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, monkeypatch, kind: str):
-    monkeypatch.setattr(train, "LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(tracking, "LOCK_TIMEOUT_S", 0.1)
     MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}").search_experiments()
     with contextlib.closing(sqlite3.connect(tmp_path / "mlflow.db", isolation_level=None)) as database:
         database.execute(f"begin {kind}")
@@ -494,20 +498,89 @@ def test_what_an_interruption_leads_to_is_one(config: Path, monkeypatch, stop: B
         train.main(["fit", "-c", str(config)])
 
 
+def artifacts(client: MlflowClient, run_id: str, folder: str | None = None) -> set[str]:
+    """Paths of all files of a run below a folder."""
+    found = client.list_artifacts(run_id, folder)
+    return {path for each in found for path in (artifacts(client, run_id, each.path) if each.is_dir else {each.path})}
+
+
 @pytest.mark.slow
-def test_mlflow_holds_parameters_losses_theta_pictures_and_the_configuration(config: Path, tmp_path: Path):
-    folder = tmp_path / "größe"
-    assert train.main(["fit", "-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}"]) == 0
-    with sqlite3.connect(tmp_path / "mlflow.db") as database:
-        metrics = {row[0] for row in database.execute("select key from metrics")}
-        parameters = dict(database.execute("select key, value from params"))
+def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Path, tmp_path: Path, capsys):
+    folder, output = tmp_path / "größe", tmp_path / "out.onnx"
+    given = ["-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}", "--run_name", "a/first"]
+    assert train.main(["fit", *given]) == 0
+    assert train.main(["fit", *given, "--ckpt_path", "last", "--trainer.max_epochs", "2"]) == 0
+    assert train.main(["validate", *given, "--ckpt_path", "best"]) == 0
+    assert train.main(["test", *given, "--ckpt_path", "best"]) == 0
+    assert train.main(["export", *given, "--ckpt_path", "best", "--output", str(output)]) == 0
+    assert "MLflow: models:/a-first@best is version 1" in capsys.readouterr().out
+    client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    experiment = client.get_experiment_by_name(tracking.EXPERIMENT)
+    [run] = client.search_runs([experiment.experiment_id])
+    assert (run.info.run_name, run.info.status) == ("a/first", "FINISHED")
+    assert last(folder)[tracking.RUN_ID] == run.info.run_id
+
     terms = {f"train/{term}" for term in TERMS}
-    assert terms | {"val/physics", "val/stiffness_mean", "val/stiffness_sd"} <= metrics
-    assert parameters["width"] == "4"
-    assert parameters["data/samples/observation"] == "trajectory"
-    assert parameters["trainer/max_epochs"].isdigit()
-    artifacts = {path.name for path in (tmp_path / "mlflow").rglob("*") if path.is_file()}
-    assert {"config.yaml", "next_depth_epoch_000.png"} <= artifacts
+    others = {"val/physics", "val/stiffness_mean", "val/stiffness_sd", "validate-val/physics", "test/error_predicted"}
+    assert terms | others <= run.data.metrics.keys()
+    history = [metric.step for metric in client.get_metric_history(run.info.run_id, "val/physics")]
+    assert len(history) == 2  # an epoch before resuming, and one after
+    assert history[0] < history[1]
+    parameters = run.data.params
+    assert (parameters["width"], parameters["data/samples/observation"]) == ("4", "trajectory")
+    assert parameters["trainer/max_epochs"] == "1"  # as it began; what resumed it is in configs/
+
+    files = artifacts(client, run.info.run_id)
+    commands = ("fit", "fit", "validate", "test", "export")
+    configs = [f"configs/{number}_{command}.yaml" for number, command in enumerate(commands, start=1)]
+    pictures = {f"samples/next_depth_epoch_{epoch:03d}.png" for epoch in range(2)}
+    assert {*configs, *pictures, "best/best.ckpt", "last/last.ckpt", "evaluation/report.html"} <= files
+    settings = [yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/{path}")) for path in configs]
+    assert [each["trainer"]["max_epochs"] for each in settings] == [1, 2, 1, 1, 1]
+    kept = client.download_artifacts(run.info.run_id, "last/last.ckpt", str(tmp_path))
+    assert Path(kept).read_bytes() == (folder / "checkpoints" / "last.ckpt").read_bytes()
+
+    [given_data] = run.inputs.dataset_inputs
+    assert given_data.dataset.name == clips.name
+    assert given_data.dataset.digest == sha256_of(clips)[:16]
+
+    version = client.get_model_version_by_alias("a-first", "best")
+    assert (version.run_id, version.version) == (run.info.run_id, 1)
+    assert version.description.startswith("# Model card: a/first")
+    for told in (f"digest {given_data.dataset.digest}", "depth 6×40×56", "best.ckpt", "| test/error_predicted |"):
+        assert told in version.description
+    mlflow.set_tracking_uri(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    network = mlflow.pyfunc.load_model("models:/a-first@best")
+    signature = network.metadata.signature
+    assert [(tensor.name, tensor.shape) for tensor in signature.inputs.inputs] == [("depth", (-1, 6, 40, 56))]
+    assert [(tensor.name, tensor.shape) for tensor in signature.outputs.inputs] == [("theta", (-1, 3))]
+    windows = np.random.default_rng(0).random((2, 6, 40, 56), dtype=np.float32)
+    np.testing.assert_allclose(network.predict({"depth": windows})["theta"], ParameterModel(output)(windows), atol=1e-6)
+
+
+def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, config: Path, tmp_path: Path, monkeypatch):
+    folder, checkpoint = tmp_path / "run", tmp_path / "other.ckpt"
+    first = tracking.run_loggers(folder, tracking=True)[1].run_id
+    client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    assert client.get_run(first).info.run_name == "run"
+    torch.save(last(trained) | {tracking.RUN_ID: first}, checkpoint)
+    assert tracking.run_loggers(folder, True, "renamed", checkpoint)[1].run_id == first
+    assert client.get_run(first).info.run_name == "renamed"
+    client.delete_run(first)
+    assert tracking.run_loggers(folder, True, None, checkpoint)[1].run_id != first
+
+    asked: list[tuple] = []
+
+    def loggers(*arguments: object) -> list:
+        asked.append(arguments)
+        return []
+
+    monkeypatch.setattr(train, "run_loggers", loggers)
+    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda *_: None)
+    for command in ("fit", "test"):  # a training that begins with another's weights is a run of its own
+        assert train.main([command, "-c", str(config), "--ckpt_path", str(checkpoint), "--run_name", "mine"]) == 0
+    run = config.parent / "run"
+    assert asked == [(run, False, "mine", None, ""), (run, False, "mine", checkpoint, "")]
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 infer      video → estimates
 train      fit, validate, test or export the parameter network, from one configuration file
+tracking   the MLflow run of a training
 calibrate  measured forces → material constants
 plan       an instrument's path past tissue that gives way
 """

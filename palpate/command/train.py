@@ -7,14 +7,14 @@
     palpate train fit -c configs/light.yaml [--light.sheets 3000 …]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
-pictures and the evaluation. Exit status: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+pictures and the evaluation. All commands log to one MLflow run, called by `--run_name`. Exit status: 0 done, 1 failed,
+2 wrong usage, 130 interrupted.
 """
 
 import argparse
 import contextlib
 import hashlib
 import os
-import sqlite3
 import sys
 import warnings
 from collections.abc import Callable
@@ -22,21 +22,17 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
-
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is imported
-os.environ.setdefault("DO_NOT_TRACK", "true")
-os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
-
 import yaml
 from jsonargparse import ActionConfigFile, Namespace
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
-from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
+from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
+from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
+from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
 from palpate.common.workers import WorkerLost
@@ -63,8 +59,6 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
 so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
-LOCK_TIMEOUT_S = 5.0
-"""Longest wait for another program that has the tracking database locked [s]."""
 MIN_PROCESSES = 2
 """Processes that may train together however few cores there are."""
 MAX_SEED = 2**32 - 1
@@ -112,25 +106,28 @@ class SentenceParser(LightningArgumentParser):
 
 
 class RunRecord(SaveConfigCallback):
-    """Saves a run's configuration (in every checkpoint, too) and sample pictures."""
+    """Saves a run's configuration (in every checkpoint, too), its data's digest and sample pictures."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        # Only rank 0 calls this, and `trainer.log_dir` would wait for the others.
-        for logger in trainer.loggers:
-            if isinstance(logger, CSVLogger):
-                log_artifact(trainer, Path(logger.log_dir) / self.config_filename)
-            else:  # the model's settings are logged as its hyperparameters
-                settings = yaml.safe_load(self.parser.dump(self.config))
-                logger.log_hyperparams({name: settings[name] for name in ("seed_everything", "trainer", "data")})
+        # Only rank 0 calls this.
+        text, command = self.parser.dump(self.config), TrainerFn(stage).value
+        settings = yaml.safe_load(text)
+        for logger in tracked(trainer):  # the model's settings are logged as its hyperparameters
+            logger.log_hyperparams({name: settings[name] for name in ("seed_everything", "trainer", "data")})
+            log_settings(logger, text, command)
+            log_data(logger, Path(settings["data"]["root"]), command)
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["configuration"] = self.parser.dump(self.config)
+        for logger in tracked(trainer):
+            checkpoint[RUN_ID] = logger.run_id
 
     def on_validation_end(  # ty: ignore[incompatible-method-override]  there is one module
         self, trainer: Trainer, pl_module: PhysicsInformedGAN
     ) -> None:
         """Draw the first validation pair's next depth: real, predicted, and their difference."""
-        if trainer.sanity_checking or not trainer.is_global_zero or pl_module.sample is None:
+        after_epoch = trainer.state.fn == TrainerFn.FITTING and not trainer.sanity_checking  # `validate` knows no epoch
+        if not after_epoch or not trainer.is_global_zero or pl_module.sample is None:
             return
         real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
         path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
@@ -192,6 +189,7 @@ class TrainCLI(LightningCLI):
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
+        parser.add_argument("--run_name", type=str | None, help="Name of the run in MLflow; null = the run folder's.")
         parser.link_arguments("data.samples.window", "model.window")
         inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.sequence")
         parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
@@ -231,8 +229,7 @@ class TrainCLI(LightningCLI):
         """Refuse to replace the checkpoints of another training."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         folder = folder_of(config.trainer.default_root_dir, "checkpoints")
-        resumes = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
-        if any(folder.glob("*.ckpt")) and not resumes:
+        if any(folder.glob("*.ckpt")) and not resumes(config.ckpt_path, folder):
             raise UsageError(
                 f"{folder.parent} holds a training already; add --ckpt_path last to go on with it, or give another "
                 "--trainer.default_root_dir."
@@ -241,6 +238,8 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
+        if config.run_name == "":
+            raise UsageError("run_name is empty; name the run, or leave it out.")
         if str(trainer.default_root_dir) == "":
             raise UsageError("trainer.default_root_dir is empty; name the run folder.")
         if config.data.root == "":
@@ -268,7 +267,12 @@ class TrainCLI(LightningCLI):
         config = self.config_init[self.subcommand]
         folder = Path(config.trainer.default_root_dir)
         if config.trainer.logger in (None, True):
-            kwargs["logger"] = run_loggers(folder, tracking=config.tracking and self.subcommand != "export")
+            # A training that begins with another one's weights is a run of its own.
+            goes_on = self.subcommand != "fit" or resumes(config.ckpt_path, folder_of(folder, "checkpoints"))
+            checkpoint = Path(config.ckpt_path) if config.ckpt_path and goes_on else None
+            # What `validate` finds has no step, and would stand among the epochs of the training.
+            prefix = "validate" if self.subcommand == "validate" else ""
+            kwargs["logger"] = run_loggers(folder, config.tracking, config.run_name, checkpoint, prefix)
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
         checkpoints = [
             ModelCheckpoint(folder_of(folder, "checkpoints"), name, save_on_train_epoch_end=True, **always, **when)
@@ -297,6 +301,13 @@ class TrainCLI(LightningCLI):
             log_artifact(self.trainer, path, "evaluation")
             print(f"{name}: {path}")
 
+    def after_export(self) -> None:
+        """Log the settings and the network, and register it, where the run is tracked."""
+        config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
+        for logger in tracked(self.trainer):
+            log_settings(logger, self._parser(self.subcommand).dump(config), "export")
+            log_network(logger, Path(config.output), Path(config.ckpt_path))
+
 
 CHOSEN: dict[str, Any] = {
     **{"trainer_class": RunTrainer, "parser_class": SentenceParser, "save_config_callback": RunRecord},
@@ -318,48 +329,9 @@ def folder_of(run_folder: str | os.PathLike[str] | None, part: Literal["checkpoi
     return Path(run_folder or ".") / part
 
 
-def run_loggers(folder: Path, tracking: bool) -> list[CSVLogger | MLFlowLogger]:
-    """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above."""
-    loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
-    if tracking:
-        root = folder.resolve().parent
-        root.mkdir(parents=True, exist_ok=True)
-        _require_database(root / "mlflow.db")
-        database = f"sqlite:///{root / 'mlflow.db'}"
-        loggers.append(MLFlowLogger(folder.name, tracking_uri=database, artifact_location=str(root / "mlflow")))
-    return loggers
-
-
-def _require_database(path: Path) -> None:
-    """Refuse a file that is no tracking database, which would end in a traceback or in minutes of retries.
-
-    Raises:
-        InputError: the file is no database, is damaged or locked, or belongs to another program or version.
-    """
-    if not os.path.lexists(path):
-        return
-    try:
-        if not path.is_file():
-            raise sqlite3.DatabaseError("not a file")
-        with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database:
-            [[verdict]] = database.execute("pragma quick_check(1)").fetchall()
-            database.execute("begin immediate")  # refused while another program keeps it locked
-            database.rollback()
-        if verdict != "ok":
-            raise sqlite3.DatabaseError(verdict)
-        from mlflow import MlflowClient  # takes over a second to load, without need where nothing is tracked
-
-        MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
-    except Exception as error:  # from SQLite, SQLAlchemy, Alembic or MLflow
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path} can't be used ({reason}); move it away, or add --tracking false.") from error
-
-
-def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
-    """Copy a file to the run's MLflow artifacts, if the run is tracked."""
-    for logger in trainer.loggers:
-        if isinstance(logger, MLFlowLogger) and trainer.is_global_zero:
-            logger.experiment.log_artifact(logger.run_id, str(path), folder)
+def resumes(checkpoint: str | None, folder: Path) -> bool:
+    """Whether a training goes on from a checkpoint of its own folder of checkpoints."""
+    return checkpoint is not None and Path(checkpoint).resolve().parent == folder.resolve()
 
 
 def trained_part(arguments: list[str]) -> str | None:
@@ -428,7 +400,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         # The database was locked or lost during the run.
         reason = " ".join(str(error).split())[:200]
-        said, status = f"tracking failed ({reason}); go on with --ckpt_path last --tracking false.", 1
+        said, status = f"tracking failed ({reason}); go on with --tracking false, a training with --ckpt_path last.", 1
     except (KeyboardInterrupt, SystemExit) as error:  # Lightning turns Ctrl-C into exit status 1
         if not by_interrupt(error):
             raise

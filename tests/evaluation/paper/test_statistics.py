@@ -50,6 +50,23 @@ def test_bca_interval_is_scipys_on_ten_thousand_resamples():
     assert expected.high - expected.low == pytest.approx(2 * 1.96 * error, rel=0.15)
 
 
+def test_the_paper_s_w_and_t_give_other_p_than_it_prints():
+    """W = 3658 and t = 5.16 of 176 frames (section 4.1), of which it prints p = 2.49e-8 and 1.1e-6."""
+    ranks, missing = np.arange(1.0, 177.0), 3658
+    for rank in range(176, 0, -1):  # the negative ranks add up to W
+        if rank <= missing:
+            ranks[rank - 1], missing = -rank, missing - rank
+    found = statistics.compare(np.zeros(176), ranks, np.zeros(176))
+    assert (found["n"].value, found["wilcoxon_w"].value) == (176, 3658)
+    assert found["wilcoxon_p"].value == pytest.approx(1.05e-9, rel=0.005)
+    spread = np.random.default_rng(0).normal(size=176)
+    spread = (spread - spread.mean()) / spread.std(ddof=1) + 5.16 / math.sqrt(176)
+    found = statistics.compare(np.zeros(176), spread, np.zeros(176))
+    assert found["t"].value == pytest.approx(5.16)
+    assert found["t_p"].value == pytest.approx(6.65e-7, rel=0.005)
+    assert found["cohens_d"].value == pytest.approx(0.389, abs=5e-4)
+
+
 def test_clip_interval_is_wider_when_clips_differ():
     values = np.repeat([0.0, 1.0, 2.0, 3.0], 25) + np.random.default_rng(0).normal(0, 0.01, 100)
     summary = statistics.summarise(values, np.repeat(list("abcd"), 25))

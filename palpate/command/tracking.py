@@ -1,0 +1,228 @@
+"""One MLflow run for all that is done with a training: settings, data, checkpoints, pictures and exported networks.
+
+A checkpoint holds the id of its training's run, so that whoever goes on with it (fit, validate, test, export) goes on
+with that run.
+"""
+
+import contextlib
+import os
+import re
+import sqlite3
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read when mlflow is imported
+os.environ.setdefault("DO_NOT_TRACK", "true")
+os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
+os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+
+import numpy as np
+from lightning.pytorch import Trainer
+from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
+from lightning.pytorch.utilities import rank_zero_only
+
+from palpate.common.files import as_json
+from palpate.common.tables import to_markdown
+from palpate.data.source.layout import InputError
+from palpate.models.checkpoint import read_checkpoint
+from palpate.models.onnx_session import ExportedModel
+from palpate.physics.mechanics import PARAMETERS
+from palpate.results.record import sha256_of
+
+EXPERIMENT = "palpate"
+"""Name of the experiment that holds the runs, and so compares them."""
+RUN_ID = "mlflow_run_id"
+"""Name under which a checkpoint holds its run's id."""
+DIGEST_LENGTH = 16
+"""Characters of a data set's digest; MLflow's databases hold 36."""
+LOCK_TIMEOUT_S = 5.0
+"""Longest wait for another program that has the tracking database locked [s]."""
+
+
+class RunLogger(MLFlowLogger):
+    """Lightning's logger, for a run that may go on: MLflow never changes parameters, so such a run keeps its first."""
+
+    def __init__(self, name: str, run_id: str | None, **options: Any) -> None:
+        super().__init__(EXPERIMENT, name, run_id=run_id, log_model="all", **options)
+        self._goes_on = run_id is not None
+
+    @rank_zero_only
+    def log_hyperparams(self, params: Any) -> None:
+        """Log a new run's parameters; `configs/` tells what a run goes on with."""
+        if self._goes_on:
+            self.experiment.update_run(self.run_id, status="RUNNING")
+        else:
+            super().log_hyperparams(params)
+
+
+def run_loggers(
+    folder: Path, tracking: bool, name: str | None = None, checkpoint: Path | None = None, prefix: str = ""
+) -> list[CSVLogger | MLFlowLogger]:
+    """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above.
+
+    Args:
+        folder: the run folder.
+        tracking: whether there is MLflow.
+        name: the run's in MLflow; none = the folder's, or as it is.
+        checkpoint: goes on with the run of this one, where the database has it.
+        prefix: of its metrics' names in MLflow.
+
+    Raises:
+        InputError: the database can't be used.
+        CheckpointError: the checkpoint can't be read.
+    """
+    loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
+    if tracking:
+        root = folder.resolve().parent
+        root.mkdir(parents=True, exist_ok=True)
+        _require_database(root / "mlflow.db")
+        database = f"sqlite:///{root / 'mlflow.db'}"
+        run_id = None if checkpoint is None else _run_of(checkpoint, database, name)
+        place = {"tracking_uri": database, "artifact_location": str(root / "mlflow")}
+        loggers.append(RunLogger(name or folder.resolve().name, run_id, prefix=prefix, **place))
+    return loggers
+
+
+def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
+    """Id of a checkpoint's run, which gets the name if one is given; none where it isn't in the database."""
+    from mlflow import MlflowClient
+    from mlflow.exceptions import MlflowException
+
+    run_id, client = read_checkpoint(checkpoint).get(RUN_ID), MlflowClient(database)
+    with contextlib.suppress(MlflowException):
+        if isinstance(run_id, str) and client.get_run(run_id).info.lifecycle_stage == "active":
+            client.update_run(run_id, name=name)
+            return run_id
+    return None
+
+
+def tracked(trainer: Trainer) -> list[MLFlowLogger]:
+    """MLflow's loggers of a trainer: none where nothing is tracked."""
+    return [logger for logger in trainer.loggers if isinstance(logger, MLFlowLogger)]
+
+
+def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> None:
+    """Copy a file to the run's MLflow artifacts, if the run is tracked."""
+    for logger in tracked(trainer):
+        if trainer.is_global_zero:
+            logger.experiment.log_artifact(logger.run_id, str(path), folder)
+
+
+def log_settings(logger: MLFlowLogger, settings: str, command: str) -> None:
+    """Add a command's settings, as YAML, to the run's: configs/1_fit.yaml, configs/2_test.yaml, …"""
+    number = len(logger.experiment.list_artifacts(logger.run_id, "configs")) + 1
+    logger.experiment.log_text(logger.run_id, settings, f"configs/{number}_{command}.yaml")
+
+
+def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
+    """Log a data set to the run as its input: its name, where it lies, and the digest of its files."""
+    from mlflow.entities import Dataset, DatasetInput, InputTag
+
+    place = {"source_type": "local", "source": as_json({"uri": str(root)})}
+    data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:DIGEST_LENGTH], **place)
+    given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
+    logger.experiment.log_inputs(logger.run_id, [given])
+
+
+def log_network(logger: MLFlowLogger, path: Path, checkpoint: Path) -> None:
+    """Log an exported network to the run, and register it under the run's name with a signature and its model card.
+
+    The alias of the version is the checkpoint's name, best, last or epoch_NNN, and `other` for one that isn't named so.
+    """
+    import mlflow.onnx
+    import onnx
+    from mlflow.models import ModelSignature
+    from mlflow.types import Schema, TensorSpec
+
+    def schema(values: Iterable[onnx.ValueInfoProto]) -> Schema:
+        shapes = {value.name: value.type.tensor_type.shape.dim for value in values}
+        sides = {name: tuple(side.dim_value or -1 for side in shape) for name, shape in shapes.items()}
+        return Schema([TensorSpec(np.dtype(np.float32), shape, name) for name, shape in sides.items()])
+
+    client, model = logger.experiment, onnx.load(path)
+    signature = ModelSignature(schema(model.graph.input), schema(model.graph.output))
+    run, network = client.get_run(logger.run_id), ExportedModel(path)
+    outputs = [value.name for value in model.graph.output]
+    trained = [each.dataset for each in run.inputs.dataset_inputs if "fit" in {tag.value for tag in each.tags}]
+    data = [f"{each.name}, digest {each.digest}" for each in trained]
+    card = model_card(run.info.run_name, network, outputs, checkpoint, data, run.data.metrics)
+    name = re.sub("[/:]", "-", run.info.run_name)
+    with mlflow.start_run(logger.run_id), tempfile.TemporaryDirectory() as folder:
+        Path(folder, "README.md").write_text(card, encoding="utf-8")
+        logged = mlflow.onnx.log_model(
+            model,
+            name="network",
+            registered_model_name=name,
+            signature=signature,
+            metadata=network.metadata,
+            pip_requirements=mlflow.onnx.get_default_pip_requirements(),  # to infer them it would start a process
+            save_as_external_data=False,
+            extra_files=[str(Path(folder, "README.md"))],
+        )
+    version = str(logged.registered_model_version)
+    client.update_model_version(name, version, card)
+    alias = checkpoint.stem if re.fullmatch(r"best|last|epoch_\d+", checkpoint.stem) else "other"
+    client.set_registered_model_alias(name, alias, version)
+    print(f"MLflow: models:/{name}@{alias} is version {version}")
+
+
+def model_card(
+    name: str,
+    network: ExportedModel,
+    outputs: Sequence[str],
+    checkpoint: Path,
+    data: Sequence[str],
+    metrics: Mapping[str, float],
+) -> str:
+    """What an exported network is, from what, and how well it did, in Markdown.
+
+    Args:
+        name: of its training's run.
+        network: the exported file.
+        outputs: their names in it.
+        checkpoint: what it was exported from.
+        data: data sets of the training, a description each.
+        metrics: the run's latest; those of validation and test count.
+    """
+    known = network.metadata
+    sources = [f"{kind} {', '.join(found)}" for kind, found in known["trained_on"].items()]
+    rows = {
+        "estimates": f"{', '.join(outputs)}: stiffness, damping and force in {known['units']['stiffness']}",
+        "from": ", ".join(f"{each} {'×'.join(map(str, shape))}" for each, shape in network.inputs.items()),
+        "within": ", ".join(f"{each} {known['bounds'][each]}" for each in PARAMETERS),
+        "data": "; ".join([*data, *sources, "no loss reads true parameters or forces"]),
+        "checkpoint": f"{checkpoint.name}, SHA-256 of its configuration {known['config_sha256']}",
+        "uncertainty": "its own, not calibrated" if "calibration" in known else "none",
+    }
+    latest = [(each, f"{metrics[each]:.4g}") for each in sorted(metrics) if each.startswith(("test/", "val/"))]
+    return (
+        f"# Model card: {name}\n\nFor `palpate infer --model {network.path.name}`. **Research software, not a medical "
+        f"device.**\n\n{to_markdown(['', ''], rows.items())}\n\n{to_markdown(['latest of the run', ''], latest)}\n"
+    )
+
+
+def _require_database(path: Path) -> None:
+    """Refuse a file that is no tracking database, which would end in a traceback or in minutes of retries.
+
+    Raises:
+        InputError: the file is no database, is damaged or locked, or belongs to another program or version.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        if not path.is_file():
+            raise sqlite3.DatabaseError("not a file")
+        with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database:
+            [[verdict]] = database.execute("pragma quick_check(1)").fetchall()
+            database.execute("begin immediate")  # refused while another program keeps it locked
+            database.rollback()
+        if verdict != "ok":
+            raise sqlite3.DatabaseError(verdict)
+        from mlflow import MlflowClient
+
+        MlflowClient(f"sqlite:///{path}").search_experiments(max_results=1)
+    except Exception as error:  # from SQLite, SQLAlchemy, Alembic or MLflow
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path} can't be used ({reason}); move it away, or add --tracking false.") from error

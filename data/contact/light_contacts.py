@@ -26,8 +26,9 @@ from palpate.data.contact.lit_frame import (
     STILL,
     LitFrame,
     centre,
+    change_around,
     darkest,
-    darkness_at,
+    darkness_of,
     goes_along,
     is_at,
     is_half_hidden,
@@ -97,8 +98,10 @@ class LightContacts:
         """Row and column [grid pixels] of the dent of the press under way, or that recovers."""
         self._free = False
         """Whether the light at rest is that of tissue without an instrument at it; else one may press all along."""
-        self._pressing, self._deepest = False, 0.0
-        """Whether the press still goes on, and how dark the tissue has been since it began."""
+        self._pressing = False
+        """Whether the press still goes on."""
+        self._deepest: np.ndarray | None = None
+        """The darkest that every place around the dent has been under it."""
         self._pressed_s = -math.inf
         """Time of the last frame under a press [s]."""
         self._tips: list[np.ndarray] = []
@@ -181,7 +184,7 @@ class LightContacts:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
         decided = self._at_rest(len(before) - arrived)
-        self._pressing, self._deepest = True, 0.0
+        self._pressing, self._deepest = True, None
         for one in self._waiting:
             self._press(one, self._place)
         decided += [one.prepared for one in self._waiting]
@@ -200,7 +203,7 @@ class LightContacts:
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
         decided, pressed = self._at_rest(first), last - first
-        waited, self._waiting = self._waiting, []
+        waited, self._waiting, self._deepest = self._waiting, [], None
         for one in waited[:pressed]:
             self._press(one, place)
         self._place, self._pressing = place, False
@@ -261,7 +264,9 @@ class LightContacts:
         inside = np.array(prepared.depth.shape) - 1
         row, column = np.rint(lit.view.back(np.array(place))).astype(int).clip(0, inside).tolist()
         pixel = column, row
-        self._deepest, self._pressed_s = max(self._deepest, darkness_at(lit, place)), prepared.frame.time_s
+        change, self._pressed_s = change_around(lit, place), prepared.frame.time_s
+        if change is not None:
+            self._deepest = change if self._deepest is None else np.fmin(self._deepest, change)
         prepared.contact_probability, prepared.undecided = PRESSED, False
         try:
             seen = prepared.depth, prepared.labels
@@ -273,9 +278,11 @@ class LightContacts:
 
     def _go_on(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""
-        darkness = darkness_at(lit, place)
-        away = lit.away[FINE * place[0], FINE * place[1]]
-        if self._pressing and away <= REACH and not darkness < LEFT * self._deepest:
+        change = change_around(lit, place)
+        darkness, away = darkness_of(change), lit.away[FINE * place[0], FINE * place[1]]
+        # What the instrument hides now doesn't count: its mask changes while it stands.
+        seen = None if change is None or self._deepest is None else np.where(np.isfinite(change), self._deepest, np.nan)
+        if self._pressing and away <= REACH and not darkness < LEFT * darkness_of(seen):
             self._press(lit, place)
             return
         self._pressing = False

@@ -99,13 +99,17 @@ def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
 
 
-def darkness_at(lit: LitFrame, place: tuple[int, int]) -> float:
-    """How much darker the tissue around a dent's place [grid pixels] is than at rest; NaN where that isn't known."""
+def change_around(lit: LitFrame, place: tuple[int, int]) -> np.ndarray | None:
+    """The change of the light around a dent's place [grid pixels], [h, w]; None where it isn't known."""
     if lit.change is None:
-        return math.nan
+        return None
     (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
-    around = lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
-    return -float(np.nanmin(around)) if np.isfinite(around).any() else math.nan
+    return lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+
+
+def darkness_of(change: np.ndarray | None) -> float:
+    """How much darker than at rest the darkest place of a change of the light is; NaN where none is known."""
+    return math.nan if change is None or not np.isfinite(change).any() else -float(np.nanmin(change))
 
 
 def is_at(lit: LitFrame, place: tuple[int, int]) -> bool:

@@ -176,3 +176,15 @@ def test_tissue_that_is_pulled_along_brightens_as_well_and_is_no_press():
         rows = np.s_[4 * 33 : 4 * 40, 4 * 34 : 4 * 46]
         frame.frame.picture[rows] = np.roll(frame.frame.picture, (0, 4 * index), axis=(0, 1))[rows]
     assert not pressed_in(frames)
+
+
+def test_a_press_goes_on_while_its_instrument_hides_all_but_the_dent_s_rim():
+    """As its mask may, of frames in which it stands."""
+    darkness = [0.0] * 8 + [0.4, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6]
+    frames = [prepared(index, dark, tool=index >= 4) for index, dark in enumerate(darkness)]
+    rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5
+    for frame in frames[11:13]:
+        frame.picture_labels[np.hypot(rows - DENT[0], columns - DENT[1]) < 3.4] = TOOL
+    found = pressed_in(frames)
+    assert found[-1] == 14
+    assert found == list(range(found[0], 15))

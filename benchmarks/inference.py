@@ -6,6 +6,7 @@ The networks are exported with random weights, which cost what trained ones do. 
 encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The clip is synthetic, as frames
 with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks). A contact is
 one call of the network that ships, with what it is given and how well the simulator explains the motion, on one thread.
+Last come plain videos of ten seconds with one press, from their first frame to finished results with the overlay.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -13,6 +14,7 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import dataclasses
 import itertools
 import json
 from contextlib import redirect_stderr, redirect_stdout
@@ -28,12 +30,13 @@ from palpate.benchmarks.shared import command_line, machine, print_table, timed
 from palpate.command.infer import main as infer
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic.__main__ import main as make_clips
-from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.evaluation.plain_video import HEIGHTS, PlainVideo
 from palpate.evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.generator import Generator
@@ -49,6 +52,7 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
 """What differs from the generator's defaults."""
+VIDEO_FRAMES, VIDEO_SEED = 250, 55
 ESTIMATORS = ("network", "direct")
 CONTACTS = 9
 """Contacts that are timed, a third of them in each regime."""
@@ -99,8 +103,8 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
 
 
-def stages(clip: Path, output: Path, estimator: str) -> dict[str, float]:
-    """Time by stage of `infer.py` on a clip, whose results go to `output` [ms a frame].
+def stages(clip: Path, output: Path, estimator: str, frames: int = FRAMES) -> dict[str, float]:
+    """Time by stage of `infer.py` on a clip, whose results go to `output` [ms a frame]; stages overlap.
 
     Raises:
         RuntimeError: it failed.
@@ -110,7 +114,15 @@ def stages(clip: Path, output: Path, estimator: str) -> dict[str, float]:
     if status != 0:
         raise RuntimeError(f"infer.py ended with status {status} on {clip}.")
     record = json.loads(next(output.rglob("run.json")).read_text(encoding="utf-8"))
-    return {stage: 1e3 * seconds / FRAMES for stage, seconds in record["timings_s"].items()}
+    return {stage: 1e3 * seconds / frames for stage, seconds in record["timings_s"].items()}
+
+
+def plain_video(width: int, folder: Path) -> dict[str, float]:
+    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px]; video and results go to the folder."""
+    drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
+    settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
+    video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
+    return stages(video, folder / f"results{width}", "network", VIDEO_FRAMES)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -145,6 +157,11 @@ def _measure(folder: Path) -> None:
         ("source", "estimator", *names),
         ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items()),
     )
+    print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine()})\n")
+    columns = ("pictures", "frames a second", "the same without the press's fit")
+    whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
+    rates = ((size, 1e3 / times["total"], 1e3 / (times["total"] - times.get("fit", 0.0))) for size, times in whole)
+    print_table(columns, ((size, *(f"{rate:.1f}" for rate in both)) for size, *both in rates))
 
 
 if __name__ == "__main__":

@@ -181,6 +181,11 @@ class PhysicsInformedGAN(LightningModule):
 
     def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, tuple[Tensor, Tensor] | None, Tensor]:
         """The five terms, both fakes [B, 1, H, W] (none without term gan) and θ_AB [B, 3] of a batch."""
+    def on_train_start(self) -> None:
+        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
+        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
+            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
+                group.update(lr=wanted["lr"], betas=wanted["betas"])
         weights = self.weights
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)

@@ -5,7 +5,8 @@ Sensor noise on the windows that the networks see is optional, and off by defaul
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from itertools import zip_longest
+from typing import Any, Literal, TypeVar
 
 import torch
 from kornia.augmentation import RandomGaussianNoise
@@ -35,6 +36,10 @@ from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 
+
+TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
+"""Of `models.records.pair_records`, those whose means are logged."""
+Own = TypeVar("Own")
 
 @dataclass(frozen=True)
 class AugmentationSettings:
@@ -158,6 +163,7 @@ class PhysicsInformedGAN(LightningModule):
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
+        self._validated: list[Tensor] = []
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
@@ -175,17 +181,17 @@ class PhysicsInformedGAN(LightningModule):
             generators = [
                 {"params": [parameter for parameter in generators if id(parameter) not in known]},
                 {"params": heads, "lr": self.pretrained_rate * self.learning_rate},
+    def on_train_start(self) -> None:
+        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
+        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
+            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
+                group.update(lr=wanted["lr"], betas=wanted["betas"])
             ]
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
     def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, tuple[Tensor, Tensor] | None, Tensor]:
         """The five terms, both fakes [B, 1, H, W] (none without term gan) and θ_AB [B, 3] of a batch."""
-    def on_train_start(self) -> None:
-        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
-        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
-            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
-                group.update(lr=wanted["lr"], betas=wanted["betas"])
         weights = self.weights
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
@@ -249,7 +255,7 @@ class PhysicsInformedGAN(LightningModule):
         ba = self.generator_ba.answer(self.generator_ba.encode(batch["window_b"]), batch.get("contact_features_b"))
         pairs = len(ab.theta)
         physics = self._physics(ab, ba, batch)
-        self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
+        self._validated += [physics] * pairs
         self._theta["val"].append(ab.theta)
         if batch_index == 0:
             start = shifted(batch["window_a"][:, -1:], self._change(ab.theta, batch, "a"))
@@ -257,12 +263,8 @@ class PhysicsInformedGAN(LightningModule):
             self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
-        """Collect `test_records` and log the mean errors."""
-        records = pair_records(batch, self.generator_ab, self.mechanics)
-        self.test_records += records
-        for name in ("error_predicted", "error_reference", "next_depth_error", "copy_error"):
-            mean = sum(record[name] for record in records) / len(records)
-            self.log(f"test/{name}", mean, on_epoch=True, batch_size=len(records), sync_dist=True)
+        """Collect `test_records`."""
+        self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
@@ -277,7 +279,7 @@ class PhysicsInformedGAN(LightningModule):
         """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
         if not self._theta[stage]:
             return
-        theta = torch.cat(self._theta[stage])
+        theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
         self._theta[stage].clear()
         for name, values in zip(PARAMETERS, theta.T, strict=True):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
@@ -293,11 +295,24 @@ class PhysicsInformedGAN(LightningModule):
     def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
 
+        """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
         The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
+        if self._validated:
+            physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
+            self._validated.clear()
+            self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
         head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
         the mean: nothing better is known then, and how often such verdicts are right was not measured.
         """
         mesh = batch[f"mesh_{side}"]
+    def on_test_epoch_end(self) -> None:
+        """Join the records of all processes, in one process's order, and log their mean errors."""
+        turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
+        self.test_records = [record for turn in turns for record in turn if record is not None]
+        for name in TEST_ERRORS:
+            mean = sum(record[name] for record in self.test_records) / len(self.test_records)
+            self.log(f"test/{name}", mean, sync_dist=True)
+
         if output.mean is None or output.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(output.theta, mesh, load, observation, self.mechanics)
@@ -308,6 +323,13 @@ class PhysicsInformedGAN(LightningModule):
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
+    def _of_all(self, own: Own) -> list[Own]:
+        """An object of every process, in the order of their ranks."""
+        parts = [own] * self.trainer.world_size
+        if len(parts) > 1:
+            torch.distributed.all_gather_object(parts, own)
+        return parts
+
         error = bound_loss(expected, information.cpu().numpy())
         return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 
@@ -329,9 +351,12 @@ class PhysicsInformedGAN(LightningModule):
         """One step down the loss.
 
         Raises:
-            TrainingDiverged: the loss is not finite.
+            TrainingDiverged: the loss is not finite, here or in another process, which would wait for this one.
         """
-        if not torch.isfinite(loss):
+        finite = bool(torch.isfinite(loss))
+        if not self.trainer.strategy.reduce_boolean_decision(finite):
+            if finite:
+                raise TrainingDiverged("the loss of another process is not finite; it says where, and what to do.")
             frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
             raise TrainingDiverged(
                 f"the loss is {float(loss.detach())} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "

@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import re
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -439,20 +442,107 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
 
 
 @pytest.mark.slow
-def test_two_cpu_processes_train_together(config: Path, trained: Path, tmp_path: Path):
-    more = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        command("fit", "-c", config, *more), capture_output=True, text=True, env=environment, timeout=240, check=False
+def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
+    """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
+    same = "--model.augmentation.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
+    same += " --data.samples.onset_within 7 --trainer.deterministic true"
+    arguments = ["-c", str(config), *same.split()]
+    one, two = tmp_path / "one", tmp_path / "two"
+    together(command("fit", *arguments, "--trainer.default_root_dir", one))
+    apart = ("--data.loading.batch_size", 1, "--trainer.num_nodes", 2, "--trainer.default_root_dir", two)
+    together(*[command("fit", *arguments, *apart)] * 2)
+    expected, found = last(one), last(two)
+    assert found["global_step"] == expected["global_step"] == 3 * 14 / 2
+    for name, weights in expected["state_dict"].items():
+        if name.startswith("discriminator") and name.endswith("weight"):  # instance norm hides biases from the loss
+            assert (found["state_dict"][name] - weights).abs().mean() < 4e-5  # 7 steps of at most 2e-4
+    logged = [read_rows(folder / "logs" / "version_0" / "metrics.csv") for folder in (one, two)]
+    for ours, theirs in zip(*logged, strict=True):
+        for name, value in theirs.items():
+            assert not value or float(ours[name]) == pytest.approx(float(value), rel=0.05), name
+    tested = []
+    for folder, devices in ((one, 1), (two, 2)):
+        given = ("--ckpt_path", one / "checkpoints" / "last.ckpt", "--trainer.devices", devices)
+        [said] = together(command("test", *arguments, *given, "--trainer.default_root_dir", folder))
+        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", said)}
+        tested.append((means, read_rows(folder / "evaluation" / "per_frame.csv")))
+    (means, rows), (means_of_two, rows_of_two) = tested
+    assert len(means) == 4
+    assert means_of_two == pytest.approx(means, rel=1e-5)
+    assert [row["frame"] for row in rows_of_two] == [row["frame"] for row in rows]
+    assert len(rows) == 7
+    for name in ("error_predicted", "next_depth_error"):
+        values, values_of_two = ([float(row[name]) for row in each] for each in (rows, rows_of_two))
+        assert values_of_two == pytest.approx(values, rel=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rank", [0, 1])
+def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_path: Path, rank: int):
+    program = tmp_path / "diverging.py"
+    program.write_text(
+        "from palpate.common.doors import enter_door, run_door\nfrom palpate.command import train\n"
+        "from palpate.models.losses import LossTerms\n"
+        "from lightning.pytorch.utilities import rank_zero_only\ntotal = LossTerms.total\n"
+        f"LossTerms.total = lambda *a: total(*a) * (float('nan') if rank_zero_only.rank == {rank} else 1.0)\n"
+        "enter_door()\nrun_door(train.main)\n"
     )
-    assert done.returncode == 0, done.stderr
-    assert "Starting with 2 processes" in done.stderr + done.stdout
-    steps = last(tmp_path / "run")["global_step"]
-    assert 2 * steps == last(trained)["global_step"]  # half of the samples each: half the steps of one process
+    arguments = ("fit", "-c", config, "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)}
+    done = subprocess.run(
+        [sys.executable, str(program), *map(str, arguments)],
+        **{"capture_output": True, "text": True, "env": environment, "timeout": 240, "check": False},
+    )
+    assert done.returncode != 0
+    said = sorted(line for line in done.stderr.splitlines() if line.startswith("train.py:"))
+    assert len(said) == 2, done.stderr
+    assert "train.py: the loss is nan in epoch 0 at video" in said[0]
+    assert said[1] == "train.py: the loss of another process is not finite; it says where, and what to do."
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("more", ["devices=2", "num_nodes=2", "strategy=ddp"])
+def test_several_processes_look_for_the_parameters_that_a_backward_pass_leaves_out(config, monkeypatch, tmp_path, more):
+    built: list[Any] = []
+    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, _: built.append(cli.trainer.strategy))
+    arguments = ["fit", "-c", str(config), f"--trainer.{more}", f"--trainer.default_root_dir={tmp_path / 'run'}"]
+    assert train.main(arguments) == 0
+    assert built[0]._ddp_kwargs == {"find_unused_parameters": True}
+
+
+def test_going_on_follows_the_configuration_s_learning_rate(config: Path, tmp_path: Path):
+    """The checkpoint's optimisers bring their own, which a user who lowers it after a divergence does not want."""
+    arguments = ["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}", "--ckpt_path", "last"]
+    few = ["--trainer.limit_train_batches=1", "--trainer.limit_val_batches=1"]
+    assert train.main([*arguments, *few]) == 0
+    changed = ["--model.learning_rate=1e-5", "--model.betas=[0.7,0.9]"]
+    assert train.main([*arguments, *few, "--trainer.max_epochs=2", *changed]) == 0
+    groups = [group for state in last(tmp_path / "run")["optimizer_states"] for group in state["param_groups"]]
+    assert [(group["lr"], *group["betas"]) for group in groups] == [(1e-5, 0.7, 0.9)] * 3
 
 
 def test_ctrl_c_ends_cleanly_and_keeps_the_last_checkpoint_and_a_user_s_picture(config: Path, tmp_path: Path, capsys):
     folder, before = tmp_path / "run", signal.getsignal(signal.SIGINT)
+def together(*commands: list[str], **environment: str) -> list[str]:
+    """Run commands at the same time, as nodes 0, 1, … of one training, and return what each said when it ended well."""
+    environment |= {"OMP_NUM_THREADS": "1", "MASTER_ADDR": "127.0.0.1"}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        environment["MASTER_PORT"] = str(free.getsockname()[1])
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    running = [
+        subprocess.Popen(each, env=os.environ | environment | {"NODE_RANK": str(node)}, **pipes)
+        for node, each in enumerate(commands)
+    ]
+    try:
+        said = [process.communicate(timeout=240)[0] for process in running]
+    finally:
+        for process in running:
+            process.kill()
+    assert [process.returncode for process in running] == [0] * len(running), said
+    return said
+
+
     picture = folder / "samples" / "next_depth_epoch_000.png"
     picture.parent.mkdir(parents=True)
     picture.write_text("precious")

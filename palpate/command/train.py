@@ -36,6 +36,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveCon
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.strategies import DDPStrategy
 
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
@@ -251,9 +252,6 @@ class TrainCLI(LightningCLI):
         count = int(devices) if devices.removeprefix("-").isdecimal() else 1
         if not 1 <= count <= allowed and str(trainer.accelerator) in ("cpu", "auto"):
             raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
-        if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
-            # Each of the three backward passes reaches a part of the parameters only.
-            trainer.strategy = "ddp_find_unused_parameters_true"
 
     def instantiate_classes(self) -> None:
         try:
@@ -279,7 +277,11 @@ class TrainCLI(LightningCLI):
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
         config.trainer.callbacks = [*callbacks, *checkpoints, *bars]
-        return super().instantiate_trainer(**kwargs)
+        trainer = super().instantiate_trainer(**kwargs)
+        if isinstance(trainer.strategy, DDPStrategy):
+            # Each of the three backward passes reaches a part of the parameters only.
+            trainer.strategy._ddp_kwargs["find_unused_parameters"] = True
+        return trainer
 
     def before_test(self) -> None:
         """Refuse before the test to replace a user's files by the evaluation's."""

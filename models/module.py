@@ -88,6 +88,8 @@ class PhysicsInformedGAN(LightningModule):
     next depth map and from the contact's observed displacement. Defaults are the paper's.
 
     Args:
+    `load_from_checkpoint(path)` gives a trained one. With a mixed precision the convolutions alone run in 16 bits.
+
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
@@ -161,9 +163,9 @@ class PhysicsInformedGAN(LightningModule):
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
+        self._validated: list[Tensor] = []
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
-        self._validated: list[Tensor] = []
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
@@ -179,13 +181,13 @@ class PhysicsInformedGAN(LightningModule):
             heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
             known = {id(parameter) for parameter in heads}
             generators = [
-                {"params": [parameter for parameter in generators if id(parameter) not in known]},
-                {"params": heads, "lr": self.pretrained_rate * self.learning_rate},
     def on_train_start(self) -> None:
         """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
         for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
             for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
                 group.update(lr=wanted["lr"], betas=wanted["betas"])
+                {"params": [parameter for parameter in generators if id(parameter) not in known]},
+                {"params": heads, "lr": self.pretrained_rate * self.learning_rate},
             ]
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
@@ -196,8 +198,8 @@ class PhysicsInformedGAN(LightningModule):
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
         features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
-        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
-        ba = self.generator_ba.answer(features_b, batch.get("contact_features_b"))
+        ab = self._answer(self.generator_ab, features_a, batch, "a")
+        ba = self._answer(self.generator_ba, features_b, batch, "b")
         gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
         fakes = None
         if weights.gan or weights.cycle:
@@ -251,8 +253,8 @@ class PhysicsInformedGAN(LightningModule):
         Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
         """
         features_a = self.generator_ab.encode(batch["window_a"])
-        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
-        ba = self.generator_ba.answer(self.generator_ba.encode(batch["window_b"]), batch.get("contact_features_b"))
+        ab = self._answer(self.generator_ab, features_a, batch, "a")
+        ba = self._answer(self.generator_ba, self.generator_ba.encode(batch["window_b"]), batch, "b")
         pairs = len(ab.theta)
         physics = self._physics(ab, ba, batch)
         self._validated += [physics] * pairs
@@ -264,7 +266,8 @@ class PhysicsInformedGAN(LightningModule):
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """Collect `test_records`."""
-        self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
+        with self._precise():
+            self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
@@ -286,25 +289,25 @@ class PhysicsInformedGAN(LightningModule):
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
 
     def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
-        return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
+        with self._precise():
+            return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
 
     def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""
-        return self._physics_of(self.generator_ab, ab, batch, "a") + self._physics_of(self.generator_ba, ba, batch, "b")
-
-    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
-        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
+        with self._precise():
+            forward = self._physics_of(self.generator_ab, ab, batch, "a")
+            return forward + self._physics_of(self.generator_ba, ba, batch, "b")
 
         """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
-        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
+    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
         if self._validated:
             physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
             self._validated.clear()
             self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
+        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
+
+        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
         head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
-        the mean: nothing better is known then, and how often such verdicts are right was not measured.
-        """
-        mesh = batch[f"mesh_{side}"]
     def on_test_epoch_end(self) -> None:
         """Join the records of all processes, in one process's order, and log their mean errors."""
         turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
@@ -313,6 +316,9 @@ class PhysicsInformedGAN(LightningModule):
             mean = sum(record[name] for record in self.test_records) / len(self.test_records)
             self.log(f"test/{name}", mean, sync_dist=True)
 
+        the mean: nothing better is known then, and how often such verdicts are right was not measured.
+        """
+        mesh = batch[f"mesh_{side}"]
         if output.mean is None or output.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return physics_loss(output.theta, mesh, load, observation, self.mechanics)
@@ -320,9 +326,6 @@ class PhysicsInformedGAN(LightningModule):
         posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
         box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
         evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
-        if self.pretrained is not None:  # pretraining learnt the bound at better known θ
-            return evidence
-        expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
     def _of_all(self, own: Own) -> list[Own]:
         """An object of every process, in the order of their ranks."""
         parts = [own] * self.trainer.world_size
@@ -330,6 +333,17 @@ class PhysicsInformedGAN(LightningModule):
             torch.distributed.all_gather_object(parts, own)
         return parts
 
+    def _precise(self) -> torch.autocast:
+        """A context without a mixed precision's 16 bits: they overflow in a rollout, and shift φ visibly."""
+        return torch.autocast(self.device.type, enabled=False)
+
+    def _answer(self, generator: Generator, features: Tensor, batch: dict[str, Any], side: str) -> HeadOutput:
+        with self._precise():
+            return generator.answer(features.to(self.dtype), batch.get(f"contact_features_{side}"))
+
+        if self.pretrained is not None:  # pretraining learnt the bound at better known θ
+            return evidence
+        expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
         error = bound_loss(expected, information.cpu().numpy())
         return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 

@@ -394,3 +394,31 @@ def test_every_parameter_of_the_generators_is_trained_once(tmp_path):
     found = [id(parameter) for group in groups for parameter in group["params"]]
     networks = (module.generator_ab, module.generator_ba)
     assert sorted(found) == sorted(id(parameter) for network in networks for parameter in network.parameters())
+@pytest.mark.parametrize("settings", [{"decoder": "physics"}, POSTERIOR], ids=["parameters", "posterior"])
+@pytest.mark.parametrize("narrow", [torch.bfloat16, torch.float16])
+def test_a_mixed_precision_changes_neither_heads_nor_rollouts(make_told_batch, settings, narrow):
+    """For the same features θ and the physics are the same to the last digit."""
+    batch, module = make_told_batch(), build(**settings)
+    features = {window: module.generator_ab.encode(batch[window]).detach() for window in ("window_a", "window_b")}
+    for generator in (module.generator_ab, module.generator_ba):
+        generator.encode = lambda window: features["window_a" if torch.equal(window, batch["window_a"]) else "window_b"]
+    expected, _, theta = module.generator_losses(batch)
+    with torch.autocast("cpu", dtype=narrow, cache_enabled=False):
+        found, _, other = module.generator_losses(batch)
+        found.total(module.weights).backward()
+    assert torch.equal(other, theta)
+    assert torch.equal(found.physics, expected.physics)
+    assert found.cycle.item() == pytest.approx(expected.cycle.item(), rel=0.05)
+    assert all(p.grad is None or p.grad.isfinite().all() for p in module.parameters())
+
+
+def test_mixed_precision_trains(make_told_batch):
+    module = build(**POSTERIOR)
+    trainer = Trainer(max_epochs=2, enable_model_summary=False, precision="bf16-mixed", **QUIET)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        trainer.fit(module, DataLoader([make_told_batch()], batch_size=None))
+    assert torch.isfinite(trainer.callback_metrics["train/physics"])
+    assert {parameter.dtype for parameter in module.parameters()} == {torch.float32}
+
+

@@ -3,9 +3,10 @@
 Sensor noise on the windows that the networks see is optional, and off by default.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from itertools import zip_longest
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -36,10 +37,10 @@ from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 
-
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
 Own = TypeVar("Own")
+
 
 @dataclass(frozen=True)
 class AugmentationSettings:
@@ -87,9 +88,9 @@ class PhysicsInformedGAN(LightningModule):
     G_AB predicts forward in time (A = frame t, B = frame t+1), G_BA backward. No label enters: θ is learnt from the
     next depth map and from the contact's observed displacement. Defaults are the paper's.
 
-    Args:
     `load_from_checkpoint(path)` gives a trained one. With a mixed precision the convolutions alone run in 16 bits.
 
+    Args:
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
@@ -132,6 +133,8 @@ class PhysicsInformedGAN(LightningModule):
         if not (learning_rate > 0 and all(0 <= beta < 1 for beta in betas)):
             raise ValueError(
                 f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
+        bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
+        weights, augmentation = _settings(LossWeights, weights), _settings(AugmentationSettings, augmentation)
             )
         if pretrained is not None and head != "posterior":
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
@@ -160,10 +163,10 @@ class PhysicsInformedGAN(LightningModule):
 
     def on_fit_start(self) -> None:
         """Load the pretrained head, unless training resumes from a checkpoint.
+        self._validated: list[Tensor] = []
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
-        self._validated: list[Tensor] = []
         """
         if self.pretrained is not None and self.trainer.ckpt_path is None:
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
@@ -178,14 +181,14 @@ class PhysicsInformedGAN(LightningModule):
         """
         generators: list[Any] = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
         if self.pretrained is not None:
-            heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
-            known = {id(parameter) for parameter in heads}
-            generators = [
     def on_train_start(self) -> None:
         """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
         for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
             for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
                 group.update(lr=wanted["lr"], betas=wanted["betas"])
+            heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
+            known = {id(parameter) for parameter in heads}
+            generators = [
                 {"params": [parameter for parameter in generators if id(parameter) not in known]},
                 {"params": heads, "lr": self.pretrained_rate * self.learning_rate},
             ]
@@ -269,6 +272,16 @@ class PhysicsInformedGAN(LightningModule):
         with self._precise():
             self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
+    def predict_step(self, batch: dict[str, Any], batch_index: int) -> dict[str, Any]:
+        """What is estimated from the frames of a batch.
+
+        Returns:
+            `clip` (names), `frame` [B] (indices of t), and the fields of `HeadOutput`: `theta` [B, 3] (physical units),
+            with head posterior also `mean` [B, 3] and `factor` [B, 3, 3] of φ, else None.
+        """
+        answer = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
+        return {"clip": batch["clip"], "frame": batch["frame"], **answer._asdict()}
+
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
 
@@ -282,11 +295,24 @@ class PhysicsInformedGAN(LightningModule):
         """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
         if not self._theta[stage]:
             return
+        """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
         theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
+        if self._validated:
+            physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
+            self._validated.clear()
+            self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
         self._theta[stage].clear()
         for name, values in zip(PARAMETERS, theta.T, strict=True):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
+    def on_test_epoch_end(self) -> None:
+        """Join the records of all processes, in one process's order, and log their mean errors."""
+        turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
+        self.test_records = [record for turn in turns for record in turn if record is not None]
+        for name in TEST_ERRORS:
+            mean = sum(record[name] for record in self.test_records) / len(self.test_records)
+            self.log(f"test/{name}", mean, sync_dist=True)
+
 
     def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
         with self._precise():
@@ -298,34 +324,8 @@ class PhysicsInformedGAN(LightningModule):
             forward = self._physics_of(self.generator_ab, ab, batch, "a")
             return forward + self._physics_of(self.generator_ba, ba, batch, "b")
 
-        """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
     def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
-        if self._validated:
-            physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
-            self._validated.clear()
-            self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
-
-        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
-        head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
-    def on_test_epoch_end(self) -> None:
-        """Join the records of all processes, in one process's order, and log their mean errors."""
-        turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
-        self.test_records = [record for turn in turns for record in turn if record is not None]
-        for name in TEST_ERRORS:
-            mean = sum(record[name] for record in self.test_records) / len(self.test_records)
-            self.log(f"test/{name}", mean, sync_dist=True)
-
-        the mean: nothing better is known then, and how often such verdicts are right was not measured.
-        """
-        mesh = batch[f"mesh_{side}"]
-        if output.mean is None or output.factor is None:
-            load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return physics_loss(output.theta, mesh, load, observation, self.mechanics)
-        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
-        box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
-        evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
     def _of_all(self, own: Own) -> list[Own]:
         """An object of every process, in the order of their ranks."""
         parts = [own] * self.trainer.world_size
@@ -341,6 +341,19 @@ class PhysicsInformedGAN(LightningModule):
         with self._precise():
             return generator.answer(features.to(self.dtype), batch.get(f"contact_features_{side}"))
 
+
+        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
+        head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
+        the mean: nothing better is known then, and how often such verdicts are right was not measured.
+        """
+        mesh = batch[f"mesh_{side}"]
+        if output.mean is None or output.factor is None:
+            load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
+            return physics_loss(output.theta, mesh, load, observation, self.mechanics)
+        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
+        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
+        box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
+        evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
@@ -379,3 +392,8 @@ class PhysicsInformedGAN(LightningModule):
         optimizer.zero_grad()
         self.manual_backward(loss)
         optimizer.step()
+
+
+def _settings(kind: type[Own], given: Own | Mapping[str, Any]) -> Own:
+    """Settings as they are, or made of the plain values that a checkpoint holds."""
+    return kind(**given) if isinstance(given, Mapping) else given

@@ -186,6 +186,15 @@ def test_one_record_a_test_pair(make_batch):
 
 
 POSTERIOR = {
+def test_predict_gives_what_is_estimated_from_every_frame(make_batch):
+    module, batch = build(), make_batch()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        [found] = Trainer(**QUIET).predict(module, DataLoader([batch], batch_size=None))
+    assert (found["clip"], found["frame"].tolist(), found["mean"]) == (["one", "two"], [3, 7], None)
+    torch.testing.assert_close(found["theta"], module.generator_ab.estimate(batch["window_a"]))
+
+
     "head": "posterior",
     "contact_features": 6,
     "bounds": Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1)),
@@ -394,6 +403,20 @@ def test_every_parameter_of_the_generators_is_trained_once(tmp_path):
     found = [id(parameter) for group in groups for parameter in group["params"]]
     networks = (module.generator_ab, module.generator_ba)
     assert sorted(found) == sorted(id(parameter) for network in networks for parameter in network.parameters())
+
+
+@pytest.mark.parametrize("settings", [{"weights": LossWeights(physics=3.0)}, POSTERIOR], ids=["mean", "posterior"])
+def test_load_from_checkpoint_gives_the_trained_module(make_told_batch, tmp_path, settings):
+    trained, batch = build(**settings), make_told_batch()
+    fit(trained, [batch]).save_checkpoint(tmp_path / "some.ckpt")
+    loaded = PhysicsInformedGAN.load_from_checkpoint(tmp_path / "some.ckpt", weights_only=True)
+    assert (loaded.weights, loaded.bounds, loaded.mechanics) == (trained.weights, trained.bounds, trained.mechanics)
+    with torch.no_grad():
+        expected, found = (module.eval().generator_losses(batch)[0] for module in (trained, loaded))
+    for name in ("gan", "physics"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+
+
 @pytest.mark.parametrize("settings", [{"decoder": "physics"}, POSTERIOR], ids=["parameters", "posterior"])
 @pytest.mark.parametrize("narrow", [torch.bfloat16, torch.float16])
 def test_a_mixed_precision_changes_neither_heads_nor_rollouts(make_told_batch, settings, narrow):

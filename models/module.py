@@ -109,6 +109,8 @@ class PhysicsInformedGAN(LightningModule):
         augmentation: noise on the input windows in training.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
+        compile: whether torch.compile translates encoders, decoders and discriminators when fit starts, which takes
+            minutes and a C++ compiler.
     """
 
     def __init__(
@@ -128,13 +130,14 @@ class PhysicsInformedGAN(LightningModule):
         augmentation: AugmentationSettings = AugmentationSettings(),
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
+        compile: bool = False,
     ) -> None:
         super().__init__()
+        bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
+        weights, augmentation = _settings(LossWeights, weights), _settings(AugmentationSettings, augmentation)
         if not (learning_rate > 0 and all(0 <= beta < 1 for beta in betas)):
             raise ValueError(
                 f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
-        bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
-        weights, augmentation = _settings(LossWeights, weights), _settings(AugmentationSettings, augmentation)
             )
         if pretrained is not None and head != "posterior":
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
@@ -150,7 +153,7 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
+        self.pretrained, self.pretrained_rate, self.compiles = pretrained, pretrained_rate, compile
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
@@ -160,10 +163,10 @@ class PhysicsInformedGAN(LightningModule):
         self.test_records: list[dict[str, Any]] = []
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
+        self._validated: list[Tensor] = []
 
     def on_fit_start(self) -> None:
-        """Load the pretrained head, unless training resumes from a checkpoint.
-        self._validated: list[Tensor] = []
+        """Load the pretrained head, unless training resumes from a checkpoint, and compile the networks if asked to.
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
@@ -172,6 +175,17 @@ class PhysicsInformedGAN(LightningModule):
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
+        if self.compiles:
+            generators = self.generator_ab, self.generator_ba
+            parts = [part for generator in generators for part in (generator.encoder, generator.decoder)]
+            for part in (*parts, self.discriminator_a, self.discriminator_b):
+                part.compile()
+
+    def on_train_start(self) -> None:
+        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
+        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
+            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
+                group.update(lr=wanted["lr"], betas=wanted["betas"])
 
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
@@ -181,11 +195,6 @@ class PhysicsInformedGAN(LightningModule):
         """
         generators: list[Any] = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
         if self.pretrained is not None:
-    def on_train_start(self) -> None:
-        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
-        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
-            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
-                group.update(lr=wanted["lr"], betas=wanted["betas"])
             heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
             known = {id(parameter) for parameter in heads}
             generators = [
@@ -286,25 +295,16 @@ class PhysicsInformedGAN(LightningModule):
         self._log_theta("train")
 
     def on_validation_epoch_end(self) -> None:
-        self._log_theta("val")
-
-    def on_test_epoch_start(self) -> None:
-        self.test_records.clear()
-
-    def _log_theta(self, stage: str) -> None:
-        """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
-        if not self._theta[stage]:
-            return
         """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
-        theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
+        self._log_theta("val")
         if self._validated:
             physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
             self._validated.clear()
             self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
-        self._theta[stage].clear()
-        for name, values in zip(PARAMETERS, theta.T, strict=True):
-            self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
-            self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
+
+    def on_test_epoch_start(self) -> None:
+        self.test_records.clear()
+
     def on_test_epoch_end(self) -> None:
         """Join the records of all processes, in one process's order, and log their mean errors."""
         turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
@@ -313,19 +313,16 @@ class PhysicsInformedGAN(LightningModule):
             mean = sum(record[name] for record in self.test_records) / len(self.test_records)
             self.log(f"test/{name}", mean, sync_dist=True)
 
+    def _log_theta(self, stage: str) -> None:
+        """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
+        if not self._theta[stage]:
+            return
+        theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
+        self._theta[stage].clear()
+        for name, values in zip(PARAMETERS, theta.T, strict=True):
+            self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
+            self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
 
-    def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
-        with self._precise():
-            return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
-
-    def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
-        """L_physics in both directions of time (Bini 2026, figure 2)."""
-        with self._precise():
-            forward = self._physics_of(self.generator_ab, ab, batch, "a")
-            return forward + self._physics_of(self.generator_ba, ba, batch, "b")
-
-    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
-        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
     def _of_all(self, own: Own) -> list[Own]:
         """An object of every process, in the order of their ranks."""
         parts = [own] * self.trainer.world_size
@@ -341,6 +338,18 @@ class PhysicsInformedGAN(LightningModule):
         with self._precise():
             return generator.answer(features.to(self.dtype), batch.get(f"contact_features_{side}"))
 
+    def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
+        with self._precise():
+            return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
+
+    def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
+        """L_physics in both directions of time (Bini 2026, figure 2)."""
+        with self._precise():
+            forward = self._physics_of(self.generator_ab, ab, batch, "a")
+            return forward + self._physics_of(self.generator_ba, ba, batch, "b")
+
+    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
+        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
 
         The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
         head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at

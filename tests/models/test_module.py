@@ -1,5 +1,6 @@
 """The training step: who moves whom, and by which pathway gradients arrive (Bini 2026, section 3.4)."""
 
+import functools
 import warnings
 
 import numpy as np
@@ -185,7 +186,6 @@ def test_one_record_a_test_pair(make_batch):
     assert [(record["clip"], record["frame"]) for record in module.test_records] == [("one", 3), ("two", 7)] * 2
 
 
-POSTERIOR = {
 def test_predict_gives_what_is_estimated_from_every_frame(make_batch):
     module, batch = build(), make_batch()
     with warnings.catch_warnings():
@@ -195,6 +195,7 @@ def test_predict_gives_what_is_estimated_from_every_frame(make_batch):
     torch.testing.assert_close(found["theta"], module.generator_ab.estimate(batch["window_a"]))
 
 
+POSTERIOR = {
     "head": "posterior",
     "contact_features": 6,
     "bounds": Bounds(stiffness=(0.05, 1.0), damping=(0.005, 0.5), force=(-0.3, -0.01), initial=(0.4, 0.08, -0.1)),
@@ -445,3 +446,14 @@ def test_mixed_precision_trains(make_told_batch):
     assert {parameter.dtype for parameter in module.parameters()} == {torch.float32}
 
 
+def test_compile_translates_the_networks_and_changes_no_loss(make_batch, monkeypatch):
+    compiled, batch = [], make_batch()
+
+    def backend(graph, _):
+        compiled.append(graph)
+        return graph.forward
+
+    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend=backend))
+    metrics = [fit(build(compile=on), [batch]).callback_metrics for on in (False, True)]
+    assert len(compiled) >= 6  # two encoders, two decoders, two discriminators
+    assert metrics[1]["train/gan"].item() == pytest.approx(metrics[0]["train/gan"].item(), rel=1e-5)

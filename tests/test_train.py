@@ -296,6 +296,12 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
         ("seed_everything", "9" * 400, "seed_everything is a number beyond ±1e+15; give 0 to 4294967295"),
         ("trainer.devices", 0, "trainer.devices is 0; give 1 to at most"),
+        ("trainer.devices", -1, "trainer.devices is -1; give 1 to at most"),
+        ("trainer.precision", "bf16-true", "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16"),
+        ("trainer.gradient_clip_val", 1, "is 1.0, and three optimisers step by hand; lower model.learning_rate"),
+        ("trainer.accumulate_grad_batches", 2, "three optimisers step by hand; raise data.loading.batch_size instead"),
+        ("trainer.strategy", "ddp_spawn", "strategy is 'ddp_spawn', and three optimisers step in turn, and files"),
+        ("lr_scheduler", "StepLR", "the rate is constant; to lower it, add --ckpt_path last and a lower --model.learn"),
         ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
         ("data.root", "", "data.root is empty; name the folder"),
         ("trainer.default_root_dir", "", "default_root_dir is empty"),
@@ -303,6 +309,15 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
 )
 def test_a_value_without_room_or_sense_gets_a_sentence(config, capsys, option, value, expected):
     assert expected in refused(capsys, "fit", "-c", config, f"--{option}={value}")
+
+
+def test_what_else_lightning_has_and_this_program_not_says_what_to_do_instead(config: Path, tmp_path: Path, capsys):
+    on_gpu = ("--trainer.accelerator", "gpu", "--trainer.deterministic", "true")
+    assert "has no deterministic gradient on a GPU; give warn" in refused(capsys, "fit", "-c", config, *on_gpu)
+    assert "test writes what is estimated from every test frame; for" in refused(capsys, "predict", "-c", config)
+    path = tmp_path / "scheduled.yaml"
+    path.write_text("optimizer: Adam")
+    assert "is not accepted; it is Adam; give --model.learning_rate" in refused(capsys, "fit", "-c", config, "-c", path)
 
 
 def cut_database(path: Path) -> None:
@@ -441,6 +456,26 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
             torch.testing.assert_close(ours["state"][key]["exp_avg"], state["exp_avg"], rtol=1e-4, atol=1e-6)
 
 
+def together(*commands: list[str], **environment: str) -> list[str]:
+    """Run commands at the same time, as nodes 0, 1, … of one training, and return what each said when it ended well."""
+    environment |= {"OMP_NUM_THREADS": "1", "MASTER_ADDR": "127.0.0.1"}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        environment["MASTER_PORT"] = str(free.getsockname()[1])
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    running = [
+        subprocess.Popen(each, env=os.environ | environment | {"NODE_RANK": str(node)}, **pipes)
+        for node, each in enumerate(commands)
+    ]
+    try:
+        said = [process.communicate(timeout=240)[0] for process in running]
+    finally:
+        for process in running:
+            process.kill()
+    assert [process.returncode for process in running] == [0] * len(running), said
+    return said
+
+
 @pytest.mark.slow
 def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
@@ -523,26 +558,6 @@ def test_going_on_follows_the_configuration_s_learning_rate(config: Path, tmp_pa
 
 def test_ctrl_c_ends_cleanly_and_keeps_the_last_checkpoint_and_a_user_s_picture(config: Path, tmp_path: Path, capsys):
     folder, before = tmp_path / "run", signal.getsignal(signal.SIGINT)
-def together(*commands: list[str], **environment: str) -> list[str]:
-    """Run commands at the same time, as nodes 0, 1, … of one training, and return what each said when it ended well."""
-    environment |= {"OMP_NUM_THREADS": "1", "MASTER_ADDR": "127.0.0.1"}
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        environment["MASTER_PORT"] = str(free.getsockname()[1])
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    running = [
-        subprocess.Popen(each, env=os.environ | environment | {"NODE_RANK": str(node)}, **pipes)
-        for node, each in enumerate(commands)
-    ]
-    try:
-        said = [process.communicate(timeout=240)[0] for process in running]
-    finally:
-        for process in running:
-            process.kill()
-    assert [process.returncode for process in running] == [0] * len(running), said
-    return said
-
-
     picture = folder / "samples" / "next_depth_epoch_000.png"
     picture.parent.mkdir(parents=True)
     picture.write_text("precious")

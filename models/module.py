@@ -3,9 +3,11 @@
 Sensor noise on the windows that the networks see is optional, and off by default.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from kornia.augmentation import RandomGaussianNoise
@@ -34,6 +36,10 @@ from palpate.models.losses import (
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
+
+TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
+"""Of `models.records.pair_records`, those whose means are logged."""
+Own = TypeVar("Own")
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,8 @@ class PhysicsInformedGAN(LightningModule):
     G_AB predicts forward in time (A = frame t, B = frame t+1), G_BA backward. No label enters: θ is learnt from the
     next depth map and from the contact's observed displacement. Defaults are the paper's.
 
+    `load_from_checkpoint(path)` gives a trained one. With a mixed precision the convolutions alone run in 16 bits.
+
     Args:
         window: frames in the input window, K.
         width: channels of the networks' first layer.
@@ -101,6 +109,8 @@ class PhysicsInformedGAN(LightningModule):
         augmentation: noise on the input windows in training.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
+        compile: whether torch.compile translates encoders, decoders and discriminators when fit starts, which takes
+            minutes and a C++ compiler.
     """
 
     def __init__(
@@ -120,8 +130,11 @@ class PhysicsInformedGAN(LightningModule):
         augmentation: AugmentationSettings = AugmentationSettings(),
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
+        compile: bool = False,
     ) -> None:
         super().__init__()
+        bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
+        weights, augmentation = _settings(LossWeights, weights), _settings(AugmentationSettings, augmentation)
         if not (learning_rate > 0 and all(0 <= beta < 1 for beta in betas)):
             raise ValueError(
                 f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
@@ -140,7 +153,7 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
+        self.pretrained, self.pretrained_rate, self.compiles = pretrained, pretrained_rate, compile
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
@@ -150,9 +163,10 @@ class PhysicsInformedGAN(LightningModule):
         self.test_records: list[dict[str, Any]] = []
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
+        self._validated: list[Tensor] = []
 
     def on_fit_start(self) -> None:
-        """Load the pretrained head, unless training resumes from a checkpoint.
+        """Load the pretrained head, unless training resumes from a checkpoint, and compile the networks if asked to.
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
@@ -161,6 +175,17 @@ class PhysicsInformedGAN(LightningModule):
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
+        if self.compiles:
+            generators = self.generator_ab, self.generator_ba
+            parts = [part for generator in generators for part in (generator.encoder, generator.decoder)]
+            for part in (*parts, self.discriminator_a, self.discriminator_b):
+                part.compile()
+
+    def on_train_start(self) -> None:
+        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
+        for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
+            for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
+                group.update(lr=wanted["lr"], betas=wanted["betas"])
 
     def configure_optimizers(self) -> list[torch.optim.Optimizer]:
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
@@ -185,8 +210,8 @@ class PhysicsInformedGAN(LightningModule):
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
         features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
-        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
-        ba = self.generator_ba.answer(features_b, batch.get("contact_features_b"))
+        ab = self._answer(self.generator_ab, features_a, batch, "a")
+        ba = self._answer(self.generator_ba, features_b, batch, "b")
         gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
         fakes = None
         if weights.gan or weights.cycle:
@@ -240,11 +265,11 @@ class PhysicsInformedGAN(LightningModule):
         Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
         """
         features_a = self.generator_ab.encode(batch["window_a"])
-        ab = self.generator_ab.answer(features_a, batch.get("contact_features_a"))
-        ba = self.generator_ba.answer(self.generator_ba.encode(batch["window_b"]), batch.get("contact_features_b"))
+        ab = self._answer(self.generator_ab, features_a, batch, "a")
+        ba = self._answer(self.generator_ba, self.generator_ba.encode(batch["window_b"]), batch, "b")
         pairs = len(ab.theta)
         physics = self._physics(ab, ba, batch)
-        self.log("val/physics", physics, prog_bar=True, on_epoch=True, batch_size=pairs, sync_dist=True)
+        self._validated += [physics] * pairs
         self._theta["val"].append(ab.theta)
         if batch_index == 0:
             start = shifted(batch["window_a"][:, -1:], self._change(ab.theta, batch, "a"))
@@ -252,38 +277,76 @@ class PhysicsInformedGAN(LightningModule):
             self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
-        """Collect `test_records` and log the mean errors."""
-        records = pair_records(batch, self.generator_ab, self.mechanics)
-        self.test_records += records
-        for name in ("error_predicted", "error_reference", "next_depth_error", "copy_error"):
-            mean = sum(record[name] for record in records) / len(records)
-            self.log(f"test/{name}", mean, on_epoch=True, batch_size=len(records), sync_dist=True)
+        """Collect `test_records`."""
+        with self._precise():
+            self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
+
+    def predict_step(self, batch: dict[str, Any], batch_index: int) -> dict[str, Any]:
+        """What is estimated from the frames of a batch.
+
+        Returns:
+            `clip` (names), `frame` [B] (indices of t), and the fields of `HeadOutput`: `theta` [B, 3] (physical units),
+            with head posterior also `mean` [B, 3] and `factor` [B, 3, 3] of φ, else None.
+        """
+        answer = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
+        return {"clip": batch["clip"], "frame": batch["frame"], **answer._asdict()}
 
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
 
     def on_validation_epoch_end(self) -> None:
+        """Log L_physics: the mean over all pairs, of which processes may have unequal numbers."""
         self._log_theta("val")
+        if self._validated:
+            physics = torch.cat(self._of_all(torch.stack(self._validated).cpu()))
+            self._validated.clear()
+            self.log("val/physics", physics.mean(), prog_bar=True, sync_dist=True)
 
     def on_test_epoch_start(self) -> None:
         self.test_records.clear()
+
+    def on_test_epoch_end(self) -> None:
+        """Join the records of all processes, in one process's order, and log their mean errors."""
+        turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
+        self.test_records = [record for turn in turns for record in turn if record is not None]
+        for name in TEST_ERRORS:
+            mean = sum(record[name] for record in self.test_records) / len(self.test_records)
+            self.log(f"test/{name}", mean, sync_dist=True)
 
     def _log_theta(self, stage: str) -> None:
         """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
         if not self._theta[stage]:
             return
-        theta = torch.cat(self._theta[stage])
+        theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
         self._theta[stage].clear()
         for name, values in zip(PARAMETERS, theta.T, strict=True):
             self.log(f"{stage}/{name}_mean", values.mean(), sync_dist=True)
             self.log(f"{stage}/{name}_sd", values.std(correction=0), sync_dist=True)
 
+    def _of_all(self, own: Own) -> list[Own]:
+        """An object of every process, in the order of their ranks."""
+        parts = [own] * self.trainer.world_size
+        if len(parts) > 1:
+            torch.distributed.all_gather_object(parts, own)
+        return parts
+
+    def _precise(self) -> torch.autocast:
+        """A context without a mixed precision's 16 bits: they overflow in a rollout, and shift φ visibly."""
+        return torch.autocast(self.device.type, enabled=False)
+
+    def _answer(self, generator: Generator, features: Tensor, batch: dict[str, Any], side: str) -> HeadOutput:
+        with self._precise():
+            return generator.answer(features.to(self.dtype), batch.get(f"contact_features_{side}"))
+
     def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
-        return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
+        with self._precise():
+            return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
 
     def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
         """L_physics in both directions of time (Bini 2026, figure 2)."""
-        return self._physics_of(self.generator_ab, ab, batch, "a") + self._physics_of(self.generator_ba, ba, batch, "b")
+        with self._precise():
+            forward = self._physics_of(self.generator_ab, ab, batch, "a")
+            return forward + self._physics_of(self.generator_ba, ba, batch, "b")
 
     def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
         """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
@@ -324,9 +387,12 @@ class PhysicsInformedGAN(LightningModule):
         """One step down the loss.
 
         Raises:
-            TrainingDiverged: the loss is not finite.
+            TrainingDiverged: the loss is not finite, here or in another process, which would wait for this one.
         """
-        if not torch.isfinite(loss):
+        finite = bool(torch.isfinite(loss))
+        if not self.trainer.strategy.reduce_boolean_decision(finite):
+            if finite:
+                raise TrainingDiverged("the loss of another process is not finite; it says where, and what to do.")
             frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
             raise TrainingDiverged(
                 f"the loss is {float(loss.detach())} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "
@@ -335,3 +401,8 @@ class PhysicsInformedGAN(LightningModule):
         optimizer.zero_grad()
         self.manual_backward(loss)
         optimizer.step()
+
+
+def _settings(kind: type[Own], given: Own | Mapping[str, Any]) -> Own:
+    """Settings as they are, or made of the plain values that a checkpoint holds."""
+    return kind(**given) if isinstance(given, Mapping) else given

@@ -107,6 +107,7 @@ DATA["geometry"] |= {"contact": "nearest", "two_pass": True, "displacement": "re
 STATED = leaves({"trainer": {"max_epochs": 100}, "model": MODEL, "data": DATA})
 """What Bini 2026 states, by the fields of paper.yaml."""
 OURS = {"seed_everything", "trainer.default_root_dir", "trainer.accelerator", "trainer.devices", "data.root"}
+OURS |= {"data.loading.num_workers"}
 """Fields that say where and on what to run."""
 IN_CODE = {"damping", "rim", "hidden edge", "anchor", "resizing", "holes", "depth", "discriminator", "first block"}
 IN_CODE |= {"head", "input", "mesh", "d_obs", "directions", "checkpointing", "pairs", "no contact"}

@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import re
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mlflow
 import numpy as np
@@ -296,6 +299,12 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
         ("seed_everything", "9" * 400, "seed_everything is a number beyond ±1e+15; give 0 to 4294967295"),
         ("trainer.devices", 0, "trainer.devices is 0; give 1 to at most"),
+        ("trainer.devices", -1, "trainer.devices is -1; give 1 to at most"),
+        ("trainer.precision", "bf16-true", "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16"),
+        ("trainer.gradient_clip_val", 1, "is 1.0, and three optimisers step by hand; lower model.learning_rate"),
+        ("trainer.accumulate_grad_batches", 2, "three optimisers step by hand; raise data.loading.batch_size instead"),
+        ("trainer.strategy", "ddp_spawn", "strategy is 'ddp_spawn', and three optimisers step in turn, and files"),
+        ("lr_scheduler", "StepLR", "the rate is constant; to lower it, add --ckpt_path last and a lower --model.learn"),
         ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
         ("data.root", "", "data.root is empty; name the folder"),
         ("trainer.default_root_dir", "", "default_root_dir is empty"),
@@ -304,6 +313,15 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
 )
 def test_a_value_without_room_or_sense_gets_a_sentence(config, capsys, option, value, expected):
     assert expected in refused(capsys, "fit", "-c", config, f"--{option}={value}")
+
+
+def test_what_else_lightning_has_and_this_program_not_says_what_to_do_instead(config: Path, tmp_path: Path, capsys):
+    on_gpu = ("--trainer.accelerator", "gpu", "--trainer.deterministic", "true")
+    assert "has no deterministic gradient on a GPU; give warn" in refused(capsys, "fit", "-c", config, *on_gpu)
+    assert "test writes what is estimated from every test frame; for" in refused(capsys, "predict", "-c", config)
+    path = tmp_path / "scheduled.yaml"
+    path.write_text("optimizer: Adam")
+    assert "is not accepted; it is Adam; give --model.learning_rate" in refused(capsys, "fit", "-c", config, "-c", path)
 
 
 def cut_database(path: Path) -> None:
@@ -442,17 +460,104 @@ def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config
             torch.testing.assert_close(ours["state"][key]["exp_avg"], state["exp_avg"], rtol=1e-4, atol=1e-6)
 
 
+def together(*commands: list[str], **environment: str) -> list[str]:
+    """Run commands at the same time, as nodes 0, 1, … of one training, and return what each said when it ended well."""
+    environment |= {"OMP_NUM_THREADS": "1", "MASTER_ADDR": "127.0.0.1"}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        environment["MASTER_PORT"] = str(free.getsockname()[1])
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    running = [
+        subprocess.Popen(each, env=os.environ | environment | {"NODE_RANK": str(node)}, **pipes)
+        for node, each in enumerate(commands)
+    ]
+    try:
+        said = [process.communicate(timeout=240)[0] for process in running]
+    finally:
+        for process in running:
+            process.kill()
+    assert [process.returncode for process in running] == [0] * len(running), said
+    return said
+
+
 @pytest.mark.slow
-def test_two_cpu_processes_train_together(config: Path, trained: Path, tmp_path: Path):
-    more = ("--trainer.strategy", "ddp", "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        command("fit", "-c", config, *more), capture_output=True, text=True, env=environment, timeout=240, check=False
+def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
+    """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
+    same = "--model.augmentation.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
+    same += " --data.samples.onset_within 7 --trainer.deterministic true"
+    arguments = ["-c", str(config), *same.split()]
+    one, two = tmp_path / "one", tmp_path / "two"
+    together(command("fit", *arguments, "--trainer.default_root_dir", one))
+    apart = ("--data.loading.batch_size", 1, "--trainer.num_nodes", 2, "--trainer.default_root_dir", two)
+    together(*[command("fit", *arguments, *apart)] * 2)
+    expected, found = last(one), last(two)
+    assert found["global_step"] == expected["global_step"] == 3 * 14 / 2
+    for name, weights in expected["state_dict"].items():
+        if name.startswith("discriminator") and name.endswith("weight"):  # instance norm hides biases from the loss
+            assert (found["state_dict"][name] - weights).abs().mean() < 4e-5  # 7 steps of at most 2e-4
+    logged = [read_rows(folder / "logs" / "version_0" / "metrics.csv") for folder in (one, two)]
+    for ours, theirs in zip(*logged, strict=True):
+        for name, value in theirs.items():
+            assert not value or float(ours[name]) == pytest.approx(float(value), rel=0.05), name
+    tested = []
+    for folder, devices in ((one, 1), (two, 2)):
+        given = ("--ckpt_path", one / "checkpoints" / "last.ckpt", "--trainer.devices", devices)
+        [said] = together(command("test", *arguments, *given, "--trainer.default_root_dir", folder))
+        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", said)}
+        tested.append((means, read_rows(folder / "evaluation" / "per_frame.csv")))
+    (means, rows), (means_of_two, rows_of_two) = tested
+    assert len(means) == 4
+    assert means_of_two == pytest.approx(means, rel=1e-5)
+    assert [row["frame"] for row in rows_of_two] == [row["frame"] for row in rows]
+    assert len(rows) == 7
+    for name in ("error_predicted", "next_depth_error"):
+        values, values_of_two = ([float(row[name]) for row in each] for each in (rows, rows_of_two))
+        assert values_of_two == pytest.approx(values, rel=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rank", [0, 1])
+def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_path: Path, rank: int):
+    program = tmp_path / "diverging.py"
+    program.write_text(
+        "from palpate.common.doors import enter_door, run_door\nfrom palpate.command import train\n"
+        "from palpate.models.losses import LossTerms\n"
+        "from lightning.pytorch.utilities import rank_zero_only\ntotal = LossTerms.total\n"
+        f"LossTerms.total = lambda *a: total(*a) * (float('nan') if rank_zero_only.rank == {rank} else 1.0)\n"
+        "enter_door()\nrun_door(train.main)\n"
     )
-    assert done.returncode == 0, done.stderr
-    assert "Starting with 2 processes" in done.stderr + done.stdout
-    steps = last(tmp_path / "run")["global_step"]
-    assert 2 * steps == last(trained)["global_step"]  # half of the samples each: half the steps of one process
+    arguments = ("fit", "-c", config, "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)}
+    done = subprocess.run(
+        [sys.executable, str(program), *map(str, arguments)],
+        **{"capture_output": True, "text": True, "env": environment, "timeout": 240, "check": False},
+    )
+    assert done.returncode != 0
+    said = sorted(line for line in done.stderr.splitlines() if line.startswith("train.py:"))
+    assert len(said) == 2, done.stderr
+    assert "train.py: the loss is nan in epoch 0 at video" in said[0]
+    assert said[1] == "train.py: the loss of another process is not finite; it says where, and what to do."
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("more", ["devices=2", "num_nodes=2", "strategy=ddp"])
+def test_several_processes_look_for_the_parameters_that_a_backward_pass_leaves_out(config, monkeypatch, tmp_path, more):
+    built: list[Any] = []
+    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, _: built.append(cli.trainer.strategy))
+    arguments = ["fit", "-c", str(config), f"--trainer.{more}", f"--trainer.default_root_dir={tmp_path / 'run'}"]
+    assert train.main(arguments) == 0
+    assert built[0]._ddp_kwargs == {"find_unused_parameters": True}
+
+
+def test_going_on_follows_the_configuration_s_learning_rate(config: Path, tmp_path: Path):
+    """The checkpoint's optimisers bring their own, which a user who lowers it after a divergence does not want."""
+    arguments = ["fit", "-c", str(config), f"--trainer.default_root_dir={tmp_path / 'run'}", "--ckpt_path", "last"]
+    few = ["--trainer.limit_train_batches=1", "--trainer.limit_val_batches=1"]
+    assert train.main([*arguments, *few]) == 0
+    changed = ["--model.learning_rate=1e-5", "--model.betas=[0.7,0.9]"]
+    assert train.main([*arguments, *few, "--trainer.max_epochs=2", *changed]) == 0
+    groups = [group for state in last(tmp_path / "run")["optimizer_states"] for group in state["param_groups"]]
+    assert [(group["lr"], *group["betas"]) for group in groups] == [(1e-5, 0.7, 0.9)] * 3
 
 
 def test_ctrl_c_ends_cleanly_and_keeps_the_last_checkpoint_and_a_user_s_picture(config: Path, tmp_path: Path, capsys):

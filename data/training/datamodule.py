@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from lightning.pytorch import LightningDataModule
+from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
 from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
 from torch.utils.data import DataLoader
 from torch.utils.data.distributed import DistributedSampler
@@ -149,6 +150,10 @@ class ClipDataModule(LightningDataModule):
         """Batches in order."""
         return self._loader("test", shuffle=False)
 
+    def predict_dataloader(self) -> DataLoader:
+        """Batches of the test split in order."""
+        return self._loader("test", shuffle=False)
+
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
         """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""
         places = self.places[split]
@@ -245,8 +250,13 @@ class ClipDataModule(LightningDataModule):
     def _loader(self, split: str, *, shuffle: bool) -> DataLoader:
         dataset = SampleDataset(self.clips, self.places[split], self.samples)
         world, rank = (1, 0) if self.trainer is None else (self.trainer.world_size, self.trainer.global_rank)
-        # This DistributedSampler keeps Lightning from adding one whose order ignores the seed of the settings.
-        sampler = DistributedSampler(dataset, world, rank, shuffle=shuffle, seed=self.loading.seed)
+        if not shuffle and 0 < len(dataset) < world:
+            many = f"{len(dataset)} samples in split {split} for {world} processes"
+            raise InputError(f"{self.root} has {many}; lower trainer.devices.")
+        # This sampler keeps Lightning from adding one whose order ignores the seed of the settings. Where processes
+        # would get unequal shares, only training repeats samples: they would count twice.
+        kind = DistributedSampler if shuffle else UnrepeatedDistributedSampler
+        sampler = kind(dataset, world, rank, shuffle=shuffle, seed=self.loading.seed)
         return DataLoader(
             dataset,
             batch_size=self.loading.batch_size,

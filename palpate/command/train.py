@@ -15,6 +15,7 @@ import argparse
 import contextlib
 import hashlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -22,11 +23,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
+import torch
 import yaml
 from jsonargparse import ActionConfigFile, Namespace
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
+from lightning.pytorch.strategies import DDPStrategy
 from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
@@ -73,6 +76,25 @@ PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
 """Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
+REFUSED: dict[str, tuple[tuple[Any, ...], str]] = {
+    "gradient_clip_val": ((None, 0), "three optimisers step by hand; lower model.learning_rate instead"),
+    "accumulate_grad_batches": ((1,), "three optimisers step by hand; raise data.loading.batch_size instead"),
+    "precision": (
+        (None, "32", 32, "32-true", "16", 16, "16-mixed", "bf16", "bf16-mixed"),
+        "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16 bits in the convolutions alone",
+    ),
+    "strategy": (
+        ("auto", "ddp", "ddp_find_unused_parameters_true"),
+        "three optimisers step in turn, and files are written by the first process; give auto or ddp",
+    ),
+}
+"""Trainer options by name: the values that work here, and why no other, with what to do instead."""
+INSTEAD = {
+    "lr_scheduler": "the rate is constant; to lower it, add --ckpt_path last and a lower --model.learning_rate",
+    "optimizer": "it is Adam; give --model.learning_rate and --model.betas",
+    "predict": "test writes what is estimated from every test frame; for other clips export, then run infer.py --model",
+}
+"""What to do instead of what Lightning's command line has elsewhere, by the name that is missing here."""
 
 
 class UsageError(ValueError):
@@ -97,12 +119,16 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
+            remedy = INSTEAD.get(unknown[0], "correct or remove it")
+            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; {remedy}.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
-        raise UsageError(f"{sentence}; train.py {{fit,validate,test,export}} --help lists all options.") from ex
+        missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
+        options = "train.py {fit,validate,test,export} --help lists all options"
+        remedy = INSTEAD.get(missing[1], options) if missing else options
+        raise UsageError(f"{sentence}; {remedy}.") from ex
 
 
 class RunRecord(SaveConfigCallback):
@@ -246,13 +272,19 @@ class TrainCLI(LightningCLI):
             raise UsageError("data.root is empty; name the folder of the data set.")
         if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
             raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
+        for name, (working, remedy) in REFUSED.items():
+            if trainer[name] not in working:
+                raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {remedy}.")
+        on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
+        if trainer.deterministic is True and not on_cpu:
+            raise UsageError(
+                "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
+                "warn, which makes the rest deterministic, or trainer.accelerator cpu."
+            )
         allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
         count = int(devices) if devices.removeprefix("-").isdecimal() else 1
-        if not 1 <= count <= allowed and str(trainer.accelerator) in ("cpu", "auto"):
+        if not 1 <= count <= allowed and on_cpu:
             raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
-        if trainer.strategy == "ddp" or (trainer.strategy == "auto" and str(trainer.devices) not in ("1", "auto")):
-            # Each of the three backward passes reaches a part of the parameters only.
-            trainer.strategy = "ddp_find_unused_parameters_true"
 
     def instantiate_classes(self) -> None:
         try:
@@ -283,7 +315,11 @@ class TrainCLI(LightningCLI):
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
         config.trainer.callbacks = [*callbacks, *checkpoints, *bars]
-        return super().instantiate_trainer(**kwargs)
+        trainer = super().instantiate_trainer(**kwargs)
+        if isinstance(trainer.strategy, DDPStrategy):
+            # Each of the three backward passes reaches a part of the parameters only.
+            trainer.strategy._ddp_kwargs["find_unused_parameters"] = True
+        return trainer
 
     def before_test(self) -> None:
         """Refuse before the test to replace a user's files by the evaluation's."""

@@ -1,5 +1,6 @@
 """The training step: who moves whom, and by which pathway gradients arrive (Bini 2026, section 3.4)."""
 
+import functools
 import warnings
 
 import numpy as np
@@ -183,6 +184,15 @@ def test_one_record_a_test_pair(make_batch):
         warnings.simplefilter("ignore")
         Trainer(**QUIET).test(module, DataLoader([batch, batch], batch_size=None), verbose=False)
     assert [(record["clip"], record["frame"]) for record in module.test_records] == [("one", 3), ("two", 7)] * 2
+
+
+def test_predict_gives_what_is_estimated_from_every_frame(make_batch):
+    module, batch = build(), make_batch()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        [found] = Trainer(**QUIET).predict(module, DataLoader([batch], batch_size=None))
+    assert (found["clip"], found["frame"].tolist(), found["mean"]) == (["one", "two"], [3, 7], None)
+    torch.testing.assert_close(found["theta"], module.generator_ab.estimate(batch["window_a"]))
 
 
 POSTERIOR = {
@@ -394,3 +404,56 @@ def test_every_parameter_of_the_generators_is_trained_once(tmp_path):
     found = [id(parameter) for group in groups for parameter in group["params"]]
     networks = (module.generator_ab, module.generator_ba)
     assert sorted(found) == sorted(id(parameter) for network in networks for parameter in network.parameters())
+
+
+@pytest.mark.parametrize("settings", [{"weights": LossWeights(physics=3.0)}, POSTERIOR], ids=["mean", "posterior"])
+def test_load_from_checkpoint_gives_the_trained_module(make_told_batch, tmp_path, settings):
+    trained, batch = build(**settings), make_told_batch()
+    fit(trained, [batch]).save_checkpoint(tmp_path / "some.ckpt")
+    loaded = PhysicsInformedGAN.load_from_checkpoint(tmp_path / "some.ckpt", weights_only=True)
+    assert (loaded.weights, loaded.bounds, loaded.mechanics) == (trained.weights, trained.bounds, trained.mechanics)
+    with torch.no_grad():
+        expected, found = (module.eval().generator_losses(batch)[0] for module in (trained, loaded))
+    for name in ("gan", "physics"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("settings", [{"decoder": "physics"}, POSTERIOR], ids=["parameters", "posterior"])
+@pytest.mark.parametrize("narrow", [torch.bfloat16, torch.float16])
+def test_a_mixed_precision_changes_neither_heads_nor_rollouts(make_told_batch, settings, narrow):
+    """For the same features θ and the physics are the same to the last digit."""
+    batch, module = make_told_batch(), build(**settings)
+    features = {window: module.generator_ab.encode(batch[window]).detach() for window in ("window_a", "window_b")}
+    for generator in (module.generator_ab, module.generator_ba):
+        generator.encode = lambda window: features["window_a" if torch.equal(window, batch["window_a"]) else "window_b"]
+    expected, _, theta = module.generator_losses(batch)
+    with torch.autocast("cpu", dtype=narrow, cache_enabled=False):
+        found, _, other = module.generator_losses(batch)
+        found.total(module.weights).backward()
+    assert torch.equal(other, theta)
+    assert torch.equal(found.physics, expected.physics)
+    assert found.cycle.item() == pytest.approx(expected.cycle.item(), rel=0.05)
+    assert all(p.grad is None or p.grad.isfinite().all() for p in module.parameters())
+
+
+def test_mixed_precision_trains(make_told_batch):
+    module = build(**POSTERIOR)
+    trainer = Trainer(max_epochs=2, enable_model_summary=False, precision="bf16-mixed", **QUIET)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        trainer.fit(module, DataLoader([make_told_batch()], batch_size=None))
+    assert torch.isfinite(trainer.callback_metrics["train/physics"])
+    assert {parameter.dtype for parameter in module.parameters()} == {torch.float32}
+
+
+def test_compile_translates_the_networks_and_changes_no_loss(make_batch, monkeypatch):
+    compiled, batch = [], make_batch()
+
+    def backend(graph, _):
+        compiled.append(graph)
+        return graph.forward
+
+    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend=backend))
+    metrics = [fit(build(compile=on), [batch]).callback_metrics for on in (False, True)]
+    assert len(compiled) >= 6  # two encoders, two decoders, two discriminators
+    assert metrics[1]["train/gan"].item() == pytest.approx(metrics[0]["train/gan"].item(), rel=1e-5)

@@ -3,6 +3,7 @@
 import json
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -113,6 +114,20 @@ def test_workers_see_the_same(one_clip):
     for batch, other in zip(alone.val_dataloader(), helped.val_dataloader(), strict=True):
         assert torch.equal(batch["window_a"], other["window_a"])
         assert torch.equal(batch["mesh_b"].vertices, other["mesh_b"].vertices)
+
+
+def test_processes_share_the_test_s_samples_without_repeating_one(four_videos):
+    data = module(four_videos, {"batch_size": 1})
+    whole, parts = order(data.test_dataloader()), []
+    assert order(data.predict_dataloader()) == whole
+    for rank in range(3):
+        data.trainer = SimpleNamespace(world_size=3, global_rank=rank)
+        parts.append(order(data.test_dataloader()))
+    assert [len(part) for part in parts] == [2, 1, 1]  # as test's records are joined: dealt out in turn
+    assert [parts[index % 3][index // 3] for index in range(len(whole))] == whole
+    data.trainer = SimpleNamespace(world_size=9, global_rank=0)
+    with pytest.raises(InputError, match=r"data has 4 samples in split test for 9 processes; lower trainer\.devices"):
+        data.test_dataloader()
 
 
 def test_interactions_and_metadata(one_clip):

@@ -3,7 +3,7 @@
 import argparse
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,8 @@ class Batch:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
-                for item in estimates_of(session, _kept(clip, frames, lambda: progress.advance(task))):
+                stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
+                for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
                 if self.calibration is not None:
                     stored = clip.sources["depth"] == "stored"
@@ -236,9 +237,11 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
     return found | ({"frames in contact": touching} if touching else {})
 
 
-def _kept(clip: ClipStream, frames: deque[PreparedFrame], done: Callable[[], None]) -> Iterator[PreparedFrame]:
+def _kept(
+    clip: Iterable[PreparedFrame], frames: deque[PreparedFrame], done: Callable[[], None]
+) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
-    for frame in clip.overlapped():
+    for frame in clip:
         frames.append(frame)
         yield frame
         done()

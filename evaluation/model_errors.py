@@ -7,8 +7,8 @@ their residuals tell: the rest is the model's. Of every entry of the file that a
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
 leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
-pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos
-(`evaluation.plain_video`, twenty seconds a clip), in turns by either law of light.
+pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos,
+facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either law of light.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -44,13 +44,13 @@ from palpate.models.calibration_fit import mean_squares
 
 SPLIT = "validation"
 VIDEO = "video"
-PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDEO: (VIDEO,)}
+PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDEO: (VIDEO, "video-oblique")}
 """Suites of every part."""
 DIRECT = "direct"
 CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
 """Who estimates the clips of a part."""
-LOOKS = tuple(PlainVideo(Path(), look=look).settings for look in ("matte", "endoscope"))
-"""What plain videos are drawn from, in turns."""
+LOOKS: tuple[Literal["matte", "endoscope"], ...] = ("matte", "endoscope")
+"""By which laws plain videos are drawn, in turns."""
 ENDS = "error", "sd", "model_sd"
 """What a plain video's row has of a quantity."""
 ENOUGH = 20
@@ -207,8 +207,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bar = progress.add_task("clips", total=len(asked.wanted))
         for suite, index in asked.wanted:
             seed = suite_clip_seed(SPLIT, asked.seed, index)
-            if suite == VIDEO:
-                rows.append(measured_video(LOOKS[index % len(LOOKS)], seed))
+            if asked.part == VIDEO:
+                drawn = PlainVideo(asked.output, suite=suite, look=LOOKS[index % len(LOOKS)])
+                rows.append(measured_video(drawn.settings, seed))
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)

@@ -1,16 +1,20 @@
 """The light around a press as a least-squares problem."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct import brightness_fit
 from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.lit_sheet import SIDE
 from palpate.estimators.direct.motion import FITTED
+from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.load import Press, held
-from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.mechanics import RECOMMENDED, damping_ratio
 from palpate.physics.observation import Observation
 from tests.estimators.direct.test_lit_sheet import lit
 
@@ -69,3 +73,22 @@ def test_expected_light_is_that_which_is_predicted_without_a_lag(problem):
     np.testing.assert_array_equal(change.reshape(predicted.shape)[~known], law[~known])
     assert (~known).any()
     assert np.isfinite(law).all()
+
+
+def test_what_coding_makes_tissue_seem_slower_by_is_taken_off(problem, monkeypatch):
+    """By the logarithm of the damping ratio, the more the less of the light's change is explained; k_s stays."""
+    logs = start(problem)
+    problem.look(logs)
+    nothing = {f"brightness_{name}_slope": 0.0 for name in ("damping", "force")}
+    found = [brightness_fit._concluded(problem, logs, RECOMMENDED.log_box)]
+    monkeypatch.setattr(brightness_fit, "MODEL_ERRORS", dataclasses.replace(MODEL_ERRORS, **nothing))
+    found.append(brightness_fit._concluded(problem, logs, RECOMMENDED.log_box))
+    shifted = np.log(np.abs(found[0].theta / found[1].theta))
+    left, ratio = (
+        (1 - problem.skill) / brightness_fit.USUALLY_LEFT,
+        damping_ratio(*found[1].theta[:2], problem.motion.mechanics.mass),
+    )
+    slopes = np.array([0.0, MODEL_ERRORS.brightness_damping_slope, MODEL_ERRORS.brightness_force_slope])
+    np.testing.assert_allclose(shifted, -slopes * left**2 * np.log(ratio), rtol=1e-6)
+    assert np.abs(shifted[1:]).min() > 0.01
+    assert found[0].left == 1 - problem.skill

@@ -89,6 +89,16 @@ def test_runs_of_contact_are_followed_from_their_onset(tmp_path, contact, settin
     assert (starts(frames), np.isfinite(frames[0].displacement).all()) == (expected, (0 in contact))
 
 
+def test_stages_that_overlap_give_the_same_frames(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    spoil(folder)
+    overlapped = list(ClipStream(open_source(folder, SETTINGS.layout), SETTINGS).overlapped())
+    for one, other in zip(overlapped, run(folder), strict=True):
+        assert (one.status, one.detail, one.track_start) == (other.status, other.detail, other.track_start)
+        for name in ("depth", "labels", "displacement", "backward", "rigid", "track_position"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
     folder = write_clip(tmp_path / "clip", first=10)
     remove_frame(folder, 15)

@@ -57,8 +57,8 @@ class ModelErrors:
     brightness_scale: float
     """Common to k_s, k_d and F by it, which inertia alone tells."""
     brightness_damping_slope: float
-    """No standard deviation, but by how much log k_d/k_s by brightness comes out too large for every unit of log ζ:
-    what a video's coding leaves out makes slow tissue seem slower."""
+    """No standard deviation, but by how much log k_d/k_s by brightness comes out too large for every unit of log ζ,
+    where a press leaves `USUALLY_LEFT` of the light's change: by what coding leaves out slow tissue seems slower."""
     brightness_force_slope: float
     """The same of log F/k_s."""
     hidden_force: float

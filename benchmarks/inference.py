@@ -126,7 +126,7 @@ def plain_video(width: int, folder: Path) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print both tables; returns the exit status."""
+    """Print the tables; returns the exit status."""
     command_line(__doc__).parse_args(arguments)
     with TemporaryDirectory() as folder:
         _measure(Path(folder))

@@ -8,7 +8,8 @@ root mean square errors and what residuals tell of them (clips weighted as the m
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
 leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
 pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos,
-facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either law of light.
+facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either law of light. Of video it also
+measures by how much both ratios' errors grow with the damping ratio, which the fit takes off.
 """
 
 from palpate.common.doors import enter_door, run_door

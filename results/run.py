@@ -238,10 +238,10 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _kept(
-    clip: Iterable[PreparedFrame], frames: deque[PreparedFrame], done: Callable[[], None]
+    stream: Iterable[PreparedFrame], frames: deque[PreparedFrame], done: Callable[[], None]
 ) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
-    for frame in clip:
+    for frame in stream:
         frames.append(frame)
         yield frame
         done()

@@ -246,7 +246,9 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        errors, sds, bounds = (np.array([row[f"{name}_{end}"] for row in known]) for end in ("error", "sd", "bound"))
+        errors, sds, bounds = (
+            np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ("error", "sd", "bound")
+        )
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}

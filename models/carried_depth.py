@@ -39,6 +39,8 @@ def carried(
 def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
     """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
+    It is computed where the meshes are and given on θ's device.
+
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
         mesh: the tissue meshes at rest, on the maps' grid.
@@ -47,12 +49,13 @@ def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mec
             steps beyond the rollout's last count as the last.
         mechanics: the rollout's constants.
     """
+    device, theta = theta.device, theta.to(mesh.vertices.device)
     surroundings = _Surroundings(mesh, load, theta)
     path = rollout(theta, mesh, load, mechanics, watch=surroundings.watched)
     path = torch.cat([torch.zeros_like(path[:, :1]), path], dim=1)
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
     before, after = (surroundings.depth_change(moved) for moved in path.gather(1, index).to(theta).unbind(1))
-    return surroundings.in_picture(after - before)
+    return surroundings.in_picture(after - before).to(device)
 
 
 def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mechanics: Mechanics) -> Tensor | None:

@@ -127,7 +127,7 @@ def load_posterior(posterior: ContactPosterior, path: Path) -> None:
         CheckpointError: no such file, not such a file, or one of another network or box.
     """
     weights = _exported(path) if path.suffix == ".onnx" else _read(path, WRITER)
-    own = {name: value for name, value in posterior.state_dict().items() if not name.startswith("picture.")}
+    own = {name: value.cpu() for name, value in posterior.state_dict().items() if not name.startswith("picture.")}
     shapes = {name: getattr(value, "shape", None) for name, value in weights.items()}
     if shapes != {name: value.shape for name, value in own.items()}:
         raise CheckpointError(f"{path} holds no contact posterior of this version; give a file that {WRITER} wrote.")

@@ -106,7 +106,8 @@ def physics_loss(
     Returns:
         Mean squared displacement error [scene units²], a scalar.
     """
-    return displacement_error(rollout(theta, mesh, load, mechanics), observation).mean()
+    at_mesh = theta.to(mesh.vertices.device)
+    return displacement_error(rollout(at_mesh, mesh, load, mechanics), observation).mean().to(theta.device)
 
 
 def posterior_physics_loss(
@@ -130,14 +131,16 @@ def posterior_physics_loss(
         dent: observed depth of the tissue around the contact, which replaces the motion of its point alone.
 
     Returns:
-        The bound [nats], a scalar, and the Fisher information at the means, shape [B, 3, 3], a constant.
+        The bound [nats], a scalar on the means' device, and the Fisher information at the means, shape [B, 3, 3], a
+        constant where the meshes are.
     """
-    theta = torch.exp(mean.detach().double()) * mean.new_tensor(SIGNS)
+    theta = torch.exp(mean.detach().to(mesh.vertices.device, torch.float64))
+    theta = theta * theta.new_tensor(SIGNS)
     if dent is None:
-        path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics)
+        path, slopes = rollout_sensitivities(theta.to(mean.dtype), mesh, load, mechanics)
         misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
     else:
-        path, slopes = rollout_sensitivities(theta.to(mean), mesh, load, mechanics, watch=dent.vertices)
+        path, slopes = rollout_sensitivities(theta.to(mean.dtype), mesh, load, mechanics, watch=dent.vertices)
         misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
     return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 

@@ -52,8 +52,9 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
         generator.decode(features, value, shifted(now, change_of(generator.decoder.kind, value, batch, "a", mechanics)))
         for value in (theta, farthest_corner(theta, generator.head.lower, generator.head.upper))
     )
-    trajectory = rollout(theta, mesh, load, mechanics)
-    reference = rollout(with_reference_tissue(theta), mesh, load, mechanics)
+    at_mesh = theta.to(mesh.vertices.device)
+    trajectory = rollout(at_mesh, mesh, load, mechanics)
+    reference = rollout(with_reference_tissue(at_mesh), mesh, load, mechanics)
     error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))
     records = []
     for index, (clip, sheet, press) in enumerate(zip(batch["clip"], mesh.split(), load.split(), strict=True)):

@@ -75,6 +75,15 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     return batch
 
 
+FOR_NETWORKS = "window", "contact_features"
+"""Beginnings of the names of what networks read of a batch."""
+
+
+def on_device(batch: dict[str, Any], device: torch.device) -> dict[str, Any]:
+    """The batch with what networks read on a device; the rest stays on the CPU, where rollouts are compiled."""
+    return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
+
+
 def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationBatch]:
     """Loads and observations of some interactions, as batches."""
     observations = [interaction.observation for interaction in interactions]

@@ -317,14 +317,11 @@ class OnePixel:
         return np.einsum("nvc,vc->nv", moved, self.along), np.einsum("nvcd,vc->nvd", slopes, self.along)
 
 
-def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
-    """Told as a dent of one pixel, the point gives nearly the same."""
-    batch = make_told_batch()
+def dent_of(batch: dict) -> DepthBatch:
+    """A dent of one pixel, 0.01 deep, at the instants of a batch's observations."""
     seen = batch["known_observation_a"]
-    along = batch["load_a"].direction[:, None]
-    point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
-    dent = DepthBatch(
-        views=[OnePixel(direction) for direction in along.double().numpy()],
+    return DepthBatch(
+        views=[OnePixel(direction) for direction in batch["load_a"].direction[:, None].double().numpy()],
         vertices=batch["load_a"].vertices[:, None],
         steps=seen.steps,
         change=torch.full((2, 2, 1), 0.01),
@@ -332,6 +329,14 @@ def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
         noise=batch["noise_a"],
         common=torch.zeros(1, 1),
     )
+
+
+def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
+    """Told as a dent of one pixel, the point gives nearly the same."""
+    batch = make_told_batch()
+    seen, dent = batch["known_observation_a"], dent_of(batch)
+    along = batch["load_a"].direction[:, None]
+    point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
     module = build(**POSTERIOR)
     generator = module.generator_ab
     answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])

@@ -186,7 +186,7 @@ class PlainVideo(Measurements):
     model: Path | None = None
     """network's file (default: the one that comes along)"""
     observation: Literal["field", "brightness", "both"] | None = None
-    """what is fitted (default: what there is)"""
+    """what is fitted (default: what there is); both with direct alone"""
 
     writes = ("table.csv", "summary.csv")
 

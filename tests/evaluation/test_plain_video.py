@@ -24,6 +24,8 @@ def test_summary_counts_what_is_determined_and_held():
     assert found.loc["force", "bound"] == pytest.approx(0.02)
     assert found.loc["damping", "count"] == 0
     assert math.isnan(found.loc["damping", "held"])
+    by_depth = [{name: value for name, value in row.items() if name != "force_bound"} for row in rows]
+    assert math.isnan(summarised(by_depth).set_index("measure").loc["force", "bound"])  # rows as they are read again
 
 
 def test_every_suite_has_settings_of_its_own(tmp_path):

@@ -37,6 +37,8 @@ from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 
+UNTRAINED = "picture.weight", "picture.bias"
+"""Parameters of a pretrained posterior that its file does not hold."""
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
 Own = TypeVar("Own")
@@ -191,11 +193,13 @@ class PhysicsInformedGAN(LightningModule):
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
 
         A pretrained head starts near its optimum, where the gradient of a small batch is mostly noise. Adam's steps do
-        not shrink with the gradient, so that its full rate would carry the head away; see `pretrained_rate`.
+        not shrink with the gradient, so that its full rate would carry the head away; see `pretrained_rate`. What takes
+        the picture to it is new, and learns at the full rate.
         """
         generators: list[Any] = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
         if self.pretrained is not None:
-            heads = [*self.generator_ab.head.parameters(), *self.generator_ba.head.parameters()]
+            posteriors = self.generator_ab.posterior, self.generator_ba.posterior
+            heads = [values for each in posteriors for name, values in each.named_parameters() if name not in UNTRAINED]
             known = {id(parameter) for parameter in heads}
             generators = [
                 {"params": [parameter for parameter in generators if id(parameter) not in known]},

@@ -380,7 +380,7 @@ def test_a_pretrained_head_is_taken_over_when_training_starts(make_told_batch, t
 
 
 def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_path):
-    """Adam's first step is as long as its rate, whatever the gradient; the decoder keeps the whole one."""
+    """Adam's first step is as long as its rate, whatever the gradient; what is new keeps the whole one."""
     torch.save(
         ContactPosterior(6, torch.from_numpy(POSTERIOR["bounds"].log_box)).state_dict(), tmp_path / "posterior.pt"
     )
@@ -390,17 +390,21 @@ def test_a_pretrained_head_moves_at_its_share_of_the_rate(make_told_batch, tmp_p
         module.trainer = Trainer(**QUIET)
         module.on_fit_start()
         optimizer = module.configure_optimizers()[0]
-        before = {name: parts(getattr(module.generator_ab, name)) for name in ("head", "decoder")}
+        generator = module.generator_ab
+        networks = {"head": generator.posterior, "new": generator.posterior.picture, "decoder": generator.decoder}
+        before = {name: parts(network) for name, network in networks.items()}
+        before["head"] = {name: values for name, values in before["head"].items() if not name.startswith("picture.")}
         module.generator_losses(make_told_batch())[0].total(module.weights).backward()
         optimizer.step()
-        after = {name: parts(getattr(module.generator_ab, name)) for name in before}
+        after = {name: parts(network) for name, network in networks.items()}
         return {name: max(float((after[name][k] - v).abs().max()) for k, v in before[name].items()) for name in before}
 
     pretrained = {"pretrained": str(tmp_path / "posterior.pt")}
-    assert longest_step() == pytest.approx({"head": 1e-3, "decoder": 1e-3}, rel=0.01)
-    assert longest_step(**pretrained) == pytest.approx({"head": 1e-4, "decoder": 1e-3}, rel=0.01)
-    assert longest_step(pretrained_rate=1.0, **pretrained) == pytest.approx({"head": 1e-3, "decoder": 1e-3}, rel=0.01)
-    assert longest_step(pretrained_rate=0.0, **pretrained)["head"] == 0
+    whole = {"head": 1e-3, "new": 1e-3, "decoder": 1e-3}
+    assert longest_step() == pytest.approx(whole, rel=0.01)
+    assert longest_step(**pretrained) == pytest.approx(whole | {"head": 1e-4}, rel=0.01)
+    assert longest_step(pretrained_rate=1.0, **pretrained) == pytest.approx(whole, rel=0.01)
+    assert longest_step(pretrained_rate=0.0, **pretrained) == pytest.approx(whole | {"head": 0.0}, rel=0.01)
 
 
 def test_every_parameter_of_the_generators_is_trained_once(tmp_path):

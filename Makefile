@@ -109,7 +109,7 @@ gan: $(INSTALLED)
 	$(DRAW) --seed 24 --clips 20 --first 81 --depth-noise 0.002
 	$(TRAIN) --ckpt_path last
 	$(subst fit,export,$(TRAIN)) --ckpt_path best --output $(GAN)/uncalibrated.onnx
-	$(call calibrated,$(GAN),models/weights/gan.onnx,160,20,40,200,1202)
+	$(call calibrated,$(GAN),$(GAN)/gan.onnx,160,20,40,200,1202)
 
 # Bini 2026 for its 100 epochs on ten videos, 7/2/1 by name: every press a folder, a quarter as many pixels along each side
 # as in the pictures (as the paper has it), the networks a sixteenth as wide.

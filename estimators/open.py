@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.data.contact.interaction import Horizon
+from palpate.data.contact.interaction import BOTH, Horizon
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import load_camera
 from palpate.data.source.layout import ClipLayout, load_layout
@@ -83,6 +83,8 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name not in (None, kind):
         raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")
     if isinstance(model, PosteriorModel):
+        if options.observation == BOTH:
+            raise ValueError("--observation both is for --estimator direct; the network goes by depth or by light.")
         return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, options.observation)
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")

@@ -15,7 +15,6 @@ from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from tests.tables import read_rows
 
-GAN = SHIPPED.with_name("gan.onnx")
 LARGEST = 3.5e6
 """Size limit of what ships, for each posterior in it [bytes]."""
 
@@ -39,23 +38,13 @@ def test_it_is_small_and_says_what_it_is() -> None:
     assert "scene units" in network.model.metadata["units"]["force"]
 
 
-def test_the_gan_that_ships_beside_it_looks_at_the_picture() -> None:
-    assert GAN.stat().st_size < LARGEST
-    assert GAN.with_suffix(".md").is_file()
-    model = PosteriorModel(GAN)
-    assert (model.calibrated, model.takes_depth) == (True, True)
-    ours, default = (PosteriorModel(path).metadata for path in (GAN, SHIPPED))
-    assert (ours["bounds"], ours["mechanics"]) == (default["bounds"], default["mechanics"])
-
-
-@pytest.fixture(scope="module", params=["default", "gan"])
-def results(request, tmp_path_factory, blank_module) -> tuple[list[dict[str, str]], dict, Path]:
+@pytest.fixture(scope="module")
+def results(tmp_path_factory, blank_module) -> tuple[list[dict[str, str]], dict, Path]:
     """Rows and record of a synthetic clip, and the folder that holds its truth."""
     folder = tmp_path_factory.mktemp("shipped")
     settings = SceneSettings(width=214, height=120, depth_noise=0.001, regime="critical")
     clip = write_clip(folder / "clips", 1, settings, 12)
-    model = ["--model", str(GAN)] if request.param == "gan" else []
-    assert main([str(clip), "--output", str(folder / "out"), "--no-overlay", *model]) == 0
+    assert main([str(clip), "--output", str(folder / "out"), "--no-overlay"]) == 0
     output = folder / "out" / clip.name
     return read_rows(output / "parameters.csv"), json.loads((output / "run.json").read_text()), clip
 
@@ -83,8 +72,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     """Real presses begin between frames, which is what intervals allow for by default."""
     rows, record, clip = results
     assert record["estimator"] == {"name": "network", "onset": "between", "observation": "auto", "horizon": None}
-    model = ["--model", record["model"]["path"]]
-    assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp", *model]) == 0
+    assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp"]) == 0
     exact = [row for row in read_rows(tmp_path / clip.name / "parameters.csv") if row["stiffness"]]
     between = [row for row in rows if row["stiffness"]]
     assert len(between) == len(exact) > 3
@@ -93,8 +81,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
             np.mean([np.log(float(row[f"{name}_high"]) / float(row[f"{name}_low"])) for row in found])
             for found in (exact, between)
         ]
-        # The GAN's calibration under the tool rests on 40 clips, and widens most what it knows better.
-        assert widths[0] < (0.97 if Path(model[1]).name == GAN.name else 0.9) * widths[1]
+        assert widths[0] < 0.9 * widths[1]
     assert json.loads((tmp_path / clip.name / "run.json").read_text())["estimator"]["onset"] == "stamp"
 
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.features import FEATURES, contact_features
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.light_features import light_slots
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.direct.brightness import LEAST_NOISE
-from palpate.estimators.estimate import Estimate, NoEstimate, mixture, with_light
+from palpate.estimators.estimate import Estimate, NoEstimate, mixture
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
@@ -52,7 +52,7 @@ class NetworkEstimator(ModelEstimator):
         model: the exported network.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a whole contact counts.
-        observation: which kind of observation, one of `data.contact.interaction.OBSERVATIONS`. With the contact's point
+        observation: which kind of observation, field, contact or brightness. With the contact's point
             alone the network gets no depth-change sequence, and depth windows are blank. None = depth where it is
             measured, else light, by which the network estimates frames while whole runs are fitted.
 
@@ -68,7 +68,7 @@ class NetworkEstimator(ModelEstimator):
     ) -> None:
         super().__init__(model)
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
-        if observation in (BRIGHTNESS, BOTH) and not model.sees_light:
+        if observation == BRIGHTNESS and not model.sees_light:
             raise ModelFileError(
                 f"{model.path} knows nothing of light; leave --observation {observation} out, or take estimator direct."
             )
@@ -98,7 +98,7 @@ class NetworkEstimator(ModelEstimator):
         """
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
-        if self.observation not in (FIELD, BOTH):
+        if self.observation != FIELD:
             contact = dataclasses.replace(contact, sequence=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
@@ -167,7 +167,7 @@ class NetworkSession(RunSession):
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.by_light, self.needs_light = estimator.by_light, estimator.observation in (BRIGHTNESS, BOTH)
+        self.by_light, self.needs_light = estimator.by_light, estimator.observation == BRIGHTNESS
         self.estimator = estimator
         self._whole_runs = BY_NETWORK if estimator.observation != BRIGHTNESS else ""
         """What is said of a frame's estimate by light."""
@@ -183,7 +183,7 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         depth = self._window.push(frame) if self.estimator.model.takes_depth else None
-        if depth is not None and self.estimator.observation not in (FIELD, BOTH):
+        if depth is not None and self.estimator.observation != FIELD:
             depth = np.zeros_like(depth)  # no pixel has a depth
         ended = self._pushed(frame)
         run = self._runs.current
@@ -236,14 +236,14 @@ class NetworkSession(RunSession):
             return frame_estimate(frame, self.clip, verdict="undetermined")
         contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
         try:
-            found, said = (self._by_light(contact), self._whole_runs) if lit else self._by_depth(contact, depth)
+            found = self._by_light(contact) if lit else self.estimate(self.estimator.as_trained(contact), depth)
         except NoEstimate as reason:
             return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
         arrow = None
         if found.explained or not lit:
             arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
         lengths = (None, None) if lit else self._lengths(found, contact, frame, run.builder)
-        doubts = " ".join(filter(None, (found.refuted, said, _doubts(found))))
+        doubts = " ".join(filter(None, (found.refuted, self._whole_runs if lit else "", _doubts(found))))
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)
 
     def _by_light(self, contact: Interaction) -> Estimate:
@@ -252,11 +252,6 @@ class NetworkSession(RunSession):
             return self.estimator.lit(contact)
         finally:
             self.seconds["network"] += time.perf_counter() - start
-
-    def _by_depth(self, contact: Interaction, depth: np.ndarray | None) -> tuple[Estimate, str]:
-        """The estimate by depth, with that by light where both are asked for, or a sentence on why not."""
-        found = self.estimate(self.estimator.as_trained(contact), depth)
-        return with_light(found, lambda: self._by_light(contact)) if self.estimator.observation == BOTH else (found, "")
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         if self.estimator.observation != BRIGHTNESS:
@@ -268,8 +263,8 @@ class NetworkSession(RunSession):
         known = self.estimator.as_trained(contact)
         last = known.observation.times[-1] + TIME_TOLERANCE
         depth = next((window for since, window in reversed(self._depths) if since <= last), None)
-        found, unlit = self._by_depth(contact, depth)
-        return found, self._simulated(found, contact), f"{found.refuted} {unlit} {_doubts(found)}".strip()
+        found = self.estimate(known, depth)
+        return found, self._simulated(found, contact), _doubts(found)
 
     def _simulated(self, found: Estimate, contact: Interaction) -> tuple[np.ndarray, np.ndarray]:
         steps = contact.steps if len(contact.observation) else contact.load.factor.size

@@ -15,7 +15,7 @@ from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import InteractionEstimate
 
-MEMORY, GAN = Path("/proc/self/statm"), Path("models/weights/gan.onnx")
+MEMORY = Path("/proc/self/statm")
 PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=16, press_seconds=(0.2, 0.2))
 GRIP = SceneSettings(width=214, height=120, action="grip", frames=20)
 LARGEST = 2.5
@@ -64,7 +64,6 @@ LONGER = dataclasses.replace(GRIP, frames=30)
     ("options", "scene", "contacts", "apart"),
     [
         pytest.param(EstimatorOptions("network"), PRESS, 21, 0, id="network"),
-        pytest.param(EstimatorOptions("network", GAN, onset="stamp"), PRESS, 21, 0, id="gan.onnx"),
         pytest.param(EstimatorOptions("direct", onset="stamp"), PRESS, 5, 0, id="direct"),
         pytest.param(EstimatorOptions("direct"), LONGER, 7, 50, id="grips"),
     ],

@@ -23,6 +23,11 @@ def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -
         open_estimator(options)
 
 
+def test_the_network_goes_by_one_observation() -> None:
+    with pytest.raises(ValueError, match="both is for --estimator direct"):
+        open_estimator(EstimatorOptions("network", observation="both"))
+
+
 def test_direct_fits_a_slab_where_it_is_told_how_thick_tissue_is() -> None:
     sheet = open_estimator(EstimatorOptions("direct", Path("sheet")))
     assert sheet.described == open_estimator(EstimatorOptions("direct")).described

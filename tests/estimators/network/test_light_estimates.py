@@ -5,7 +5,7 @@ import pytest
 
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS
+from palpate.data.contact.interaction import BRIGHTNESS
 from palpate.data.contact.light_features import light_amounts, light_shapes, light_slots
 from palpate.data.prepared import PreparedFrame
 from palpate.estimators import runs
@@ -67,9 +67,8 @@ def test_what_rings_do_not_explain_is_no_press(network: NetworkEstimator) -> Non
 def test_one_frame_is_too_few_and_another_file_knows_nothing_of_light(network: NetworkEstimator, posterior) -> None:
     with pytest.raises(NoEstimate, match=TOO_DARK):
         network.lit(lit_contact(TIMES[:1], dent(0.3)[:1]))
-    for observation in (BRIGHTNESS, BOTH):
-        with pytest.raises(ModelFileError, match="knows nothing of light"):
-            NetworkEstimator(posterior, BETWEEN, observation=observation)
+    with pytest.raises(ModelFileError, match="knows nothing of light"):
+        NetworkEstimator(posterior, BETWEEN, observation=BRIGHTNESS)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from palpate.estimators.contract import Chosen, Estimator
 from palpate.estimators.direct.estimator import DirectEstimator
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import check_sources
-from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.network.estimator import FAST, FULL, NetworkEstimator
 from palpate.estimators.online.estimator import OnlineEstimator
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.estimators.onset import BETWEEN, STAMP
@@ -52,6 +52,8 @@ class EstimatorOptions:
     """CPU threads of a model; None leaves the choice to ONNX Runtime."""
     thickness: float | None = None
     """Of the tissue, for `direct` with the model FEM [scene units]."""
+    rate: str = FULL
+    """What `network` does of a clip, one of `estimators.network.estimator.RATES`."""
 
 
 def open_estimator(options: EstimatorOptions) -> Estimator:
@@ -63,6 +65,8 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     """
     if options.name is not None and options.name not in NAMES:
         raise ValueError(f"there is no estimator {options.name}; choose {', '.join(NAMES)}.")
+    if options.rate == FAST and options.name in ("direct", "online"):
+        raise ValueError(f"--rate fast is for --estimator network; {options.name} has nothing that it could leave out.")
     if options.name == "online":
         for name in ("model", "thickness", "onset", "observation", "noise", "horizon"):
             if getattr(options, name) is not None:
@@ -85,7 +89,9 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if isinstance(model, PosteriorModel):
         if options.observation == BOTH:
             raise ValueError("--observation both is for --estimator direct; the network goes by depth or by light.")
-        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, options.observation)
+        return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, options.observation, options.rate)
+    if options.rate == FAST:
+        raise ValueError(f"{model.path} fits nothing that could be left out; leave --rate fast out.")
     if options.onset not in (None, STAMP):
         raise ModelFileError(f"{model.path} knows nothing of when a press begins; leave --onset {options.onset} out.")
     if options.horizon is not None:

@@ -19,6 +19,7 @@ from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
 from palpate.estimators.contract import Estimator
+from palpate.estimators.network.estimator import FAST, LEAVES_OUT
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -120,6 +121,7 @@ def build_record(
         "warnings": [
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *([LEAVES_OUT] if causes["estimator"].get("rate") == FAST else []),
             *results.doubts[:1],
             *(
                 [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]

@@ -78,7 +78,7 @@ class Batch:
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness")
+        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":

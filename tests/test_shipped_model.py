@@ -71,7 +71,13 @@ def test_rows_carry_uncertainty_and_verdict(results) -> None:
 def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     """Real presses begin between frames, which is what intervals allow for by default."""
     rows, record, clip = results
-    assert record["estimator"] == {"name": "network", "onset": "between", "observation": "auto", "horizon": None}
+    assert record["estimator"] == {
+        "name": "network",
+        "onset": "between",
+        "observation": "auto",
+        "horizon": None,
+        "rate": "full",
+    }
     assert main([str(clip), "--output", str(tmp_path), "--no-overlay", "--onset", "stamp"]) == 0
     exact = [row for row in read_rows(tmp_path / clip.name / "parameters.csv") if row["stiffness"]]
     between = [row for row in rows if row["stiffness"]]

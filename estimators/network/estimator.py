@@ -32,6 +32,13 @@ from palpate.physics.msd.simulation import simulate
 LEAST_OBSERVATIONS = 2
 """Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
 TOO_DARK = "Too few frames after the onset show how bright the tissue around the contact is."
+FULL, FAST = RATES = ("full", "fast")
+"""What is done of a clip; fast is done as frames come."""
+LEAVES_OUT = (
+    "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. On "
+    "drawn videos that costs accuracy: k_d/k_s is off by 6 to 20 % and F/k_s by 13 to 35 % in the median, in place of "
+    "3 to 15 % and 7 to 28 % (docs/reports/brightness.md)."
+)
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
@@ -55,6 +62,7 @@ class NetworkEstimator(ModelEstimator):
         observation: which kind of observation, field, contact or brightness. With the contact's point
             alone the network gets no depth-change sequence, and depth windows are blank. None = depth where it is
             measured, else light, by which the network estimates frames while whole runs are fitted.
+        rate: one of RATES; with fast the network estimates whole runs, too.
 
     Raises:
         ModelFileError: its metadata can't be used, or the observation is light, of which the file knows nothing.
@@ -64,17 +72,24 @@ class NetworkEstimator(ModelEstimator):
     model: PosteriorModel
 
     def __init__(
-        self, model: PosteriorModel, onset: str, horizon: Horizon = None, observation: str | None = None
+        self,
+        model: PosteriorModel,
+        onset: str,
+        horizon: Horizon = None,
+        observation: str | None = None,
+        rate: str = FULL,
     ) -> None:
         super().__init__(model)
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
-        if observation == BRIGHTNESS and not model.sees_light:
-            raise ModelFileError(
-                f"{model.path} knows nothing of light; leave --observation {observation} out, or take estimator direct."
-            )
+        self.by_network = observation == BRIGHTNESS or rate == FAST
+        """Whether the network estimates whole runs by light, too."""
+        if self.by_network and not model.sees_light:
+            asked = "--rate fast" if rate == FAST else f"--observation {observation}"
+            raise ModelFileError(f"{model.path} knows nothing of light; leave {asked} out, or take estimator direct.")
         self.by_light = observation in (None, BRIGHTNESS)
         """Whether it goes by the light of the tissue, where that is known."""
         self.described = {"name": self.name, "onset": onset, "observation": observation or "auto", "horizon": horizon}
+        self.described["rate"] = rate
         """The settings that are not in the model's file."""
         self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
         """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""
@@ -169,7 +184,7 @@ class NetworkSession(RunSession):
         super().__init__(clip, estimator.mechanics, estimator.horizon)
         self.by_light, self.needs_light = estimator.by_light, estimator.observation == BRIGHTNESS
         self.estimator = estimator
-        self._whole_runs = BY_NETWORK if estimator.observation != BRIGHTNESS else ""
+        self._whole_runs = "" if estimator.by_network else BY_NETWORK
         """What is said of a frame's estimate by light."""
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
@@ -254,7 +269,7 @@ class NetworkSession(RunSession):
             self.seconds["network"] += time.perf_counter() - start
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
-        if self.estimator.observation != BRIGHTNESS:
+        if not self.estimator.by_network:
             return super()._lit(contact)
         found = self._by_light(contact)
         return contact, found, self._simulated(found, contact)

@@ -17,6 +17,7 @@ from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.depth.preset import preset_names
 from palpate.estimators.contract import SMOOTHING
 from palpate.estimators.direct.estimator import LEAST_SIGMA
+from palpate.estimators.network.estimator import RATES
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
@@ -29,7 +30,13 @@ TYPES = {
     "pixels": real_number("a width in pixels; give 0 or more", 0.0),
     "noise": real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA),
 }
-CHOICES = {"estimators": NAMES, "onsets": ONSETS, "observations": OBSERVATIONS, "contacts": ("touching", "motion")}
+CHOICES = {
+    "estimators": NAMES,
+    "onsets": ONSETS,
+    "observations": OBSERVATIONS,
+    "contacts": ("touching", "motion"),
+    "rates": RATES,
+}
 """What infer.yaml calls types and choices."""
 
 

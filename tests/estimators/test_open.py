@@ -17,6 +17,17 @@ def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> No
         assert open_estimator(EstimatorOptions(name, **chosen)).described == usual | chosen
 
 
+def test_only_the_network_can_be_fast(tmp_path) -> None:
+    assert open_estimator(EstimatorOptions("network", rate="fast")).described["rate"] == "fast"
+    for options in (
+        EstimatorOptions("direct", rate="fast"),
+        EstimatorOptions("online", rate="fast"),
+        EstimatorOptions("gan", write_model(tmp_path / "gan.onnx"), rate="fast"),
+    ):
+        with pytest.raises(ValueError, match="--rate fast"):
+            open_estimator(options)
+
+
 def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -> None:
     options = EstimatorOptions("gan", write_model(tmp_path / "gan.onnx"), observation="contact")
     with pytest.raises(ValueError, match="sees single frames; leave --observation contact out"):

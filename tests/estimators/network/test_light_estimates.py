@@ -69,6 +69,8 @@ def test_one_frame_is_too_few_and_another_file_knows_nothing_of_light(network: N
         network.lit(lit_contact(TIMES[:1], dent(0.3)[:1]))
     with pytest.raises(ModelFileError, match="knows nothing of light"):
         NetworkEstimator(posterior, BETWEEN, observation=BRIGHTNESS)
+    with pytest.raises(ModelFileError, match="leave --rate fast out"):
+        NetworkEstimator(posterior, BETWEEN, rate="fast")
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +101,13 @@ def test_frames_are_estimated_by_light_as_they_come_and_runs_are_if_that_is_aske
     # What comes later changes nothing of a frame.
     fewer, _ = follow(network.start(clip_info()), watched[:12])
     np.testing.assert_array_equal(fewer[-1].estimate.theta, frames[11].estimate.theta)
+
+
+def test_fast_leaves_fits_of_whole_runs_out(network, watched) -> None:
+    fast = NetworkEstimator(network.model, BETWEEN, rate="fast")
+    frames, (run,) = follow(fast.start(clip_info()), watched)
+    np.testing.assert_allclose(run.estimate.theta, network.lit(run.interaction).theta)
+    assert not any(BY_NETWORK in frame.detail for frame in frames)
 
 
 def test_by_default_whole_runs_are_fitted(network, watched, monkeypatch) -> None:

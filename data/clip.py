@@ -120,9 +120,13 @@ class ClipStream:
         """
         return self._frames(iter)
 
-    def overlapped(self) -> Iterator[PreparedFrame]:
-        """The same frames, while threads prepare the next ones and decide about their contact."""
-        return self._frames(functools.partial(ahead, most=AHEAD))
+    def overlapped(self, most: int = AHEAD) -> Iterator[PreparedFrame]:
+        """The same frames, while threads prepare the next ones and decide about their contact.
+
+        Args:
+            most: frames that wait between two stages; each makes what follows a frame's time later.
+        """
+        return self._frames(functools.partial(ahead, most=most))
 
     def _frames(self, staged: Stage) -> Iterator[PreparedFrame]:
         self._masks.reset()

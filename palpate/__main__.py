@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | train | export | calibrate | plan | benchmark | synthetic …
+    palpate infer | live | train | export | calibrate | plan | benchmark | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -14,6 +14,7 @@ import sys
 
 COMMANDS = {
     "infer": "palpate.command.infer",
+    "live": "palpate.command.live",
     "train": "palpate.command.train",
     "export": "palpate.command.train",
     "calibrate": "palpate.command.calibrate",

@@ -58,6 +58,7 @@ FENCES = {
 LIGHT_DOORS = {
     "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
     "palpate.command.infer": "palpate.estimators.direct.sampling",
+    "palpate.command.live": "palpate.estimators.direct.sampling",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",

@@ -134,7 +134,7 @@ class FrameFolder(FrameSource):
             except InputError as problem:
                 problems.append(problem)  # it is reported with its frame when iterating
                 continue
-            return _picture_size(self.path, image)
+            return picture_size(self.path, image)
         raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
 
     def __iter__(self) -> Iterator[Frame]:
@@ -180,7 +180,7 @@ class VideoFile(FrameSource):
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if not done:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
-        self.size = _picture_size(path, image)
+        self.size = picture_size(path, image)
         self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
         self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
         self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
@@ -231,7 +231,7 @@ class VideoFile(FrameSource):
             yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)
 
 
-def _picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
+def picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
 
     Raises:
@@ -293,7 +293,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     clips: dict[Path, None] = {}
     for given in map(Path, inputs):
         if str(given).startswith("camera:"):
-            raise InputError(f"{given} is a live camera; record it to a video file and give that.")
+            raise InputError(f"{given} is a live camera; give its number to palpate live, or record a video file.")
         try:
             given.stat()
             found = _search(given, layout) if given.is_dir() else [given]

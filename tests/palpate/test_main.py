@@ -15,7 +15,7 @@ def test_help_names_every_command_which_is_a_program_and_another_is_a_sentence(c
         assert name in told
         assert callable(importlib.import_module(module).main)
     assert main(["nonsense"]) == 2
-    assert "there is no command 'nonsense'; choose infer, train," in capsys.readouterr().err
+    assert "there is no command 'nonsense'; choose infer, live, train," in capsys.readouterr().err
 
 
 def test_a_command_gets_the_arguments_behind_its_name(capsys, monkeypatch) -> None:

@@ -234,7 +234,7 @@ def test_discover_follows_a_layout_with_subfolders(tmp_path):
         ("absent", "No such file"),
         ("empty", "holds neither a video nor"),
         ("one.png", "is a single image"),
-        ("camera:0", "camera:0 is a live camera; record it to a video file"),
+        ("camera:0", "camera:0 is a live camera; give its number to palpate live"),
     ],
 )
 def test_discover_names_what_is_wrong(tmp_path, monkeypatch, path, said):

@@ -1,0 +1,178 @@
+"""Frames as they come from a camera, a stream or a pipe; those that have waited too long are dropped and counted."""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+
+from palpate.data.source.frames import LARGEST_FPS, Frame, FrameSource, VideoFile, picture_size
+from palpate.data.source.layout import InputError
+
+STALLED = 2.0
+"""A source that gives no picture for so long is said to have stalled [s]."""
+PATIENCE = 30.0
+"""So long a camera or stream that has gone is looked for again [s]."""
+RETRY = 0.5
+"""How often [s]."""
+
+
+class LiveSource(FrameSource):
+    """Pictures as they come. Whoever iterates again goes on with the pictures of then.
+
+    Args:
+        name: of the source, for messages.
+        pictures: RGB uint8 [H, W, 3], taken in a thread of their own.
+        fps: frames a second.
+        max_latency: of a picture when it is taken; older ones are dropped [s].
+        clocked: whether a picture's time is when it came; otherwise pictures are one frame apart.
+
+    Raises:
+        InputError: no picture comes at all, or one of an unusable size.
+    """
+
+    def __init__(
+        self, name: str, pictures: Iterable[np.ndarray], fps: float, max_latency: float, *, clocked: bool = False
+    ) -> None:
+        self.name, self.path, self.fps, self.max_latency = name, Path(name), fps, max_latency
+        self.length, self.warnings = 0, []
+        self.dropped = self.stalls = 0
+        """Pictures that were dropped, and how often the source stalled."""
+        self.came: dict[int, float] = {}
+        """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
+        self._pictures, self._clocked = pictures, clocked
+        self._waiting: deque[tuple[int, float, np.ndarray]] = deque()
+        self._ended = False
+        self._error: Exception | None = None
+        self._changed = threading.Condition()
+        threading.Thread(target=self._take, daemon=True).start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._ended)
+            if not self._waiting:
+                raise self._error or InputError(f"{name} gives no picture; check that it is there and not in use.")
+            self.size = picture_size(self.path, self._waiting[0][2])
+
+    def _take(self) -> None:
+        begun, number = math.nan, -1
+        try:
+            for picture in self._pictures:
+                came = time.monotonic()
+                begun = came if number < 0 else begun
+                number = max(number + 1, round((came - begun) * self.fps)) if self._clocked else number + 1
+                with self._changed:
+                    self._waiting.append((number, came, picture))
+                    self._drop(came)
+                    self._changed.notify()
+        except Exception as error:  # whatever it is, nobody must wait for ever
+            self._error = error
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify()
+
+    def _drop(self, now: float) -> None:
+        """Drop pictures that have waited too long, but for the last one."""
+        while len(self._waiting) > 1 and now - self._waiting[0][1] > self.max_latency:
+            self._waiting.popleft()
+            self.dropped += 1
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames until the source ends.
+
+        Raises:
+            InputError: the source can't be read any more.
+        """
+        index, first, begun = 0, 0, 0.0
+        while True:
+            with self._changed:
+                while not self._waiting and not self._ended:
+                    self.stalls += not self._changed.wait(STALLED) and not self._waiting
+                if not self._waiting:
+                    if self._error is not None:
+                        raise self._error
+                    return
+                self._drop(time.monotonic())
+                number, came, picture = self._waiting.popleft()
+            if index == 0:
+                first, begun = number, came
+            number -= first
+            self.came[number] = came
+            error = self.size_error(picture, f"Frame {number} of {self.name}")
+            time_s = came - begun if self._clocked else number / self.fps
+            yield Frame(index, number, time_s, None if error else picture, None, error)
+            index += 1
+
+
+def open_live(
+    where: str, max_latency: float, size: tuple[int, int] | None, fps: float | None, pipe: BinaryIO, every: int = 1
+) -> LiveSource:
+    """Open a source.
+
+    Args:
+        where: a camera's number, the address of a stream, a video file (played at its own rate), or `-` for the pipe.
+        max_latency: as of `LiveSource` [s].
+        size: width and height of the pipe's pictures [px].
+        fps: frames a second; None = the source's own, of a pipe 25.
+        pipe: RGB pictures, 3 bytes a pixel, one after the other.
+        every: one of so many pictures is taken, the first one to begin with.
+
+    Raises:
+        InputError: it can't be opened.
+    """
+    if where == "-":
+        if size is None:
+            raise InputError("pictures from a pipe have no size of their own; give --size, such as --size 854x480.")
+        return LiveSource("pipe", islice(_piped(pipe, size), 0, None, every), (fps or 25.0) / every, max_latency)
+    if where.isdecimal() or "://" in where:
+        camera = int(where) if where.isdecimal() else where
+        name = f"camera {where}" if where.isdecimal() else where
+        capture = cv2.VideoCapture(camera)
+        if not capture.isOpened():
+            raise InputError(f"{name} can't be opened; check that it is there and not in use.")
+        stated = capture.get(cv2.CAP_PROP_FPS)
+        rate = fps or (stated if 0 < stated <= LARGEST_FPS else 25.0)
+        return LiveSource(
+            name, islice(_captured(camera, capture), 0, None, every), rate / every, max_latency, clocked=True
+        )
+    if not Path(where).is_file():
+        raise InputError(f"{where} is no file, stream or camera; give a path, an address, a camera's number, or -.")
+    video = VideoFile(Path(where))
+    return LiveSource(video.name, islice(_played(video), 0, None, every), video.fps / every, max_latency)
+
+
+def _captured(camera: int | str, capture: cv2.VideoCapture) -> Generator[np.ndarray]:
+    """Pictures of a camera or stream; one that has gone is looked for again for a while."""
+    last = time.monotonic()
+    try:
+        while time.monotonic() - last < PATIENCE:
+            picture = capture.read()[1] if capture.isOpened() else None
+            if picture is not None:
+                last = time.monotonic()
+                yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            else:
+                capture.release()
+                time.sleep(RETRY)
+                capture = cv2.VideoCapture(camera)
+    finally:
+        capture.release()
+
+
+def _piped(pipe: BinaryIO, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    width, height = size
+    while len(data := pipe.read(3 * width * height)) == 3 * width * height:
+        yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
+
+
+def _played(video: VideoFile) -> Iterator[np.ndarray]:
+    """Pictures of a file when their time has come; frames that can't be decoded are left out."""
+    begun = time.monotonic()
+    for frame in video:
+        time.sleep(max(begun + frame.time_s - time.monotonic(), 0.0))
+        if frame.image is not None:
+            yield frame.image

@@ -1,0 +1,149 @@
+"""Tissue stiffness, damping and tool force while a camera, a stream or a pipe runs, as a line of JSON a frame.
+
+    palpate live 0                                    # the first camera
+    palpate live rtsp://… | my_display                # a stream
+    ffmpeg … -f rawvideo -pix_fmt rgb24 - | palpate live - --size 854x480
+
+A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
+so far; where a run of contact has ended, another one holds what `interactions.csv` does. Presses are estimated by
+the network alone (--rate fast of `palpate infer`). Research software, not a medical device.
+"""
+
+import argparse
+import dataclasses
+import math
+import re
+import socket
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from palpate.common.command_line import path_option, real_number, whole_number
+from palpate.common.doors import INTERRUPTED
+from palpate.common.files import as_json
+from palpate.data.clip import ClipStream
+from palpate.data.source.live import LiveSource, open_live
+from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.network.estimator import FAST
+from palpate.estimators.open import EstimatorOptions, open_estimator, preparation
+from palpate.estimators.records import FrameEstimate
+from palpate.estimators.session import estimates_of
+from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values
+
+SCALED_IN = 1.0
+"""The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
+WAITING = 1
+"""Frames that wait between two stages."""
+LOOPBACK = "127.0.0.1"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Estimate until the source ends; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        estimator = open_estimator(EstimatorOptions(model=options.model, rate=FAST))
+        chosen = {name: getattr(options, name) for name in ("masks", "depth", "camera")}
+        settings = preparation(estimator, **chosen)
+        depth = dataclasses.replace(settings.depth, scale_seconds=SCALED_IN)
+        source = open_live(
+            options.source, options.max_latency, options.size, options.fps, sys.stdin.buffer, options.every
+        )
+        clip = ClipStream(source, dataclasses.replace(settings, depth=depth))
+        session = estimator.start(ClipInfo.of(clip))
+    except (ValueError, OSError) as error:
+        print(f"palpate live: {error}", file=sys.stderr)
+        return 2
+    report, status = Report(source, options.port), 0
+    try:
+        for output in estimates_of(session, clip.overlapped(WAITING)):
+            report.add(output)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    except (ValueError, OSError) as error:
+        print(f"palpate live: {error}", file=sys.stderr)
+        status = 1
+    print(report.summary(), file=sys.stderr)
+    return status
+
+
+class Report:
+    """Lines of JSON about a source, and how late they were.
+
+    Args:
+        source: whose estimates are printed.
+        port: lines also go there as datagrams, on this machine alone; None = nowhere.
+    """
+
+    def __init__(self, source: LiveSource, port: int | None) -> None:
+        self.source, self.port = source, port
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._late = np.zeros(1 << 16)
+        self._frames, self._begun = 0, time.monotonic()
+
+    def add(self, output: Output) -> None:
+        """Print an estimate of a frame or of a run of contact."""
+        if isinstance(output, FrameEstimate):
+            late = time.monotonic() - self.source.came.pop(output.frame, math.nan)
+            self._late[self._frames % len(self._late)] = late
+            self._frames += 1
+            found = _known(output.values, FRAMES) | {"latency_s": round(late, 4), "dropped": self.source.dropped}
+        else:
+            found = {"interaction": _known(interaction_values(output), INTERACTIONS)}
+        line = as_json(found)
+        print(line, flush=True)
+        if self.port is not None:
+            self._socket.sendto(line.encode(), (LOOPBACK, self.port))
+
+    def summary(self) -> str:
+        """A sentence on frames, latency, and what was lost."""
+        late, seconds = self._late[: self._frames], time.monotonic() - self._begun
+        if not len(late):
+            return "No frame was estimated."
+        usual, most = 1000 * np.nanquantile(late, [0.5, 0.95])
+        return (
+            f"{self._frames} frames, {self._frames / seconds:.1f} a second, {usual:.0f} ms late in the median and "
+            f"{most:.0f} at the 95th percentile; {self.source.dropped} were dropped, the source stalled "
+            f"{self.source.stalls} times."
+        )
+
+
+def _known(values: dict[str, Any], columns: dict[str, str]) -> dict[str, Any]:
+    """What is known, by column; numbers that are none are left out."""
+    found = {name: values.get(name) for name in columns}
+    return {name: value for name, value in found.items() if value is not None and value == value and value != ""}
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height [px]."""
+    if not re.fullmatch(r"\d{1,5}x\d{1,5}", text):
+        raise argparse.ArgumentTypeError(f"{text} is no size; give width and height, such as 854x480.")
+    width, height = map(int, text.split("x"))
+    return width, height
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    text = (
+        "camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"
+    )
+    parser.add_argument("source", metavar="SOURCE", help=text)
+    seconds = real_number("a time in seconds; give a positive one", 1e-3)
+    text = "frames that have waited longer are dropped and counted [s] (default: 0.2)"
+    parser.add_argument("--max-latency", type=seconds, default=0.2, metavar="SECONDS", help=text)
+    parser.add_argument("--size", type=_size, metavar="WxH", help="of a pipe's pictures [px]")
+    rate = real_number("a rate; give 1 frame a second or more", 1.0)
+    parser.add_argument("--fps", type=rate, help="frames a second (default: as the source says; of a pipe 25)")
+    text = (
+        "take one of so many frames, so that this machine keeps up: frames that are dropped break a press off "
+        "(default: 1)"
+    )
+    parser.add_argument("--every", type=whole_number(1, 100), default=1, metavar="N", help=text)
+    text = f"send every line to this UDP port of {LOOPBACK}, too"
+    parser.add_argument("--port", type=whole_number(1, 65535), metavar="N", help=text)
+    parser.add_argument("--model", type=path_option, metavar="FILE", help="exported network (default: the shipped one)")
+    parser.add_argument("--masks", metavar="SOURCE", help="as of palpate infer")
+    parser.add_argument("--depth", metavar="SOURCE", help="as of palpate infer")
+    parser.add_argument("--camera", type=path_option, metavar="FILE", help="as of palpate infer")
+    return parser

@@ -1,0 +1,58 @@
+"""The door that estimates while pictures come."""
+
+import io
+import json
+import socket
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palpate.command.live import main
+from palpate.data.source.frames import open_source
+from palpate.data.source.layout import ClipLayout
+from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory) -> np.ndarray:
+    """A drawn press, RGB [N, H, W, 3]."""
+    settings = SceneSettings(width=214, height=120, frames=16)
+    clip = write_clip(tmp_path_factory.mktemp("live"), 1, settings, 3)
+    return np.stack([frame.picture for frame in open_source(clip, ClipLayout())])
+
+
+def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, monkeypatch, capsys) -> None:
+    twice = np.concatenate([pictures, pictures])
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(twice.tobytes())))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(10)
+        port = str(listening.getsockname()[1])
+        assert main(["-", "--size", "214x120", "--max-latency", "600", "--port", port]) == 0
+        said = capsys.readouterr()
+        lines = [json.loads(line) for line in said.out.splitlines()]
+        assert [json.loads(listening.recv(1 << 16)) for _ in lines] == lines
+    frames = [line for line in lines if "frame" in line]
+    # The first second went into the depth's scale.
+    assert [line["frame"] for line in frames] == list(range(len(frames)))
+    assert 0 < len(frames) < len(twice)
+    assert all(0 < line["latency_s"] < 600 and line["dropped"] == 0 and line["status"] for line in frames)
+    assert f"{len(frames)} frames, " in said.err
+    assert "0 were dropped" in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["-"], "give --size"),
+        (["nowhere.mp4"], "is no file, stream or camera"),
+        (["-", "--size", "8x8"], "pictures of 8x8"),
+        (["-", "--size", "214x120", "--model", "nowhere.onnx"], "nowhere.onnx"),
+    ],
+)
+def test_what_cannot_be_used_is_said(arguments, reason, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(bytes(8 * 8 * 3))))
+    assert main(arguments) == 2
+    assert reason in capsys.readouterr().err

@@ -3,7 +3,6 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
-from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,14 +13,10 @@ from palpate.estimators.estimate import NINETY, Estimate
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
 """What run.json calls frames without any; their state is empty."""
+STATES = (NO_CONTACT, BELOW, ABOVE, UNKNOWN)
+"""What run.json counts."""
 RELEASE = 0.9
 """Share of the limit under which the upper end must fall before an alarm ends."""
-REFUSED = {
-    "gan": "which gives no interval",
-    "direct": "which tells forces only when a run of contact has ended",
-    "online": "which knows no force",
-}
-"""Why an estimator can't have the alarm."""
 
 
 @dataclass
@@ -76,21 +71,20 @@ class ForceAlarm:
     def record(self) -> dict[str, Any]:
         """What run.json keeps: the limit, how many alarms there were, and frames and seconds [s] of each state."""
         names = [state or NO_CONTACT for state in self.states]
-        lasted = np.diff([*self._times, self._times[-1] + self.frame_s]) if names else []
-        seconds = dict.fromkeys((NO_CONTACT, BELOW, ABOVE, UNKNOWN), 0.0)
-        for name, span in zip(names, lasted, strict=True):
-            seconds[name] += float(span)
-        frames, rounded = Counter(names), {name: round(value, 6) for name, value in seconds.items()}
+        lasted = np.diff(self._times, append=[time_s + self.frame_s for time_s in self._times[-1:]])
+        frames, seconds = dict.fromkeys(STATES, 0), dict.fromkeys(STATES, 0.0)
+        for name, span in zip(names, lasted.tolist(), strict=True):
+            frames[name] += 1
+            seconds[name] = round(seconds[name] + span, 6)
         told = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
-        return told | {"frames": {name: frames[name] for name in seconds}, "seconds": rounded}
+        return told | {"frames": frames, "seconds": seconds}
 
     def sentence(self) -> str:
         """The same in words."""
-        found = self.record()
-        frames, seconds = found["frames"], found["seconds"]
+        frames, seconds = (self.record()[name][UNKNOWN] for name in ("frames", "seconds"))
         return (
             f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
-            f"safe nor unsafe, in {frames[UNKNOWN]} of {len(self.states)} frames ({seconds[UNKNOWN]:.2f} s); research "
+            f"safe nor unsafe, in {frames} of {len(self.states)} frames ({seconds:.2f} s); research "
             "software, not a medical device"
         )
 

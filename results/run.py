@@ -29,7 +29,7 @@ from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, pre
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.alarm import REFUSED, ForceAlarm
+from palpate.results.alarm import ForceAlarm
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
@@ -90,8 +90,8 @@ class Batch:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
         if options.force_limit is not None and not isinstance(self.estimator, NetworkEstimator):
             raise ValueError(
-                "--force-limit needs the force in every frame and its interval; take --estimator network, not "
-                f"{self.estimator.name}, {REFUSED[self.estimator.name]}."
+                "--force-limit needs the force and its interval in every frame, which --estimator "
+                f"{self.estimator.name} does not give; take network."
             )
         if options.force_limit is not None and self.calibration is not None and not self.calibration.tells:
             raise ValueError(

@@ -15,7 +15,7 @@ from typing import Any
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import H264, Mpeg4, open_video
 from palpate.estimators.calibration_file import ClipLength
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
@@ -122,7 +122,8 @@ class ClipResults:
         if self.calibration is not None:
             self.calibration.see(prepared)
         if self.alarm is not None:
-            upper = None if estimate.estimate is None else self._upper(estimate.estimate)
+            upper_end = upper_force if self.calibration is None else self.calibration.upper_force
+            upper = None if estimate.estimate is None else upper_end(estimate.estimate)
             estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
@@ -134,9 +135,6 @@ class ClipResults:
                 self._waiting.add(shown)
             else:
                 self._draw(shown, None)
-
-    def _upper(self, found: Estimate) -> float | None:
-        return upper_force(found) if self.calibration is None else self.calibration.upper_force(found)
 
     def _draw(self, frame: Waiting, stiffness: StiffnessMap | None) -> None:
         """Append a picture to the overlay, if there is one, once those before it are drawn."""

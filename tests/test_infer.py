@@ -453,9 +453,9 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
         (["--known-force", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
-        (["--model", model, "--force-limit", "1"], "take --estimator network, not gan, which gives no interval."),
-        (["--estimator", "online", "--force-limit", "1"], "network, not online, which knows no force."),
-        (["--estimator", "direct", "--force-limit", "1"], "direct, which tells forces only when a run of contact"),
+        (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network."),
+        (["--estimator", "online", "--force-limit", "1"], "which --estimator online does not give; take network."),
+        (["--estimator", "direct", "--force-limit", "1"], "which --estimator direct does not give; take network."),
         (
             ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
             "measured.yaml tells none; give known_s there, or leave --calibration out.",

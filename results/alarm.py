@@ -72,10 +72,8 @@ class ForceAlarm:
         """What run.json keeps: the limit, how many alarms there were, and frames and seconds [s] of each state."""
         names = [state or NO_CONTACT for state in self.states]
         lasted = np.diff(self._times, append=[time_s + self.frame_s for time_s in self._times[-1:]])
-        frames, seconds = dict.fromkeys(STATES, 0), dict.fromkeys(STATES, 0.0)
-        for name, span in zip(names, lasted.tolist(), strict=True):
-            frames[name] += 1
-            seconds[name] = round(seconds[name] + span, 6)
+        frames = {state: names.count(state) for state in STATES}
+        seconds = {state: round(float(lasted @ [name == state for name in names]), 6) for state in STATES}
         told = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
         return told | {"frames": frames, "seconds": seconds}
 

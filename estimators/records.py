@@ -51,6 +51,8 @@ class FrameEstimate:
     without force."""
     field: ParticleField | None = None
     """Stiffness over the tissue, from an estimator that finds it place by place."""
+    alarm: str = ""
+    """Whether the force has reached a limit (`results.alarm`); empty without a limit, and without contact."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:

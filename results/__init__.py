@@ -4,6 +4,7 @@ run       a batch of clips: finding them, going on after a failure, the closing 
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--calibration), and compared with measured forces
+alarm     whether the force has reached a limit (--force-limit)
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py

@@ -10,10 +10,11 @@ import numpy as np
 from palpate.data.prepared import PreparedFrame
 from palpate.estimators.calibration_file import Calibration, ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.dent import DentRecorder
-from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
 from palpate.estimators.records import InteractionEstimate
+from palpate.physics.identifiability import covariance
 from palpate.physics.mechanics import PARAMETERS
 
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
@@ -55,7 +56,7 @@ class ClipCalibration:
     scale: ForceScale | None = None
     """Of this clip, once it has been concluded."""
     length: ClipLength | None = None
-    """Likewise."""
+    """Likewise, or set before where newtons are told on the way."""
     rows: list[dict[str, Any]] = field(default_factory=list)
     """Of calibrated.csv, likewise."""
     curves: list[Curve] = field(default_factory=list)
@@ -114,6 +115,23 @@ class ClipCalibration:
             self.curves = self._compared(pressed, length, self.measured)
             if any(curve.unit == NEWTONS for curve in self.curves):
                 self.reason = ""  # a dent or a grip tells newtons where no press does
+
+    def upper_force(self, found: Estimate) -> float | None:
+        """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
+
+        In the clip with the known force no scale is known until the run that tells it has ended.
+        """
+        if self.length is None or found.covariance is None or not found.explained:
+            return None
+        try:
+            scale = self._found([run for *_, run in self._runs if run is not None], self.length)
+        except NoEstimate:
+            return None
+        known = np.log(np.abs(found.theta)), found.covariance, covariance(found.verdict_information), True
+        physical = None if scale is None else scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
+        if physical is None or physical.log_sd is None or "force" not in physical.determined:
+            return None
+        return math.exp(physical.logs[2] + NINETY * physical.log_sd[2])
 
     def _found(self, pressed: Sequence[PressedRun], length: ClipLength) -> ForceScale | None:
         if self.home or not self.calibration.of_one_clip:

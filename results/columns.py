@@ -47,6 +47,8 @@ FIELD = named("stiffness", _AGAINST, what=_AGAINST, unit=UNITS) | {
 FRAMES = TEXTS["frame"] | ESTIMATED | TEXTS["frame_contact"] | FIELD | TEXTS["frame_status"]
 FRAMES |= TEXTS["verdict"] | TEXTS["frame_detail"]
 """Columns of `parameters.csv`, in order."""
+ALARM = TEXTS["alarm"]
+"""What `parameters.csv` has in addition with --force-limit."""
 INTERACTIONS = TEXTS["run"] | TEXTS["run_press"] | ESTIMATED | GRIP | TEXTS["verdict"] | TEXTS["run_fit"]
 """Columns of `interactions.csv`, in order."""
 FORCES = TEXTS["forces"]

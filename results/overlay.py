@@ -10,6 +10,7 @@ import numpy as np
 from palpate.data.labels import TISSUE, TOOL
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
+from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.stiffness_overlay import StiffnessMap
@@ -23,6 +24,12 @@ _SOFT: Color = (203, 213, 225)
 _FONT = cv2.FontFace("sans")
 _SMALLEST_WIDTH = 480
 """Narrower clips are enlarged, or the numbers would not fit [px]."""
+_ALARMS: dict[str, tuple[str, Color | None]] = {
+    BELOW: ("Force limit: below.", None),
+    ABOVE: ("Force limit: ABOVE.", (220, 38, 38)),
+    UNKNOWN: ("Force limit: unknown, neither safe nor unsafe.", (250, 204, 21)),
+}
+"""What is said of the alarm, and the colour of the picture's edge."""
 _NOTICE = "Research software, not a medical device"
 
 
@@ -64,6 +71,9 @@ def draw_overlay(
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate, stiffness.note if stiffness is not None and mapped else "")
     _footer(canvas, estimate)
+    edge = _ALARMS[estimate.alarm][1] if estimate.alarm else None
+    if edge is not None:
+        cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), edge, max(3, round(height / 80)))
     return canvas
 
 
@@ -127,7 +137,8 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
 
 def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
-    notes = [MEANINGS[estimate.verdict]] if estimate.verdict else []
+    notes = [_ALARMS[estimate.alarm][0]] if estimate.alarm else []
+    notes += [MEANINGS[estimate.verdict]] if estimate.verdict else []
     notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None:

@@ -114,10 +114,11 @@ def build_record(
         "verdicts": Counter(frame.verdict for frame in frames if frame.verdict),
         "contacts": results.counts,
         "calibration": None if results.calibration is None else results.calibration.record(),
+        "force_limit": None if results.alarm is None else results.alarm.record(),
         "model": network,
         "estimator": causes["estimator"],
         "units": columns.UNITS,
-        "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},
+        "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
@@ -128,6 +129,7 @@ def build_record(
                 if results.doubts[1:]
                 else []
             ),
+            *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},

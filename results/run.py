@@ -24,11 +24,14 @@ from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.known_force import read_forces
+from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.calibrated import ClipCalibration, carried_from, comparison_sentence
+from palpate.results.alarm import ForceAlarm
+from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
+from palpate.results.columns import UNITS
 from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
 from palpate.results.writer import ClipResults
 
@@ -85,6 +88,16 @@ class Batch:
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
+        if options.force_limit is not None and not isinstance(self.estimator, NetworkEstimator):
+            raise ValueError(
+                "--force-limit needs the force and its interval in every frame, which --estimator "
+                f"{self.estimator.name} does not give; take network."
+            )
+        if options.force_limit is not None and self.calibration is not None and not self.calibration.tells:
+            raise ValueError(
+                f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
+                "there, or leave --calibration out."
+            )
         chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
@@ -97,6 +110,8 @@ class Batch:
         causes = depends_on(path, self.settings, self.estimator)
         if self.known is not None:
             causes["known_force"] = file_sha256(self.options.known_force)
+        if self.options.force_limit is not None:
+            causes["force_limit"] = self.options.force_limit
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
@@ -108,17 +123,19 @@ class Batch:
             known = self.known if newtons is None else newtons.known
             options = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
             options["maps"] = self.estimator.name in MAPPING
-            written = ClipResults(folder, source.size, source.fps, **options)
+            written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
+                if newtons is not None:
+                    stored = clip.sources["depth"] == "stored"
+                    newtons.length = newtons.calibration.length(clip.scale, clip.metric, stored)
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
                 for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
-                if self.calibration is not None:
-                    stored = clip.sources["depth"] == "stored"
-                    results.calibrate(self.calibration.length(clip.scale, clip.metric, stored))
+                if newtons is not None and newtons.length is not None:
+                    results.calibrate(newtons.length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)
@@ -183,6 +200,15 @@ class Batch:
         record = {} if self.carried is None else store.read_record(self.carried)
         causes["calibrated_by"] = record.get("fingerprint")
         return ClipCalibration(calibration, False, carried_from(record))
+
+    def _alarm(self, fps: float) -> ForceAlarm | None:
+        """The alarm of a clip of so many frames a second, where one is asked for."""
+        estimator = self.estimator
+        if self.options.force_limit is None or not isinstance(estimator, NetworkEstimator):
+            return None
+        unit = UNITS["force"] if self.calibration is None else NEWTONS
+        seconds = min(estimator.press_seconds[1], estimator.mechanics.seconds)
+        return ForceAlarm(self.options.force_limit, unit, seconds, 1 / fps)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

@@ -19,6 +19,7 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
+from palpate.results.alarm import ForceAlarm, upper_force
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.overlay import canvas_size, draw_overlay
@@ -46,6 +47,7 @@ class ClipResults:
         calibration: gathers what the clip tells in newtons.
         fields: whether the estimator gives fields of stiffness.
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
+        alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -62,9 +64,12 @@ class ClipResults:
         calibration: ClipCalibration | None = None,
         fields: bool = False,
         maps: bool = False,
+        alarm: ForceAlarm | None = None,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
-        self.calibration = calibration
+        self.calibration, self.alarm = calibration, alarm
+        self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
+        """Of parameters.csv."""
         self.estimates: list[FrameEstimate] = []
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
@@ -84,7 +89,7 @@ class ClipResults:
         try:
             with writing(folder.parent):
                 self._partial = store.partial_folder(folder)
-                self._rows = self._open_table(store.TABLE, columns.FRAMES)
+                self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
@@ -116,9 +121,13 @@ class ClipResults:
         """Append one frame: its row, and its picture where there is an overlay."""
         if self.calibration is not None:
             self.calibration.see(prepared)
+        if self.alarm is not None:
+            upper_end = upper_force if self.calibration is None else self.calibration.upper_force
+            upper = None if estimate.estimate is None else upper_end(estimate.estimate)
+            estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
-            self._rows.writerow(columns.row(columns.FRAMES, estimate.values))
+            self._rows.writerow(columns.row(self.columns, estimate.values))
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
             shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
@@ -154,6 +163,8 @@ class ClipResults:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
         if self.calibration is not None:
             self.calibration.add(run)
+        if self.alarm is not None:
+            self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
             if run.field.explanation and not run.field.determined:

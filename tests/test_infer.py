@@ -403,8 +403,40 @@ def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
     assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
 
 
+def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
+    """The press is of 0.05 units: above a limit of 0.045 as soon as it is determined, and never of 0.1."""
+    arguments = [str(synthetic), "--output", str(tmp_path), "--onset", "stamp", "--no-overlay", "--force-limit"]
+    folder = tmp_path / "video01_00000"
+    for limit, state in (("0.045", "above"), ("0.1", "below")):
+        assert infer.main([*arguments, limit, "--overwrite"]) == 0
+        found, said = rows(folder), record(folder)["force_limit"]
+        known = [row["force_high"] != "" and "force" in row["determined"].split(";") for row in found]
+        touching = [row["contact"] == "1" for row in found]
+        expected = [
+            state if sure else "unknown" if touches else "" for touches, sure in zip(touching, known, strict=True)
+        ]
+        assert [row["alarm"] for row in found] == expected
+        assert {state, "unknown", ""} == set(expected)
+        assert said["frames"]["unknown"] == expected.count("unknown")
+        assert said["seconds"]["unknown"] == pytest.approx(expected.count("unknown") / 25)
+        assert (said["limit"], said["unit"], said["alarms"]) == (
+            float(limit), "scene units (normalised), not N", int(state == "above"),
+        )  # fmt: skip
+        assert list(record(folder)["columns"]["parameters.csv"]) == [*FRAMES, "alarm"]
+        assert f"reached the limit {limit} in scene units" in flat(capsys.readouterr().err)
+    assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
+    capsys.readouterr()
+    (tmp_path / "known.yaml").write_text("stiffness: 8.0\nstiffness_unit: N/scene unit\n")
+    given = ["--calibration", str(tmp_path / "known.yaml"), "--overwrite"]
+    assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
+    assert record(folder)["force_limit"]["unit"] == "N"
+    assert record(folder)["force_limit"]["alarms"] == 1
+
+
 def test_wrong_usage(inputs, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
+    (inputs / "measured.yaml").write_text("measured: forces.csv")
+    (inputs / "forces.csv").write_text("time_s,force_N\n0,1\n1,1\n2,1\n")
     model = str(inputs / "parameters.onnx")
     for options, said in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset; choose one of"),
@@ -421,6 +453,13 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
         (["--known-force", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
+        (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network."),
+        (["--estimator", "online", "--force-limit", "1"], "which --estimator online does not give; take network."),
+        (["--estimator", "direct", "--force-limit", "1"], "which --estimator direct does not give; take network."),
+        (
+            ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
+            "measured.yaml tells none; give known_s there, or leave --calibration out.",
+        ),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
         (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),
         (
@@ -431,7 +470,13 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert said in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
-    for options in (["--noise", "0"], ["--noise", "much"], ["--smoothing", "-1"], ["--thickness", "0"]):
+    for options in (
+        ["--noise", "0"],
+        ["--noise", "much"],
+        ["--smoothing", "-1"],
+        ["--thickness", "0"],
+        ["--force-limit", "0"],
+    ):
         with pytest.raises(SystemExit, match=r"^2$"):
             direct(tmp_path, tmp_path / "out", *options)
         assert f"'{options[1]}' is not a" in capsys.readouterr().err

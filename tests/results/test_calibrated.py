@@ -84,6 +84,25 @@ def test_another_clip_gets_the_scale_of_the_one_with_the_known_force(tmp_path: P
     )
 
 
+def test_a_frame_s_force_has_an_upper_end_in_newtons_once_a_scale_is_known(tmp_path: Path) -> None:
+    """0.1 units at frame 7 are 2 N; ratios do where the stiffness is known; without a scale nothing is told."""
+    told = calibrated(tmp_path, force_N=2.0, force_sd_N=0.1, force_time_s=0.3)
+    assert told.upper_force(GOOD.estimate) is None
+    told.length = UNKNOWN
+    assert told.upper_force(GOOD.estimate) is None
+    told.add(GOOD)
+    log_sd = math.sqrt(0.0025 + 0.0025 + 0.05**2)  # as of another contact
+    assert told.upper_force(GOOD.estimate) == pytest.approx(2.0 * math.exp(1.6449 * log_sd), rel=1e-4)
+    assert told.upper_force(dataclasses.replace(GOOD.estimate, misfit=2.0)) is None
+    assert told.upper_force(dataclasses.replace(GOOD.estimate, covariance=np.eye(3))) is None
+    stiff = calibrated(tmp_path, stiffness=5.0, stiffness_unit="N/scene unit")
+    stiff.length = UNKNOWN
+    together = np.diag([0.0025, 0.04, 0.0025]) + 4.0 * np.ones((3, 3))  # F/k_s alone is known
+    ratio = dataclasses.replace(GOOD.estimate, covariance=together)
+    assert "force" not in ratio.determined
+    assert stiff.upper_force(ratio) == pytest.approx(5.0 * 0.1 / 0.5 * math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4)
+
+
 def test_measured_forces_beside_estimated_ones(tmp_path: Path) -> None:
     """The sensor says 2 N at the first contact, which tells the scale, and 2.5 N at the second, where 2 N are found."""
     times = np.arange(100) * 0.02

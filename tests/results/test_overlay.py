@@ -101,6 +101,14 @@ def test_notes_say_what_the_numbers_cannot() -> None:
     assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == ["0 tool pixels."]
 
 
+@pytest.mark.parametrize(("alarm", "said"), [("below", "below."), ("above", "ABOVE."), ("unknown", "unknown, neither")])
+def test_the_alarm_is_said_and_all_but_safety_has_an_edge(alarm: str, said: str) -> None:
+    plain, warned = (draw_overlay(grey(), SIZE, None, dataclasses.replace(OK, alarm=state)) for state in ("", alarm))
+    edges = {"below": plain[180, 639], "above": (220, 38, 38), "unknown": (250, 204, 21)}
+    assert tuple(warned[180, 639]) == tuple(edges[alarm])
+    assert overlay._notes(dataclasses.replace(OK, alarm=alarm))[0].startswith(f"Force limit: {said}")
+
+
 def test_a_long_remark_makes_the_panel_longer() -> None:
     detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
     plain, remarked = (

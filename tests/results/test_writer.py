@@ -15,6 +15,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce
+from palpate.estimators.records import FrameEstimate
+from palpate.results.alarm import ForceAlarm
 from palpate.results.columns import FORCES, FRAMES, INTERACTIONS
 from palpate.results.plots import MOST_PANELS
 from palpate.results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
@@ -30,6 +32,7 @@ SIZE = (64, 48)
 SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
 FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
+NONE_SEEN = FrameEstimate(8, 0.32, "no_tool")
 NAMES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
 
 
@@ -80,6 +83,20 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     assert "force" not in said[0]
     assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
     assert "forces.csv" in own_files(tmp_path / "clip")
+
+
+def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) -> None:
+    alarm = ForceAlarm(1.0, "N", 1.0, 0.04)
+    sure = frame_in_contact("determined", (0.25, 0.125, -1.0), (1.1, 1.1, 1.1), contact=True)
+    less = frame_in_contact("determined", (0.25, 0.125, -0.85), (1.1, 1.1, 1.1), contact=True)
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, alarm=alarm) as output:
+        for item in (ESTIMATE, sure, less, GOOD, less, dataclasses.replace(NONE_SEEN, contact=False)):
+            output.add(item) if item is GOOD else output.write(FRAME, item)
+        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+    found = read_rows(tmp_path / "clip" / "parameters.csv")
+    assert tuple(found[0]) == (*FRAMES, "alarm")
+    assert [row["alarm"] for row in found] == ["unknown", "above", "above", "below", ""]
+    assert alarm.record()["frames"] == {"no_contact": 1, "below": 1, "above": 2, "unknown": 1}
 
 
 def test_frames_of_a_run_wait_for_its_map_of_stiffness(tmp_path: Path) -> None:

@@ -1,0 +1,93 @@
+"""The alarm of `infer.py --force-limit`: whether the upper end of the force's interval has reached a limit.
+
+Research software, not a medical device: no alarm does not mean that a force is safe.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from palpate.estimators.estimate import NINETY, Estimate
+
+BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
+NO_CONTACT = "no_contact"
+"""What run.json calls frames without any; their state is empty."""
+STATES = (NO_CONTACT, BELOW, ABOVE, UNKNOWN)
+"""What run.json counts."""
+RELEASE = 0.9
+"""Share of the limit under which the upper end must fall before an alarm ends."""
+
+
+@dataclass
+class ForceAlarm:
+    """Takes the frames of a clip in order and says of each whether the force has reached a limit.
+
+    Args:
+        limit: of the force's magnitude [`unit`].
+        unit: N, or the unit of the column `force`.
+        seconds: an estimate is of so much after the onset of contact; what the force is later is unknown [s].
+        frame_s: how long the last frame lasts; all others last until the next one's time stamp [s].
+    """
+
+    limit: float
+    unit: str
+    seconds: float
+    frame_s: float
+    alarms: int = 0
+    """How often the upper end has reached the limit."""
+    states: list[str] = field(default_factory=list)
+    """Of every frame."""
+
+    def __post_init__(self) -> None:
+        self._times: list[float] = []
+        self.end_run()
+
+    def end_run(self) -> None:
+        """The run of contact has ended; the next frame in contact is the onset of another."""
+        self._onset, self._above = np.nan, False
+
+    def push(self, time_s: float, contact: bool | None, upper: float | None) -> str:
+        """The state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.
+
+        An alarm outlasts frames whose force is unknown within its run of contact.
+
+        Args:
+            time_s: time stamp [s].
+            contact: whether tool and tissue touch; None = undecided, which counts as contact of unknown force.
+            upper: upper end of the 90 % interval of the force's magnitude [`unit`]; None = the force isn't determined.
+        """
+        if contact and np.isnan(self._onset):
+            self._onset = time_s
+        state = "" if contact is False else UNKNOWN
+        if contact and upper is not None and time_s - self._onset <= self.seconds + 1e-6:
+            above = upper >= self.limit * (RELEASE if self._above else 1)
+            self.alarms += above and not self._above
+            self._above, state = above, ABOVE if above else BELOW
+        self._times.append(time_s)
+        self.states.append(state)
+        return state
+
+    def record(self) -> dict[str, Any]:
+        """What run.json keeps: the limit, how many alarms there were, and frames and seconds [s] of each state."""
+        names = [state or NO_CONTACT for state in self.states]
+        lasted = np.diff(self._times, append=[time_s + self.frame_s for time_s in self._times[-1:]])
+        frames = {state: names.count(state) for state in STATES}
+        seconds = {state: round(float(lasted @ [name == state for name in names]), 6) for state in STATES}
+        told = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
+        return told | {"frames": frames, "seconds": seconds}
+
+    def sentence(self) -> str:
+        """The same in words."""
+        frames, seconds = (self.record()[name][UNKNOWN] for name in ("frames", "seconds"))
+        return (
+            f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
+            f"safe nor unsafe, in {frames} of {len(self.states)} frames ({seconds:.2f} s); research "
+            "software, not a medical device"
+        )
+
+
+def upper_force(found: Estimate) -> float | None:
+    """Upper end of the 90 % interval of |F| [scene units]; None where the force isn't determined."""
+    known = "force" in found.determined
+    return abs(float(found.theta[2])) * float(np.exp(NINETY * found.log_sd[2])) if known else None

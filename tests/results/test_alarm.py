@@ -1,0 +1,114 @@
+"""The alarm of a limit of force: its states, its memory, and what it counts."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.session import estimates_of
+from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, suite_clip_seed
+from palpate.results.alarm import ForceAlarm, upper_force
+from tests.estimators.estimates import ESTIMATE
+
+
+def alarm(limit: float = 1.0, seconds: float = math.inf) -> ForceAlarm:
+    return ForceAlarm(limit, "N", seconds, 0.04)
+
+
+def told(found: ForceAlarm, *uppers: float | None, contact: bool | None = True) -> list[str]:
+    """States of frames of 0.04 s, with these upper ends."""
+    start = len(found.states)
+    return [found.push(0.04 * (start + i), contact, upper) for i, upper in enumerate(uppers)]
+
+
+def test_an_alarm_begins_at_the_limit_and_ends_under_nine_tenths_of_it() -> None:
+    found = alarm()
+    states = told(found, 0.99, 1.0, 0.95, 0.9, 0.89, 0.95, 1.01)
+    assert states == ["below", "above", "above", "above", "below", "below", "above"]
+    assert found.alarms == 2
+
+
+def test_an_unknown_force_is_neither_safe_nor_unsafe_and_ends_no_alarm() -> None:
+    found = alarm()
+    assert told(found, None, 1.2, None, 0.95) == ["unknown", "above", "unknown", "above"]
+    assert told(found, None, 0.5, contact=None) == ["unknown", "unknown"]
+    assert told(found, None, None, contact=False) == ["", ""]
+    assert found.alarms == 1
+
+
+def test_an_alarm_ends_with_its_run_of_contact() -> None:
+    found = alarm()
+    told(found, 1.2)
+    told(found, None, contact=False)
+    assert told(found, 0.95) == ["above"]  # a gap that is bridged
+    found.end_run()
+    assert told(found, 0.95, 1.0) == ["below", "above"]
+    assert found.alarms == 2
+
+
+def test_a_force_is_unknown_once_the_estimate_is_of_an_earlier_one() -> None:
+    found = alarm(seconds=0.08)
+    told(found, None, contact=False)
+    assert told(found, None, 0.5, 0.5, 0.5, 1.5) == ["unknown", "below", "below", "unknown", "unknown"]
+    found.end_run()
+    assert told(found, 0.5) == ["below"]
+    assert found.alarms == 0
+
+
+def test_frames_and_seconds_are_counted_by_state_and_time_stamps() -> None:
+    found = alarm()
+    frames = ((0.0, False, None), (0.1, True, None), (0.15, True, 2.0), (0.4, None, None), (0.5, True, 0.1))
+    for frame in frames:
+        found.push(*frame)
+    record = found.record()
+    assert record["frames"] == {"no_contact": 1, "below": 1, "above": 1, "unknown": 2}
+    assert record["seconds"] == {"no_contact": 0.1, "below": 0.04, "above": 0.25, "unknown": 0.15}
+    assert (record["limit"], record["unit"], record["release_share"], record["alarms"]) == (1.0, "N", 0.9, 1)
+    assert "in 2 of 5 frames (0.15 s)" in found.sentence()
+    assert "not a medical device" in found.sentence()
+    assert sum(alarm().record()["frames"].values()) == 0
+
+
+def test_the_upper_end_is_that_of_a_determined_force_alone() -> None:
+    assert upper_force(ESTIMATE) == pytest.approx(0.1 * math.exp(NINETY * 0.05))
+    assert upper_force(dataclasses.replace(ESTIMATE, covariance=np.eye(3))) is None
+    assert upper_force(dataclasses.replace(ESTIMATE, misfit=2.0)) is None
+
+
+@pytest.mark.slow
+def test_no_crossing_by_more_than_the_interval_is_missed_on_synthetic_clips() -> None:
+    """Judged: every press of known force, by the shipped network, with limits on both sides of it."""
+    estimator, seen = open_estimator(EstimatorOptions("network", threads=1)), 0
+    for index in range(4):
+        settings, seed = EVERY["clean"].settings(index, GRID_SIZE), suite_clip_seed("validation", 39, index)
+        scene, motion = draw_truth(settings, seed)
+        clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
+        output = list(estimates_of(estimator.start(ClipInfo.of(clip)), clip))
+        force = abs(motion.theta[2])
+        for factor in (0.5, 0.8, 3.0):
+            found, known = alarm(factor * force), []
+            for item in output:
+                if isinstance(item, InteractionEstimate):
+                    found.end_run()
+                    continue
+                assert isinstance(item, FrameEstimate)
+                upper = None if item.estimate is None else upper_force(item.estimate)
+                state = found.push(item.time_s, item.contact, upper)
+                if state in ("below", "above") and upper is not None:
+                    half = upper / abs(item.estimate.theta[2])
+                    known.append(state)
+                    assert state == "above" or force < factor * force * half
+            seen += len(known)
+            assert "above" not in known or factor < 1
+            frames = found.record()["frames"]
+            pressed = motion.release_frame - motion.onset_frame
+            assert frames["unknown"] == pressed - len(known)
+            assert sum(frames.values()) == settings.frames
+    assert seen > 20

@@ -3,12 +3,14 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.network.estimator import NetworkEstimator
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
@@ -36,12 +38,19 @@ class ForceAlarm:
     frame_s: float
     alarms: int = 0
     """How often the upper end has reached the limit."""
-    states: list[str] = field(default_factory=list)
-    """Of every frame."""
+    frames: Counter[str] = field(default_factory=Counter)
+    """Of each of STATES."""
 
     def __post_init__(self) -> None:
-        self._times: list[float] = []
+        self._seconds: dict[str, float] = defaultdict(float)
+        self._last: tuple[str, float] | None = None
+        """State and time stamp of the frame before, which lasts until the next one [s]."""
         self.end_run()
+
+    @classmethod
+    def of(cls, estimator: NetworkEstimator, limit: float, unit: str, fps: float) -> Self:
+        """The alarm of a clip of so many frames a second, by the estimates of a network."""
+        return cls(limit, unit, min(estimator.press_seconds[1], estimator.mechanics.seconds), 1 / fps)
 
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""
@@ -64,16 +73,17 @@ class ForceAlarm:
             above = upper >= self.limit * (RELEASE if self._above else 1)
             self.alarms += above and not self._above
             self._above, state = above, ABOVE if above else BELOW
-        self._times.append(time_s)
-        self.states.append(state)
+        if self._last is not None:
+            self._seconds[self._last[0]] += time_s - self._last[1]
+        self._last = state or NO_CONTACT, time_s
+        self.frames[self._last[0]] += 1
         return state
 
     def record(self) -> dict[str, Any]:
         """What run.json keeps: the limit, how many alarms there were, and frames and seconds [s] of each state."""
-        names = [state or NO_CONTACT for state in self.states]
-        lasted = np.diff(self._times, append=[time_s + self.frame_s for time_s in self._times[-1:]])
-        frames = {state: names.count(state) for state in STATES}
-        seconds = {state: round(float(lasted @ [name == state for name in names]), 6) for state in STATES}
+        last = "" if self._last is None else self._last[0]
+        frames = {state: self.frames[state] for state in STATES}
+        seconds = {state: round(self._seconds[state] + (state == last) * self.frame_s, 6) for state in STATES}
         told = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
         return told | {"frames": frames, "seconds": seconds}
 
@@ -82,7 +92,7 @@ class ForceAlarm:
         frames, seconds = (self.record()[name][UNKNOWN] for name in ("frames", "seconds"))
         return (
             f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
-            f"safe nor unsafe, in {frames} of {len(self.states)} frames ({seconds:.2f} s); research "
+            f"safe nor unsafe, in {frames} of {self.frames.total()} frames ({seconds:.2f} s); research "
             "software, not a medical device"
         )
 

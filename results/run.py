@@ -207,8 +207,7 @@ class Batch:
         if self.options.force_limit is None or not isinstance(estimator, NetworkEstimator):
             return None
         unit = UNITS["force"] if self.calibration is None else NEWTONS
-        seconds = min(estimator.press_seconds[1], estimator.mechanics.seconds)
-        return ForceAlarm(self.options.force_limit, unit, seconds, 1 / fps)
+        return ForceAlarm.of(estimator, self.options.force_limit, unit, fps)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

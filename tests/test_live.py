@@ -30,7 +30,7 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
         listening.bind(("127.0.0.1", 0))
         listening.settimeout(10)
         port = str(listening.getsockname()[1])
-        assert main(["-", "--size", "214x120", "--max-latency", "600", "--port", port]) == 0
+        assert main(["-", "--size", "214x120", "--max-latency", "600", "--port", port, "--force-limit", "0.1"]) == 0
         said = capsys.readouterr()
         lines = [json.loads(line) for line in said.out.splitlines()]
         assert [json.loads(listening.recv(1 << 16)) for _ in lines] == lines
@@ -39,6 +39,8 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
     assert [line["frame"] for line in frames] == list(range(len(frames)))
     assert 0 < len(frames) < len(twice)
     assert all(0 < line["latency_s"] < 600 and line["dropped"] == 0 and line["status"] for line in frames)
+    assert {line["alarm"] for line in frames} <= {"", "below", "above", "unknown"}
+    assert f"of {len(frames)} frames" in said.err
     assert f"{len(frames)} frames, " in said.err
     assert "0 were dropped" in said.err
 

@@ -26,11 +26,12 @@ from palpate.common.files import as_json
 from palpate.data.clip import ClipStream
 from palpate.data.source.live import LiveSource, open_live
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.network.estimator import FAST
+from palpate.estimators.network.estimator import FAST, NetworkEstimator
 from palpate.estimators.open import EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
-from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values
+from palpate.results.alarm import ForceAlarm, upper_force
+from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values
 
 SCALED_IN = 1.0
 """The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
@@ -43,7 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Estimate until the source ends; returns the exit status."""
     options = _parser().parse_args(arguments)
     try:
-        estimator = open_estimator(EstimatorOptions(model=options.model, rate=FAST))
+        estimator = open_estimator(EstimatorOptions("network", options.model, rate=FAST))
+        assert isinstance(estimator, NetworkEstimator)
         chosen = {name: getattr(options, name) for name in ("masks", "depth", "camera")}
         settings = preparation(estimator, **chosen)
         depth = dataclasses.replace(settings.depth, scale_seconds=SCALED_IN)
@@ -55,7 +57,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         return 2
-    report, status = Report(source, options.port), 0
+    alarm = None
+    if options.force_limit is not None:
+        alarm = ForceAlarm.of(estimator, options.force_limit, UNITS["force"], source.fps)
+    report, status = Report(source, options.port, alarm), 0
     try:
         for output in estimates_of(session, clip.overlapped(WAITING)):
             report.add(output)
@@ -65,6 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"palpate live: {error}", file=sys.stderr)
         status = 1
     print(report.summary(), file=sys.stderr)
+    if alarm is not None:
+        print(alarm.sentence(), file=sys.stderr)
     return status
 
 
@@ -74,10 +81,11 @@ class Report:
     Args:
         source: whose estimates are printed.
         port: lines also go there as datagrams, on this machine alone; None = nowhere.
+        alarm: of a limit of force, where there is one.
     """
 
-    def __init__(self, source: LiveSource, port: int | None) -> None:
-        self.source, self.port = source, port
+    def __init__(self, source: LiveSource, port: int | None, alarm: ForceAlarm | None) -> None:
+        self.source, self.port, self.alarm = source, port, alarm
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._late = np.zeros(1 << 16)
         self._frames, self._begun = 0, time.monotonic()
@@ -89,7 +97,12 @@ class Report:
             self._late[self._frames % len(self._late)] = late
             self._frames += 1
             found = _known(output.values, FRAMES) | {"latency_s": round(late, 4), "dropped": self.source.dropped}
+            if self.alarm is not None:
+                upper = None if output.estimate is None else upper_force(output.estimate)
+                found["alarm"] = self.alarm.push(output.time_s, output.contact, upper)
         else:
+            if self.alarm is not None:
+                self.alarm.end_run()
             found = {"interaction": _known(interaction_values(output), INTERACTIONS)}
         line = as_json(found)
         print(line, flush=True)
@@ -142,6 +155,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--every", type=whole_number(1, 100), default=1, metavar="N", help=text)
     text = f"send every line to this UDP port of {LOOPBACK}, too"
     parser.add_argument("--port", type=whole_number(1, 65535), metavar="N", help=text)
+    limit = real_number("a limit of force; give a positive number", 1e-9)
+    text = "say of every frame whether the force has reached this limit [scene units]; as of palpate infer"
+    parser.add_argument("--force-limit", type=limit, metavar="X", help=text)
     parser.add_argument("--model", type=path_option, metavar="FILE", help="exported network (default: the shipped one)")
     parser.add_argument("--masks", metavar="SOURCE", help="as of palpate infer")
     parser.add_argument("--depth", metavar="SOURCE", help="as of palpate infer")

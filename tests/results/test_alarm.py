@@ -24,7 +24,7 @@ def alarm(limit: float = 1.0, seconds: float = math.inf) -> ForceAlarm:
 
 def told(found: ForceAlarm, *uppers: float | None, contact: bool | None = True) -> list[str]:
     """States of frames of 0.04 s, with these upper ends."""
-    start = len(found.states)
+    start = found.frames.total()
     return [found.push(0.04 * (start + i), contact, upper) for i, upper in enumerate(uppers)]
 
 

@@ -114,6 +114,7 @@ def build_record(
         "contacts": results.counts,
         "calibration": None if results.calibration is None else results.calibration.record(),
         "model": network,
+        "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
         "estimator": causes["estimator"],
         "units": columns.UNITS,
         "columns": {TABLE: columns.FRAMES, INTERACTIONS: columns.INTERACTIONS},

@@ -17,6 +17,7 @@ from rich.text import Text
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
+from palpate.common.onnx_devices import PROVIDERS
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import discover, open_source
@@ -39,6 +40,7 @@ WORDS = {
     "geometry.contact": "--contact",
     "geometry.smoothing": "--smoothing",
     "give the noise": "give --noise",
+    **{f"device {name}": f"--device {name}" for name in PROVIDERS},
 }
 """Settings and the options that they are on the command line, for messages."""
 MAPPING = ("direct", "network")
@@ -78,7 +80,9 @@ class Batch:
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness")
+        self.providers: dict[str, str] = {}
+        """What was said of where networks run."""
+        names = ("model", "onset", "observation", "noise", "settings", "thickness", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":
@@ -127,6 +131,10 @@ class Batch:
             progress.remove_task(task)
         if self._has_known_force(path):
             self.carried = folder
+        new = sorted(record["providers"].items() - self.providers.items())
+        if new:
+            self.providers |= new
+            say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
         warnings = record["warnings"]
         if newtons is not None and newtons.measured is not None:
             warnings = [*warnings, comparison_sentence(newtons.record()["comparison"])]

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnxruntime
 import pytest
 
 from palpate.command import infer
+from palpate.common.onnx_devices import PROVIDERS
 from palpate.data.contact.motion import FRAYED
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
@@ -17,6 +19,7 @@ from palpate.estimators.estimate import NINETY
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
 from tests.data.clips import real_frames
+from tests.data.masks.test_onnx import BOTH, save_model
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 from tests.tables import read_rows
 
@@ -522,3 +525,34 @@ def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, i
     given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
     assert said in flat(capsys.readouterr().err)
+
+
+def test_a_device_that_is_not_there_is_wrong_usage(inputs, tmp_path, capsys):
+    """Whichever network would run on it."""
+    missing = next(
+        name for name in ("openvino", "cuda") if PROVIDERS[name] not in onnxruntime.get_available_providers()
+    )
+    said = f"--device {missing} is not in this onnxruntime; install onnxruntime-{missing.replace('cuda', 'gpu')},"
+    picture = str(Path(__file__).resolve().parents[1] / "data" / "depth" / "photometric.onnx")
+    masks = ["--estimator", "direct", "--depth", "stored", "--masks", picture]
+    for options in ([], ["--estimator", "direct", "--depth", "photometric"], masks):
+        model = [] if options else ["--model", str(inputs / "parameters.onnx")]
+        arguments = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--device", missing]
+        assert infer.main([*arguments, *options, *model]) == 2
+        assert said in flat(capsys.readouterr().err)
+
+
+def test_every_network_runs_where_and_as_wide_as_was_asked_and_the_record_says_so(inputs, tmp_path, monkeypatch):
+    opened, threads = onnxruntime.InferenceSession, []
+
+    def noted(model, options, **others):
+        threads.append(options.intra_op_num_threads)
+        return opened(model, options, **others)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
+    masks = str(save_model(tmp_path / "m.onnx", BOTH))
+    options = ("--no-overlay", "--threads", "1", "--depth", "photometric", "--masks", masks, "--device", "cpu")
+    assert call(inputs, tmp_path / "out", *options, clips="clips/folder") == 0
+    found = record(tmp_path / "out" / "folder")["providers"]
+    assert found == dict.fromkeys(("estimator", "depth", "masks"), "CPUExecutionProvider")
+    assert set(threads) == {1}

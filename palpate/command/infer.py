@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from palpate.common.command_line import path_option, real_number, whole_number
+from palpate.common.onnx_devices import DEVICES
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.depth.preset import preset_names
@@ -29,7 +30,8 @@ TYPES = {
     "pixels": real_number("a width in pixels; give 0 or more", 0.0),
     "noise": real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA),
 }
-CHOICES = {"estimators": NAMES, "onsets": ONSETS, "observations": OBSERVATIONS, "contacts": ("touching", "motion")}
+CONTACTS = ("touching", "motion")
+CHOICES = {"names": NAMES, "onsets": ONSETS, "observations": OBSERVATIONS, "contacts": CONTACTS, "devices": DEVICES}
 """What infer.yaml calls types and choices."""
 
 

@@ -5,6 +5,7 @@ options       a dataclass filled in from the command line
 files         whole files or none, and reading that ends; output: which files this program may replace
 settings      values of settings that come from files; tables: rows as CSV and as Markdown
 lazy          package faces that load nothing; provenance: digest of the code
+onnx_devices  where ONNX networks run, and opening them
 workers       processes that work through tasks; ahead: threads that do so for the next stage
 robust        Student's errors, spreads by medians, affine motions of points
 """

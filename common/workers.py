@@ -1,4 +1,4 @@
-"""Many independent tasks in a few processes of one native thread each."""
+"""Many independent tasks in a few processes of few native threads each."""
 
 import contextlib
 import multiprocessing
@@ -22,7 +22,12 @@ class WorkerLost(RuntimeError):
 
 
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None, *, ordered: bool = False
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: int | None,
+    *,
+    ordered: bool = False,
+    threads: int = 1,
 ) -> Iterator[Result]:
     """Results of all tasks, in the order in which they are done.
 
@@ -32,6 +37,7 @@ def run_tasks(
         function: importable by its name.
         workers: processes; 0 = in this one, one after the other; None = one for each of the machine's cores.
         ordered: in the order of the tasks instead.
+        threads: native threads of each process.
 
     Raises:
         WorkerLost: a process was killed, most likely for want of memory.
@@ -44,7 +50,7 @@ def run_tasks(
     processes = min(workers or os.cpu_count() or 1, len(tasks))
     pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
     try:
-        with _as_workers_start():
+        with _as_workers_start(threads):
             futures = [pool.submit(function, task) for task in tasks]
         for future in futures if ordered else as_completed(futures):
             yield future.result()
@@ -55,16 +61,17 @@ def run_tasks(
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
+            process.join()  # what it left can be cleared when it has gone
 
 
 @contextlib.contextmanager
-def _as_workers_start() -> Generator[None]:
-    """Let processes that start now use one native thread, which libraries read when they are loaded.
+def _as_workers_start(threads: int) -> Generator[None]:
+    """Let processes that start now use so many native threads, which libraries read when they are loaded.
 
     And let them never see Ctrl-C, not even while they import: this one decides what comes of it.
     """
     before = dict(os.environ)
-    os.environ.update(dict.fromkeys(LIMITS, "1"))
+    os.environ.update(dict.fromkeys(LIMITS, str(threads)))
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

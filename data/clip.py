@@ -70,7 +70,8 @@ class ClipStream:
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         given = ClipInputs() if inputs is None else inputs
-        self._masks = given.masks or open_masks(settings.masks, settings.layout, settings.classes, source.path)
+        depth, of_clip = settings.depth, (settings.layout, settings.classes, source.path)
+        self._masks = given.masks or open_masks(settings.masks, *of_clip, threads=depth.threads, device=depth.device)
         self._depth = given.depth or open_depth(settings.depth, settings.layout, source)
         camera = given.camera or clip_camera(source.path, settings.layout)
         self.metric = self._depth.metric
@@ -105,6 +106,12 @@ class ClipStream:
     def identity(self) -> tuple[str, str]:
         """What depth and masks depend on besides the clip's own files and settings."""
         return self._depth.identity, self._masks.identity
+
+    @property
+    def providers(self) -> dict[str, str]:
+        """What of ONNX Runtime runs the networks for `depth` and `masks`, of those that there are."""
+        networks = {"depth": getattr(self._depth, "network", None), "masks": getattr(self._masks, "network", None)}
+        return {name: network.provider for name, network in networks.items() if network is not None}
 
     @property
     def sources(self) -> dict[str, str]:

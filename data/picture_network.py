@@ -1,21 +1,18 @@
 """ONNX networks that take one colour picture, for depth and for masks: opened, checked, fed and run."""
 
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 
+from palpate.common.onnx_devices import DeviceError, open_session, provider_of
 from palpate.data.source.layout import InputError
 
 _NUMBERS = {"float": np.float32, "float16": np.float16, "double": np.float64, "uint8": np.uint8}
 _INPUT_TYPES = {f"tensor({name})": dtype for name, dtype in _NUMBERS.items()}
 """Numpy type of each accepted type of an input."""
-_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
-"""Name in onnxruntime of each device."""
 
 
 class PictureNetwork:
@@ -24,7 +21,7 @@ class PictureNetwork:
     Args:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
-        device: cpu or cuda.
+        device: where it runs, one of `common.onnx_devices.DEVICES`.
         raw: whether the network may take 8-bit numbers, which hold no normalised picture.
 
     Raises:
@@ -33,15 +30,10 @@ class PictureNetwork:
 
     def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False) -> None:
         self.path = path
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        # More threads than cores would only wait for each other, and load the cores meanwhile.
-        options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
-        options.use_deterministic_compute = True
-        if _PROVIDERS[device] not in onnxruntime.get_available_providers():
-            raise InputError(f"depth.device {device} is not in this onnxruntime; install onnxruntime-gpu or use cpu.")
         try:
-            session = onnxruntime.InferenceSession(str(path), options, providers=[_PROVIDERS[device]])
+            session = open_session(str(path), threads, device)
+        except DeviceError as error:
+            raise InputError(str(error)) from error
         except Exception as error:  # onnxruntime's errors share no base class of their own
             raise InputError(
                 f"{path} can't be opened as an ONNX model ({_first_line(error)}); export or download it again."
@@ -56,6 +48,11 @@ class PictureNetwork:
         """Names of the network's outputs."""
         self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
         """Metadata that the file holds."""
+
+    @property
+    def provider(self) -> str:
+        """What of ONNX Runtime runs the network."""
+        return provider_of(self._session)
 
     def fixed_size(self, axes: str) -> tuple[int | None, int | None]:
         """Height and width that the file prescribes [px], None where they are free.

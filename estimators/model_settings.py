@@ -96,7 +96,7 @@ def check_sources(settings: PrepareSettings) -> None:
     depth = settings.depth
     file = mask_source_file(settings.masks)
     if file is not None:
-        open_mask_file(file)
+        open_mask_file(file, threads=depth.threads, device=depth.device)
     if depth.source not in ("auto", "stored"):
         DepthModel(*resolve_model(depth.source, depth.model, depth.preset), threads=depth.threads, device=depth.device)
 

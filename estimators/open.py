@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from palpate.common.onnx_devices import AUTO
 from palpate.data.contact.interaction import BOTH, Horizon
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import load_camera
@@ -24,7 +25,7 @@ NAMES = (*OF_THETA, "online")
 SHEET, FEM = "sheet", "fem"
 MODELS = (SHEET, FEM)
 """What `direct` fits: a sheet of springs, or a slab of finite elements."""
-DEPTH = {"depth": "source", "depth_model": "model", "depth_preset": "preset", "threads": "threads"}
+DEPTH = {"depth": "source", "depth_model": "model", "depth_preset": "preset", "threads": "threads", "device": "device"}
 """Arguments of `preparation` that are fields of `DepthSettings`."""
 
 
@@ -50,6 +51,8 @@ class EstimatorOptions:
     """YAML file of `online`, as `configs/online.yaml`; None = its defaults, which are the same."""
     threads: int | None = None
     """CPU threads of a model; None leaves the choice to ONNX Runtime."""
+    device: str = AUTO
+    """Where a model runs, one of `common.onnx_devices.DEVICES`."""
     thickness: float | None = None
     """Of the tissue, for `direct` with the model FEM [scene units]."""
     rate: str = FULL
@@ -82,7 +85,7 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:
         raise ValueError("--estimator gan needs a trained generator; give the file of train.py export as --model.")
-    model = open_model(options.model or SHIPPED, options.threads)
+    model = open_model(options.model or SHIPPED, options.threads, options.device)
     kind = "network" if isinstance(model, PosteriorModel) else "gan"
     if options.name not in (None, kind):
         raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")

@@ -6,7 +6,6 @@ of log θ).
 
 import hashlib
 import json
-import os
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -17,6 +16,7 @@ import numpy as np
 import onnxruntime
 
 from palpate.common.files import as_json, read_file
+from palpate.common.onnx_devices import AUTO, DeviceError, open_session, provider_of
 from palpate.common.settings import fits
 from palpate.models.calibration import Widths
 
@@ -69,18 +69,19 @@ class ExportedModel:
     Args:
         path: the file.
         threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
+        device: where it runs, one of `common.onnx_devices.DEVICES`.
 
     Raises:
         ModelFileError: the file is missing, is no ONNX file, was not exported by this program or is of another kind,
-            has metadata that can't be used, or is newer than this program.
+            has metadata that can't be used, or is newer than this program; or there is no such device.
     """
 
     outputs: tuple[str, ...] = ()
     """Names of the outputs of this kind."""
 
-    def __init__(self, path: str | Path, threads: int | None = None) -> None:
+    def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
         self.path = Path(path)
-        self._session, self.sha256 = _open_session(self.path, threads)
+        self._session, self.sha256 = _open_session(self.path, threads, device)
         """`sha256` is the hash of the content that was opened, whatever happens to the file later."""
         self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
@@ -91,6 +92,11 @@ class ExportedModel:
         """Height and width of the depth maps [pixels]."""
         self.inputs = {value.name: tuple(value.shape[1:]) for value in self._session.get_inputs()}
         """Shape of every input without the batch, by its name."""
+
+    @property
+    def provider(self) -> str:
+        """What of ONNX Runtime runs the network."""
+        return provider_of(self._session)
 
     def run(self, values: Mapping[str, np.ndarray | None], outputs: Sequence[str] = ()) -> list[np.ndarray]:
         """Outputs of this kind, or others, float32, for a batch of inputs by their names.
@@ -125,8 +131,8 @@ class ParameterModel(ExportedModel):
 
     outputs = (OUTPUT,)
 
-    def __init__(self, path: str | Path, threads: int | None = None) -> None:
-        super().__init__(path, threads)
+    def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
+        super().__init__(path, threads, device)
         self._require({INPUT: (self.window, *self.input_size)})
 
     def __call__(self, windows: np.ndarray) -> np.ndarray:
@@ -152,8 +158,8 @@ class PosteriorModel(ExportedModel):
 
     outputs = (LOG_MEAN, LOG_COVARIANCE, EXPECTED_BOUND)
 
-    def __init__(self, path: str | Path, threads: int | None = None) -> None:
-        super().__init__(path, threads)
+    def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
+        super().__init__(path, threads, device)
         self.takes_depth = INPUT in self.inputs
         """Whether the network takes the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
@@ -207,33 +213,25 @@ class PosteriorModel(ExportedModel):
         return {name: np.zeros((count, *self.inputs[name]), np.float32)} if name in self.inputs else {}
 
 
-def open_model(path: str | Path, threads: int | None = None) -> ParameterModel | PosteriorModel:
+def open_model(path: str | Path, threads: int | None = None, device: str = AUTO) -> ParameterModel | PosteriorModel:
     """Open a file as the kind it is; arguments and errors as of `ExportedModel`."""
-    posterior = ExportedModel(path, threads).metadata.get("head") == POSTERIOR
-    return PosteriorModel(path, threads) if posterior else ParameterModel(path, threads)
+    posterior = ExportedModel(path, threads, device).metadata.get("head") == POSTERIOR
+    return PosteriorModel(path, threads, device) if posterior else ParameterModel(path, threads, device)
 
 
-def _open_session(path: Path, threads: int | None) -> tuple[onnxruntime.InferenceSession, str]:
+def _open_session(path: Path, threads: int | None, device: str) -> tuple[onnxruntime.InferenceSession, str]:
     """Open an ONNX file; also the SHA-256 of its content.
 
     Raises:
-        ModelFileError: no such file, or not an ONNX file.
+        ModelFileError: no such file or device, or not an ONNX file.
     """
     if not path.is_file():
         raise ModelFileError(f"{path} is not a file; give the file that train.py export wrote.")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # errors are reported once, below
-    if threads is not None:
-        # More threads than cores would wait for each other, busily.
-        options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
-    available = onnxruntime.get_available_providers()
-    providers = [name for name in ("CUDAExecutionProvider", "CPUExecutionProvider") if name in available]
     try:
         content = read_file(path, MAX_FILE_BYTES)
-        return (
-            onnxruntime.InferenceSession(content, options, providers=providers),
-            hashlib.sha256(content).hexdigest(),
-        )
+        return open_session(content, threads or 0, device), hashlib.sha256(content).hexdigest()
+    except DeviceError as error:
+        raise ModelFileError(str(error)) from error
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
     except Exception as error:  # ONNX Runtime's exceptions have no common class

@@ -116,6 +116,7 @@ def build_record(
         "calibration": None if results.calibration is None else results.calibration.record(),
         "force_limit": None if results.alarm is None else results.alarm.record(),
         "model": network,
+        "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
         "estimator": causes["estimator"],
         "units": columns.UNITS,
         "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},

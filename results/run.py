@@ -1,9 +1,13 @@
 """A batch of clips given on the command line: finding them, going on after a failure, progress and closing table."""
 
 import argparse
+import functools
+import io
+import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +21,11 @@ from rich.text import Text
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
+from palpate.common.onnx_devices import PROVIDERS
+from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
-from palpate.data.source.frames import discover, open_source
+from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
@@ -42,12 +48,16 @@ WORDS = {
     "geometry.contact": "--contact",
     "geometry.smoothing": "--smoothing",
     "give the noise": "give --noise",
+    "fewer --workers": "fewer --jobs",
+    **{f"device {name}": f"--device {name}" for name in PROVIDERS},
 }
 """Settings and the options that they are on the command line, for messages."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
+Options = tuple[tuple[str, Any], ...]
+"""The command line's options with their values, for another process."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
 
@@ -81,7 +91,11 @@ class Batch:
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate")
+        self.folders: dict[Path, Path] = {}
+        """Folders of clips' results, given out before several processes write into the same output."""
+        self.providers: dict[str, str] = {}
+        """What was said of where networks run."""
+        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":
@@ -98,6 +112,8 @@ class Batch:
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
                 "there, or leave --calibration out."
             )
+        if options.shard and self.calibration is not None and self.calibration.of_one_clip:
+            raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
         chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
@@ -106,7 +122,7 @@ class Batch:
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
         source = open_source(path, self.settings.layout)
-        folder = self.store.folder(source.name, path)
+        folder = self.folders.get(path) or self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
         if self.known is not None:
             causes["known_force"] = file_sha256(self.options.known_force)
@@ -144,6 +160,10 @@ class Batch:
             progress.remove_task(task)
         if self._has_known_force(path):
             self.carried = folder
+        new = sorted(record["providers"].items() - self.providers.items())
+        if new:
+            self.providers |= new
+            say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
         warnings = record["warnings"]
         if newtons is not None and newtons.measured is not None:
             warnings = [*warnings, comparison_sentence(newtons.record()["comparison"])]
@@ -162,7 +182,49 @@ class Batch:
                 found |= dict.fromkeys(discover([given], self.settings.layout))
             except ValueError as error:
                 failed.append(self._failure(given, error))
-        return self._ordered(list(found)), failed
+        paths = self._ordered(list(found))
+        if paths and (self.options.shard or self.options.jobs > 1):
+            number, count = self.options.shard or (1, 1)
+            if count > len(paths):
+                raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
+            mine = set(paths[number - 1 :: count])
+            for path in paths:  # those of the others too, so that all agree which folder is whose
+                with suppress(ValueError):  # said when it is the clip's turn
+                    self.folders[path] = self.store.folder(name_of(path), path, settled=path in mine)
+            paths = [path for path in paths if path in mine]
+        return paths, failed
+
+    def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
+        """How the clips went: one after the other, or with --jobs as they are done, in processes of their own."""
+        # The others wait for the clip whose force scales them.
+        scales = self.calibration is not None and self.calibration.of_one_clip
+        alone = paths if self.options.jobs == 1 else paths[: int(scales)]
+        for number, path in enumerate(alone, start=1):
+            yield self.attempt(path, progress, f"{number}/{len(paths)}")
+        left = dict.fromkeys(paths[len(alone) :])
+        if not left:
+            return
+        jobs = min(self.options.jobs, len(left))
+        share = max(1, (self.options.threads or os.cpu_count() or 1) // jobs)
+        options = tuple((vars(self.options) | {"threads": share, "inputs": ()}).items())
+        tasks = [(options, path, self.folders.get(path), self.carried) for path in left]
+        bar = progress.add_task("clips", total=len(tasks))
+        said: set[str] = set()
+        try:
+            for path, outcome, lines in run_tasks(_attempt_in_worker, tasks, jobs, threads=share):
+                for line in lines:
+                    if line not in said:  # each worker says where networks run
+                        say(self.console, line)
+                said.update(lines)
+                progress.advance(bar)
+                del left[path]
+                yield outcome
+        except WorkerLost as error:
+            yield from (self._failure(path, ValueError(str(error))) for path in left)
+        finally:
+            for path in left.keys() & self.folders.keys():  # what interrupted workers left
+                with suppress(store.OutputError):
+                    store.settle(self.folders[path])
 
     def _ordered(self, paths: list[Path]) -> list[Path]:
         """The clips, that with the known force first.
@@ -240,6 +302,22 @@ class Batch:
         return Outcome(path.name, FAILED, sentence)
 
 
+def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
+    """How a clip went in this process, and what there is to say of it, for the one that has the terminal."""
+    options, path, folder, carried = task
+    batch = _opened(options)
+    batch.carried, batch.folders = carried, {} if folder is None else {path: folder}
+    with batch.console.capture() as said:
+        outcome = batch.attempt(path, progress_bars(batch.console, disable=True), "")
+    return path, outcome, said.get().splitlines()
+
+
+@functools.cache
+def _opened(options: Options) -> Batch:
+    """The batch, opened once in a worker."""
+    return Batch(argparse.Namespace(**dict(options)), Console(file=io.StringIO()))
+
+
 def sentence_of(error: Exception) -> str:
     """An error's message in this program's words."""
     return in_options(str(error)) or type(error).__name__
@@ -294,8 +372,8 @@ def run(options: argparse.Namespace) -> int:
     interrupted = False
     with progress_bars(console) as progress:
         try:
-            for number, path in enumerate(paths, start=1):
-                outcomes.append(batch.attempt(path, progress, f"{number}/{len(paths)}"))
+            for outcome in batch.outcomes(paths, progress):
+                outcomes.append(outcome)
         except KeyboardInterrupt:
             interrupted = True
     Console().print(_table(outcomes), soft_wrap=True)

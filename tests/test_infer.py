@@ -1,5 +1,6 @@
 """The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
+import contextlib
 import dataclasses
 import json
 import shutil
@@ -7,9 +8,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnxruntime
 import pytest
 
 from palpate.command import infer
+from palpate.common.onnx_devices import PROVIDERS
+from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.contact.motion import FRAYED
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
@@ -17,6 +21,7 @@ from palpate.estimators.estimate import NINETY
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
 from tests.data.clips import real_frames
+from tests.data.masks.test_onnx import BOTH, save_model
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 from tests.tables import read_rows
 
@@ -567,3 +572,141 @@ def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, i
     given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
     assert said in flat(capsys.readouterr().err)
+
+
+# --- several clips at once, and shares of them ---
+
+
+@pytest.fixture(scope="module")
+def named_alike(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clips of one name and a file that is no video."""
+    folder = tmp_path_factory.mktemp("several")
+    write_clip(folder / "a" / "clip", 8, 4)
+    write_clip(folder / "b" / "clip", 7, 3)
+    (folder / "broken.mp4").write_bytes(b"no video")
+    return folder
+
+
+def several(named_alike: Path, inputs: Path, output: Path, *options: str) -> int:
+    return call(inputs, output, "--no-overlay", *options, clips=str(named_alike))
+
+
+def tables(output: Path) -> dict[str, bytes]:
+    return {name: content for name, content in contents(output).items() if name.endswith(".csv")}
+
+
+@pytest.fixture(scope="module")
+def one_by_one(named_alike: Path, inputs: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Tables of these clips by a single process."""
+    output = tmp_path_factory.mktemp("serial")
+    assert several(named_alike, inputs, output) == 1
+    return tables(output)
+
+
+def test_clips_at_once_give_the_same_tables_and_one_that_fails_is_named(
+    named_alike, inputs, one_by_one, tmp_path, capsys
+):
+    assert len(one_by_one) == 4
+    assert len(set(one_by_one.values())) > 2  # the clips differ
+    assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
+    assert tables(tmp_path) == one_by_one
+    said = capsys.readouterr()
+    assert said.err.count("failed: ") == 1
+    assert "broken.mp4" in said.err
+    assert said.err.count("ONNX Runtime uses CPUExecutionProvider for estimator") == 1
+    assert said.out.count("done") == 2
+    for folder in tmp_path.iterdir():
+        assert record(folder)["providers"] == {"estimator": "CPUExecutionProvider"}
+    before = contents(tmp_path)
+    assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
+    assert capsys.readouterr().err.count("up to date") == 2
+    assert contents(tmp_path) == before
+
+
+def test_shares_together_are_the_whole(named_alike, inputs, one_by_one, tmp_path, capsys):
+    statuses, found = [], []
+    for share in ("2/3", "3/3", "1/3"):
+        statuses.append(several(named_alike, inputs, tmp_path, "--shard", share))
+        found.append(len(list(tmp_path.iterdir())))
+    assert (statuses, found) == ([0, 1, 0], [1, 1, 2])
+    assert tables(tmp_path) == one_by_one
+    capsys.readouterr()
+    assert several(named_alike, inputs, tmp_path, "--shard", "1/4") == 2
+    assert "--shard 1/4 exceeds the 3 clips; give n up to that." in capsys.readouterr().err
+    for share in ("0/2", "3/2", "1", "a/b", "1/2/3", "-1/2"):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            several(named_alike, inputs, tmp_path, f"--shard={share}")
+        assert f"'{share}' is no share i/n" in capsys.readouterr().err
+
+
+def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one_by_one, tmp_path, monkeypatch, capsys):
+    def interrupted(*tasks, **options):
+        with contextlib.closing(run_tasks(*tasks, **options)) as results:
+            yield next(results)
+            raise KeyboardInterrupt
+
+    (tmp_path / "only").mkdir()
+    for name in ("a", "b"):
+        shutil.copytree(named_alike / name / "clip", tmp_path / "only" / name)
+    with monkeypatch.context() as patch:
+        patch.setattr("palpate.results.run.run_tasks", interrupted)
+        assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 130
+    assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
+    done = [path.name for path in (tmp_path / "out").iterdir()]
+    assert set(done) <= {"a", "b"}  # a second may have been done as well; nothing half done is left
+    assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
+    assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
+
+
+def test_a_device_that_is_not_there_is_wrong_usage(inputs, tmp_path, capsys):
+    """Whichever network would run on it."""
+    missing = next(
+        name for name in ("openvino", "cuda") if PROVIDERS[name] not in onnxruntime.get_available_providers()
+    )
+    said = f"--device {missing} is not in this onnxruntime; install onnxruntime-{missing.replace('cuda', 'gpu')},"
+    picture = str(Path(__file__).resolve().parents[1] / "data" / "depth" / "photometric.onnx")
+    masks = ["--estimator", "direct", "--depth", "stored", "--masks", picture]
+    for options in ([], ["--estimator", "direct", "--depth", "photometric"], masks):
+        model = [] if options else ["--model", str(inputs / "parameters.onnx")]
+        arguments = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--device", missing]
+        assert infer.main([*arguments, *options, *model]) == 2
+        assert said in flat(capsys.readouterr().err)
+
+
+def test_every_network_runs_where_and_as_wide_as_was_asked_and_the_record_says_so(inputs, tmp_path, monkeypatch):
+    opened, threads = onnxruntime.InferenceSession, []
+
+    def noted(model, options, **others):
+        threads.append(options.intra_op_num_threads)
+        return opened(model, options, **others)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", noted)
+    masks = str(save_model(tmp_path / "m.onnx", BOTH))
+    options = ("--no-overlay", "--threads", "1", "--depth", "photometric", "--masks", masks, "--device", "cpu")
+    assert call(inputs, tmp_path / "out", *options, clips="clips/folder") == 0
+    found = record(tmp_path / "out" / "folder")["providers"]
+    assert found == dict.fromkeys(("estimator", "depth", "masks"), "CPUExecutionProvider")
+    assert set(threads) == {1}
+
+
+def test_a_killed_worker_fails_what_is_left_and_keeps_the_rest(named_alike, inputs, tmp_path, monkeypatch, capsys):
+    def lost(*tasks, **options):
+        yield next(run_tasks(*tasks, **options))
+        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.")
+
+    monkeypatch.setattr("palpate.results.run.run_tasks", lost)
+    assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
+    assert capsys.readouterr().err.count("maybe for want of memory; use fewer --jobs.") == 2
+
+
+def test_the_clip_that_scales_the_others_is_done_first_and_shares_are_refused(inputs, tmp_path, capsys):
+    (tmp_path / "known.yaml").write_text("clip: folder\nforce_N: 2.0\nforce_time_s: 0.2")
+    options = ("--no-overlay", "--calibration", str(tmp_path / "known.yaml"))
+    assert call(inputs, tmp_path / "one", *options) == 0
+    assert call(inputs, tmp_path / "two", *options, "--jobs", "2") == 0
+    assert tables(tmp_path / "two") == tables(tmp_path / "one")
+    assert len(tables(tmp_path / "two")) == 6
+    capsys.readouterr()
+    assert call(inputs, tmp_path / "two", *options, "--shard", "1/2") == 2
+    assert "known.yaml scales all clips by one; leave --shard out" in capsys.readouterr().err

@@ -108,13 +108,13 @@ class DepthModel:
             path: ONNX file.
             preset: conventions of the network.
             threads: intra-op threads, 0 = onnxruntime's choice.
-            device: cpu or cuda.
+            device: where it runs, one of `common.onnx_devices.DEVICES`.
 
         Raises:
             InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.
         """
         self.path, self.preset = path, preset
-        self._network = PictureNetwork(path, threads=threads, device=device, raw=True)
+        self.network = PictureNetwork(path, threads=threads, device=device, raw=True)
         self._fixed = self._fixed_size()
         self._outputs = [self._named_output(preset.output)]
         if preset.focal_output:
@@ -140,7 +140,7 @@ class DepthModel:
         """
         height, width = image.shape[:2]
         placement = place(height, width, self.preset, self._fixed)
-        results = self._network.run(preprocess(image, self.preset, placement), self._outputs)
+        results = self.network.run(preprocess(image, self.preset, placement), self._outputs)
         values = self._crop(np.asarray(results[0], np.float32), placement)
         # Resized in the network's own quantity, as the networks' authors do: inverse depth stays piecewise linear.
         values = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -172,7 +172,7 @@ class DepthModel:
 
     def _named_output(self, names: str | tuple[str, ...]) -> str:
         """The output with an accepted name, or the only one where no name is asked for."""
-        accepted, outputs = (names,) if isinstance(names, str) else names, self._network.outputs
+        accepted, outputs = (names,) if isinstance(names, str) else names, self.network.outputs
         for name in outputs:
             if name in accepted or (not accepted and len(outputs) == 1):
                 return name
@@ -183,7 +183,7 @@ class DepthModel:
 
     def _fixed_size(self) -> tuple[int, int] | None:
         """(height, width) that the model file prescribes, or None where it takes any."""
-        height, width = self._network.fixed_size(self.preset.layout)
+        height, width = self.network.fixed_size(self.preset.layout)
         if height is None or width is None:
             return None
         size = self.preset.size

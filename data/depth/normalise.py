@@ -62,9 +62,9 @@ class DepthSettings:
     """The map that is rounded to `bits`: the grid's, or the picture's before it is resized (paper); always the grid's
     where depth is from shading."""
     threads: int = 0
-    """Threads of the depth model; 0 leaves it to onnxruntime."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where the depth model runs; cuda needs onnxruntime-gpu."""
+    """Threads of the depth model, and of a mask model; 0 leaves it to onnxruntime."""
+    device: Literal["auto", "cpu", "openvino", "cuda"] = "cpu"
+    """Where these run (`common.onnx_devices`): cuda needs onnxruntime-gpu, openvino onnxruntime-openvino."""
 
     def __post_init__(self) -> None:
         require_choices(self, "depth.")

@@ -123,7 +123,7 @@ class ModelDepth(DepthSource):
         default_focal: focal length where neither camera nor model gives one, as a multiple of the picture's width.
         known_focal: focal length of the clip's camera file, as a multiple of the picture's width.
         """
-        self._model, self._preset = model, model.preset
+        self._model, self._preset, self.network = model, model.preset, model.network
         self._near, self._far = near, far
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)

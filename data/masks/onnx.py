@@ -74,15 +74,15 @@ class SegmentationSettings:
 class OnnxMasks:
     """Mask source (see masks.MaskSource) that asks an ONNX segmentation model."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the model and its settings.
+    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu") -> None:
+        """Open the model and its settings; threads and device as of `PictureNetwork`.
 
         Raises:
             InputError: not a file, not an ONNX model, no or wrong settings, or inputs that are not one picture.
         """
-        self._network = PictureNetwork(path)
-        self.path, self.settings = path, read_settings(path, self._network.metadata)
-        self._fixed = self._network.fixed_size(self.settings.axes.upper())
+        self.network = PictureNetwork(path, threads=threads, device=device)
+        self.path, self.settings = path, read_settings(path, self.network.metadata)
+        self._fixed = self.network.fixed_size(self.settings.axes.upper())
         self.identity = f"onnx:{file_sha256(path)}:{self.settings}"
 
     def reset(self) -> None:
@@ -91,7 +91,7 @@ class OnnxMasks:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
         image, settings = frame.picture, self.settings
-        output, wanted = self._network.run(self._picture(image))[0], (settings.tool, settings.tissue)
+        output, wanted = self.network.run(self._picture(image))[0], (settings.tool, settings.tissue)
         if settings.output == "labels":
             # The maps are resized like the probabilities below, so that a threshold of a half draws the outline midway.
             labels = self._label_map(output)

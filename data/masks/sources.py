@@ -67,7 +67,9 @@ class MaskSource(Protocol):
         """Forget the frames of the clip so far."""
 
 
-def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) -> MaskSource:
+def open_masks(
+    kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path, *, threads: int = 0, device: str = "cpu"
+) -> MaskSource:
     """Open the mask source of one clip.
 
     Args:
@@ -76,13 +78,14 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
         layout: how the clip's files are named.
         classes: which annotated classes are tool and tissue.
         clip: the clip's folder or video file.
+        threads, device: of a segmentation model, as of `data.picture_network.PictureNetwork`.
 
     Raises:
         InputError: an unknown kind, a file that can't be used, or a clip without annotation masks.
     """
     file = mask_source_file(kind)
     if file is not None:
-        return open_mask_file(file)
+        return open_mask_file(file, threads=threads, device=device)
     if chosen_kind(kind, clip, layout) == "annotation":
         return AnnotationMasks(layout, classes, clip)
     from palpate.data.masks.automatic import AutomaticMasks
@@ -90,8 +93,8 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path) 
     return AutomaticMasks()
 
 
-def open_mask_file(file: Path) -> MaskSource:
-    """Open an ONNX segmentation model, or outlines.
+def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> MaskSource:
+    """Open an ONNX segmentation model, or outlines; threads and device as of `open_masks`.
 
     Raises:
         InputError: it can't be used.
@@ -100,7 +103,7 @@ def open_mask_file(file: Path) -> MaskSource:
     if file.suffix.lower() == ".onnx":
         from palpate.data.masks.onnx import OnnxMasks
 
-        return OnnxMasks(file)
+        return OnnxMasks(file, threads=threads, device=device)
     from palpate.data.masks.outlined import OutlinedMasks
 
     return OutlinedMasks(file)

@@ -108,8 +108,7 @@ class FrameFolder(FrameSource):
         Raises:
             InputError: a folder without images, images that can't be decoded, or frame numbers that repeat.
         """
-        self.path = path
-        self.name = path.resolve().name
+        self.path, self.name = path, name_of(path)
         self.warnings = []
         self.fps = float(read_clip_file(path).get("fps", layout.fps))
         self.files: list[tuple[int, Path]] = []
@@ -168,7 +167,7 @@ class VideoFile(FrameSource):
         Raises:
             InputError: an empty file, not a video, or pictures of an unusable size.
         """
-        self.path, self.name, self.warnings = path, path.stem, []
+        self.path, self.name, self.warnings = path, name_of(path), []
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
@@ -282,6 +281,11 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
         return VideoFile(path, layout.fps)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error
+
+
+def name_of(clip: Path) -> str:
+    """Name of a clip: its folder's, or its video file's without the ending."""
+    return clip.resolve().name if clip.is_dir() else clip.stem
 
 
 def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from palpate.common.command_line import path_option, real_number, whole_number
+from palpate.common.onnx_devices import DEVICES
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.depth.preset import preset_names
@@ -23,7 +24,22 @@ from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
 
+
+def shard(text: str) -> tuple[int, int]:
+    """Type of --shard: (i, n) of `i/n`.
+
+    Raises:
+        ArgumentTypeError: there is no such share.
+    """
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise argparse.ArgumentTypeError(f"'{text}' is no share i/n; give two whole numbers with 1 ≤ i ≤ n, as 2/8")
+    return int(number), int(count)
+
+
 TYPES = {
+    "shard": shard,
+    "jobs": whole_number(1, MOST_THREADS),
     "path": path_option,
     "threads": whole_number(0, MOST_THREADS),
     "thickness": real_number("a thickness; give a positive length", 1e-6),
@@ -32,11 +48,12 @@ TYPES = {
     "noise": real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA),
 }
 CHOICES = {
-    "estimators": NAMES,
+    "names": NAMES,
     "onsets": ONSETS,
     "observations": OBSERVATIONS,
     "contacts": ("touching", "motion"),
     "rates": RATES,
+    "devices": DEVICES,
 }
 """What infer.yaml calls types and choices."""
 

@@ -52,7 +52,7 @@ def test_an_annotation_in_words(kind: object, words: str):
     ("kind", "choice", "said"),
     [
         (DepthSettings, {"bits": 12}, "depth.bits is 12; give one of 8, 16."),
-        (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of cpu, cuda."),
+        (DepthSettings, {"device": "gpu"}, "depth.device is 'gpu'; give one of auto, cpu, openvino, cuda."),
         (GeometrySettings, {"displacement": "guessed"}, "geometry.displacement is 'guessed'; give one of tracked, "),
         (SampleSettings, {"observation": "all"}, "samples.observation is 'all'; give one of final, trajectory."),
         (DepthPreset, {"name": "own", "kind": "depth"}, "kind is 'depth'; give one of metric, "),

@@ -45,6 +45,7 @@ def test_no_tasks_need_no_workers():
 def test_workers_have_one_native_thread_and_the_parent_keeps_its_own(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     assert set(run_tasks(limits, range(2), 2)) == {("1", 1)}
+    assert set(run_tasks(limits, range(2), 2, threads=3)) == {("3", 3)}
     assert "OMP_NUM_THREADS" not in os.environ
 
 

@@ -1,0 +1,52 @@
+"""Where ONNX networks run: devices by ONNX Runtime's names, and the one place that opens a network."""
+
+import os
+
+import onnxruntime
+
+PROVIDERS = {"cuda": "CUDAExecutionProvider", "openvino": "OpenVINOExecutionProvider", "cpu": "CPUExecutionProvider"}
+"""What ONNX Runtime calls each device, the best first."""
+AUTO = "auto"
+DEVICES = (AUTO, *reversed(PROVIDERS))
+"""What `open_session` takes."""
+PACKAGES = {"cuda": "onnxruntime-gpu", "openvino": "onnxruntime-openvino", "cpu": "onnxruntime"}
+"""What to install for each device, in place of another of them."""
+
+
+class DeviceError(ValueError):
+    """A device that can't be used here, in one sentence with the remedy."""
+
+
+def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.InferenceSession:
+    """Open a network.
+
+    Args:
+        model: path or content of an ONNX file.
+        threads: CPU threads for one call; 0 leaves the choice to ONNX Runtime.
+        device: one of `DEVICES`; auto is the best that the installed ONNX Runtime offers, and the CPU where that fails.
+
+    Raises:
+        DeviceError: there is no such device, or the installed ONNX Runtime lacks it or
+            can't use it.
+        Exception: the network can't be opened; ONNX Runtime's own exceptions have no common class.
+    """
+    if device not in DEVICES:
+        raise DeviceError(f"there is no device {device}; choose {', '.join(DEVICES)}.")
+    installed = onnxruntime.get_available_providers()
+    provider = PROVIDERS[device] if device != AUTO else next(name for name in PROVIDERS.values() if name in installed)
+    if provider not in installed:
+        raise DeviceError(f"device {device} is not in this onnxruntime; install {PACKAGES[device]}, or choose auto.")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # errors are reported once, by whoever opens the network
+    # More threads than cores would wait for each other, busily.
+    options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
+    options.use_deterministic_compute = True
+    session = onnxruntime.InferenceSession(model, options, providers=[provider], enable_fallback=device == AUTO)
+    if device != AUTO and provider_of(session) != provider:
+        raise DeviceError(f"device {device} fails here; install what {PACKAGES[device]} needs, or choose auto.")
+    return session
+
+
+def provider_of(session: onnxruntime.InferenceSession) -> str:
+    """What really runs a network, one of `PROVIDERS`' names; what it can't do is left to the CPU."""
+    return session.get_providers()[0]

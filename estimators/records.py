@@ -51,8 +51,8 @@ class FrameEstimate:
     without force."""
     field: ParticleField | None = None
     """Stiffness over the tissue, from an estimator that finds it place by place."""
-    alarm: str = ""
-    """Whether the force has reached a limit (`results.alarm`); empty without a limit, and without contact."""
+    alarm: str | None = None
+    """Whether the force has reached a limit (`results.alarm`), empty without contact; None without a limit."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:

@@ -3,16 +3,20 @@
 import io
 import json
 import socket
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pyigtl import OpenIGTLinkClient
 
-from palpate.command.live import main
+from palpate.command.live import Report, igtl_server, main
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
+from palpate.data.source.live import LiveSource
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.records import FrameEstimate
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +62,23 @@ def test_what_cannot_be_used_is_said(arguments, reason, monkeypatch, capsys) -> 
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(bytes(8 * 8 * 3))))
     assert main(arguments) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_an_openigtlink_client_gets_the_same_lines(pictures) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = LiveSource("somewhere", pictures[:3], 25.0, 600.0)
+    server, client = igtl_server(port), OpenIGTLinkClient("127.0.0.1", port)
+    try:
+        report = Report(source, None, server, None)
+        for _ in range(100):
+            if server.is_connected() and client.is_connected():
+                break
+            time.sleep(0.05)
+        report.add(FrameEstimate(3, 0.12, "no_tool"))
+        message = client.wait_for_message("palpate", timeout=10)
+        assert json.loads(message.string)["status"] == "no_tool"
+    finally:
+        client.stop()
+        server.stop()

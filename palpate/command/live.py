@@ -38,6 +38,22 @@ SCALED_IN = 1.0
 WAITING = 1
 """Frames that wait between two stages."""
 LOOPBACK = "127.0.0.1"
+MOST_UNSENT = 100
+"""Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""
+
+
+def igtl_server(port: int) -> Any:
+    """A `pyigtl.OpenIGTLinkServer` on this machine.
+
+    Raises:
+        ValueError: pyigtl is not installed.
+        OSError: the port can't be opened.
+    """
+    try:
+        import pyigtl
+    except ModuleNotFoundError as error:
+        raise ValueError("--igtl needs pyigtl; install 'palpate[live]'.") from error
+    return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -54,13 +70,14 @@ def main(arguments: list[str] | None = None) -> int:
         )
         clip = ClipStream(source, dataclasses.replace(settings, depth=depth))
         session = estimator.start(ClipInfo.of(clip))
+        server = None if options.igtl is None else igtl_server(options.igtl)
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         return 2
     alarm = None
     if options.force_limit is not None:
         alarm = ForceAlarm.of(estimator, options.force_limit, UNITS["force"], source.fps)
-    report, status = Report(source, options.port, alarm), 0
+    report, status = Report(source, options.port, server, alarm), 0
     try:
         for output in estimates_of(session, clip.overlapped(WAITING)):
             report.add(output)
@@ -81,11 +98,12 @@ class Report:
     Args:
         source: whose estimates are printed.
         port: lines also go there as datagrams, on this machine alone; None = nowhere.
+        server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
-    def __init__(self, source: LiveSource, port: int | None, alarm: ForceAlarm | None) -> None:
-        self.source, self.port, self.alarm = source, port, alarm
+    def __init__(self, source: LiveSource, port: int | None, server: Any, alarm: ForceAlarm | None) -> None:
+        self.source, self.port, self.server, self.alarm = source, port, server, alarm
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._late = np.zeros(1 << 16)
         self._frames, self._begun = 0, time.monotonic()
@@ -108,6 +126,10 @@ class Report:
         print(line, flush=True)
         if self.port is not None:
             self._socket.sendto(line.encode(), (LOOPBACK, self.port))
+        if self.server is not None and self.server.is_connected() and len(self.server.outgoing_messages) < MOST_UNSENT:
+            from pyigtl import StringMessage
+
+            self.server.send_message(StringMessage(line, device_name="palpate"), wait=False)
 
     def summary(self) -> str:
         """A sentence on frames, latency, and what was lost."""
@@ -155,6 +177,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--every", type=whole_number(1, 100), default=1, metavar="N", help=text)
     text = f"send every line to this UDP port of {LOOPBACK}, too"
     parser.add_argument("--port", type=whole_number(1, 65535), metavar="N", help=text)
+    text = "serve every line to an OpenIGTLink client, such as 3D Slicer, on this port of this machine (palpate[live])"
+    parser.add_argument("--igtl", type=whole_number(1, 65535), metavar="N", help=text)
     limit = real_number("a limit of force; give a positive number", 1e-9)
     text = "say of every frame whether the force has reached this limit [scene units]; as of palpate infer"
     parser.add_argument("--force-limit", type=limit, metavar="X", help=text)

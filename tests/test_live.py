@@ -2,8 +2,12 @@
 
 import io
 import json
+import signal
 import socket
+import subprocess
+import sys
 import time
+from subprocess import PIPE
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 from pyigtl import OpenIGTLinkClient
 
 from palpate.command.live import Report, igtl_server, main
+from palpate.common.doors import INTERRUPTED
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.data.source.live import LiveSource
@@ -47,6 +52,18 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
     assert f"of {len(frames)} frames" in said.err
     assert f"{len(frames)} frames, " in said.err
     assert "0 were dropped" in said.err
+
+
+def test_ctrl_c_ends_a_source_that_stalls(pictures) -> None:
+    command = [sys.executable, "-m", "palpate", "live", "-", "--size", "214x120", "--max-latency", "600"]
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE, text=False) as program:
+        program.stdin.write(np.concatenate([pictures] * 3).tobytes())
+        program.stdin.flush()  # and left open
+        assert json.loads(program.stdout.readline())["frame"] == 0
+        program.send_signal(signal.SIGINT)
+        _, said = program.communicate(timeout=60)
+    assert program.returncode == INTERRUPTED
+    assert b"frames, " in said
 
 
 @pytest.mark.parametrize(

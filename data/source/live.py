@@ -48,7 +48,7 @@ class LiveSource(FrameSource):
         """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
         self._pictures, self._clocked = pictures, clocked
         self._waiting: deque[tuple[int, float, np.ndarray]] = deque()
-        self._ended = False
+        self._ended = self.stopped = False
         self._error: Exception | None = None
         self._changed = threading.Condition()
         threading.Thread(target=self._take, daemon=True).start()
@@ -66,6 +66,8 @@ class LiveSource(FrameSource):
                 begun = came if number < 0 else begun
                 number = max(number + 1, round((came - begun) * self.fps)) if self._clocked else number + 1
                 with self._changed:
+                    if self.stopped:
+                        return
                     self._waiting.append((number, came, picture))
                     self._drop(came)
                     self._changed.notify()
@@ -82,8 +84,15 @@ class LiveSource(FrameSource):
             self._waiting.popleft()
             self.dropped += 1
 
+    def stop(self) -> None:
+        """Let the source end now, even where it stalls."""
+        with self._changed:
+            self._ended = self.stopped = True
+            self._waiting.clear()
+            self._changed.notify_all()
+
     def __iter__(self) -> Iterator[Frame]:
-        """Frames until the source ends.
+        """Frames until the source ends or is stopped.
 
         Raises:
             InputError: the source can't be read any more.

@@ -13,9 +13,12 @@ import argparse
 import dataclasses
 import math
 import re
+import signal
 import socket
 import sys
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -56,6 +59,21 @@ def igtl_server(port: int) -> Any:
     return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
 
 
+@contextmanager
+def stopped_by_interrupt(source: LiveSource) -> Generator[None]:
+    """While it lasts, the first Ctrl-C stops the source, so that what has been seen is still estimated."""
+
+    def stop(*_: object) -> None:
+        source.stop()
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Estimate until the source ends; returns the exit status."""
     options = _parser().parse_args(arguments)
@@ -79,10 +97,10 @@ def main(arguments: list[str] | None = None) -> int:
         alarm = ForceAlarm.of(estimator, options.force_limit, UNITS["force"], source.fps)
     report, status = Report(source, options.port, server, alarm), 0
     try:
-        for output in estimates_of(session, clip.overlapped(WAITING)):
-            report.add(output)
-    except KeyboardInterrupt:
-        status = INTERRUPTED
+        with stopped_by_interrupt(source):
+            for output in estimates_of(session, clip.overlapped(WAITING)):
+                report.add(output)
+        status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         status = 1

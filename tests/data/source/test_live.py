@@ -84,6 +84,23 @@ def test_a_source_that_stalls_changes_its_size_or_breaks_is_survived_and_said(mo
     assert source.stalls >= 1
 
 
+def test_a_source_that_stalls_can_be_stopped():
+    later = threading.Event()
+
+    def pictures() -> Iterator[np.ndarray]:
+        yield PICTURE
+        later.wait(60)
+        yield PICTURE
+
+    source = LiveSource("somewhere", pictures(), 20.0, 60.0)
+    threading.Timer(0.2, source.stop).start()
+    begun = time.monotonic()
+    assert [frame.number for frame in source] == [0]
+    assert time.monotonic() - begun < 10
+    later.set()
+    assert list(source) == []
+
+
 def test_a_pipe_gives_whole_pictures():
     data = b"".join(picture.tobytes() for picture in marked(7)) + b"half"
     source = open_live("-", 60.0, (64, 48), None, io.BytesIO(data), every=3)

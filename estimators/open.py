@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.common.onnx_devices import AUTO
-from palpate.data.contact.interaction import BOTH, Horizon
+from palpate.data.contact.interaction import Horizon
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import load_camera
 from palpate.data.source.layout import ClipLayout, load_layout
@@ -90,8 +90,6 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.name not in (None, kind):
         raise ModelFileError(f"{model.path} is of the estimator {kind}; give --estimator {kind}, or leave it out.")
     if isinstance(model, PosteriorModel):
-        if options.observation == BOTH:
-            raise ValueError("--observation both is for --estimator direct; the network goes by depth or by light.")
         return NetworkEstimator(model, options.onset or BETWEEN, options.horizon, options.observation, options.rate)
     if options.rate == FAST:
         raise ValueError(f"{model.path} fits nothing that could be left out; leave --rate fast out.")

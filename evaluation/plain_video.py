@@ -39,7 +39,7 @@ from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometryStatus, dent_geometry
-from palpate.data.contact.interaction import BRIGHTNESS
+from palpate.data.contact.interaction import BOTH, BRIGHTNESS
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.scene import Scene
@@ -194,6 +194,8 @@ class PlainVideo(Measurements):
         """Raise a ValueError where an option can't be used."""
         if self.model is not None and self.estimator != "network":
             raise ValueError("--model is for --estimator network; leave it out.")
+        if self.observation == BOTH and self.estimator == "network":
+            raise ValueError("--observation both is for --estimator direct; leave it out.")
         require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
 
     @property

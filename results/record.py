@@ -123,7 +123,7 @@ def build_record(
         "warnings": [
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
-            *([LEAVES_OUT] if causes["estimator"].get("rate") == FAST else []),
+            *([LEAVES_OUT] if clip.guesses_depth and causes["estimator"].get("rate") == FAST else []),
             *results.doubts[:1],
             *(
                 [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pyigtl import OpenIGTLinkClient
 
-from palpate.command.live import Report, igtl_server, main
+from palpate.command.live import JsonLines, igtl_server, main
 from palpate.common.doors import INTERRUPTED
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
@@ -71,6 +71,7 @@ def test_ctrl_c_ends_a_source_that_stalls(pictures) -> None:
     [
         (["-"], "give --size"),
         (["nowhere.mp4"], "is no file, stream or camera"),
+        (["97", "--size", "64x48"], "leave --size out"),
         (["-", "--size", "8x8"], "pictures of 8x8"),
         (["-", "--size", "214x120", "--model", "nowhere.onnx"], "nowhere.onnx"),
     ],
@@ -88,12 +89,12 @@ def test_an_openigtlink_client_gets_the_same_lines(pictures) -> None:
     source = LiveSource("somewhere", pictures[:3], 25.0, 600.0)
     server, client = igtl_server(port), OpenIGTLinkClient("127.0.0.1", port)
     try:
-        report = Report(source, None, server, None)
+        lines = JsonLines(source, None, server, None)
         for _ in range(100):
             if server.is_connected() and client.is_connected():
                 break
             time.sleep(0.05)
-        report.add(FrameEstimate(3, 0.12, "no_tool"))
+        lines.add(FrameEstimate(3, 0.12, "no_tool"))
         message = client.wait_for_message("palpate", timeout=10)
         assert json.loads(message.string)["status"] == "no_tool"
     finally:

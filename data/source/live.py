@@ -132,8 +132,10 @@ def open_live(
         every: one of so many pictures is taken, the first one to begin with.
 
     Raises:
-        InputError: it can't be opened.
+        InputError: it can't be opened, or a size or rate is given that it has of its own.
     """
+    if size is not None and where != "-":
+        raise InputError(f"{where} has pictures of a size of its own; leave --size out.")
     if where == "-":
         if size is None:
             raise InputError("pictures from a pipe have no size of their own; give --size, such as --size 854x480.")
@@ -151,6 +153,8 @@ def open_live(
         )
     if not Path(where).is_file():
         raise InputError(f"{where} is no file, stream or camera; give a path, an address, a camera's number, or -.")
+    if fps is not None:
+        raise InputError(f"{where} is played at its own rate; leave --fps out.")
     video = VideoFile(Path(where))
     return LiveSource(video.name, islice(_played(video), 0, None, every), video.fps / every, max_latency)
 

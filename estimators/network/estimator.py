@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.features import FEATURES, contact_features
-from palpate.data.contact.interaction import BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import BOTH, BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.light_features import light_slots
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
@@ -35,9 +35,9 @@ TOO_DARK = "Too few frames after the onset show how bright the tissue around the
 FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 LEAVES_OUT = (
-    "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. On "
-    "drawn videos that costs accuracy: k_d/k_s is off by 6 to 20 % and F/k_s by 13 to 35 % in the median, in place of "
-    "3 to 15 % and 7 to 28 % (docs/reports/brightness.md)."
+    "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. "
+    "That costs accuracy: on drawn videos of tissue that faces a still camera k_d/k_s is off by 6 to 20 % and F/k_s by "
+    "13 to 35 % in the median, in place of 3 to 15 % and 7 to 28 % (docs/reports/brightness.md)."
 )
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
@@ -66,6 +66,7 @@ class NetworkEstimator(ModelEstimator):
 
     Raises:
         ModelFileError: its metadata can't be used, or the observation is light, of which the file knows nothing.
+        ValueError: depth and light are asked for together, which only `direct` can do.
     """
 
     name = "network"
@@ -80,6 +81,8 @@ class NetworkEstimator(ModelEstimator):
         rate: str = FULL,
     ) -> None:
         super().__init__(model)
+        if observation == BOTH:
+            raise ValueError("--observation both is not for --estimator network; take direct, or leave it out.")
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
         self.by_network = observation == BRIGHTNESS or rate == FAST
         """Whether the network estimates whole runs by light, too."""
@@ -88,8 +91,13 @@ class NetworkEstimator(ModelEstimator):
             raise ModelFileError(f"{model.path} knows nothing of light; leave {asked} out, or take estimator direct.")
         self.by_light = observation in (None, BRIGHTNESS)
         """Whether it goes by the light of the tissue, where that is known."""
-        self.described = {"name": self.name, "onset": onset, "observation": observation or "auto", "horizon": horizon}
-        self.described["rate"] = rate
+        self.described = {
+            "name": self.name,
+            "onset": onset,
+            "observation": observation or "auto",
+            "horizon": horizon,
+            "rate": rate,
+        }
         """The settings that are not in the model's file."""
         self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
         """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""

@@ -95,23 +95,23 @@ def main(arguments: list[str] | None = None) -> int:
     alarm = None
     if options.force_limit is not None:
         alarm = ForceAlarm.of(estimator, options.force_limit, UNITS["force"], source.fps)
-    report, status = Report(source, options.port, server, alarm), 0
+    lines = JsonLines(source, options.port, server, alarm)
     try:
         with stopped_by_interrupt(source):
             for output in estimates_of(session, clip.overlapped(WAITING)):
-                report.add(output)
+                lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         status = 1
-    print(report.summary(), file=sys.stderr)
+    print(lines.summary(), file=sys.stderr)
     if alarm is not None:
         print(alarm.sentence(), file=sys.stderr)
     return status
 
 
-class Report:
-    """Lines of JSON about a source, and how late they were.
+class JsonLines:
+    """Prints estimates of a source as lines of JSON, and says how late they were.
 
     Args:
         source: whose estimates are printed.

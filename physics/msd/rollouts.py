@@ -1,8 +1,5 @@
 """Differentiable mass-spring-damper rollout on batches of meshes: from θ to the trajectories of a few vertices.
 
-It is computed where the meshes are. θ may be on another device: it is copied there, the trajectories and the gradient
-come back. The compiled kernels take milliseconds on a CPU, where a GPU launches ten kernels for every step.
-
 Source: Bini 2026, section 3.3 (equation 9, table 1); Φ_MSD of the physics loss (equation 14).
 """
 
@@ -20,8 +17,7 @@ from palpate.physics.msd.batch import MeshBatch, PressBatch
 DEFAULT = Mechanics()
 
 Backend = Literal["auto", "numba", "torch"]
-"""numba: compiled, meshes on the CPU, gradients by θ. torch: plain, any device, every derivative. auto: the faster that
-fits."""
+"""numba: compiled, CPU, gradients by θ. torch: plain, any device, every derivative. auto: the faster that fits."""
 
 
 def rollout(
@@ -35,28 +31,27 @@ def rollout(
     """Displacement of a few vertices after each step, differentiable in θ.
 
     Args:
-        theta: k_s, k_d and signed F, shape [B, 3] [normalised], on any device; computed in its precision, float32 at
-            least.
-        mesh: B meshes at rest, on the device that computes.
+        theta: k_s, k_d and signed F, shape [B, 3] [normalised]; computed in its precision, float32 at least.
+        mesh: B meshes at rest.
         load: what acts on them; its number of steps T is the rollout's.
         mechanics: constants.
         backend: what computes it.
         watch: M vertices of each mesh, shape [B, M], int64; none = the load's first one.
 
     Returns:
-        Shape [B, T, M, 3], or [B, T, 3] without `watch`, on θ's device [scene units]; index i is the time (i+1)·Δt.
+        Shape [B, T, M, 3], or [B, T, 3] without `watch` [scene units]; index i is the time (i+1)·Δt.
 
     Raises:
         ValueError: shapes that don't belong together, or a backend that can't do it.
     """
-    device, theta = theta.device, _checked(theta, mesh, load)
+    theta = _checked(theta, mesh, load)
     watched = _watched(mesh, load, watch)
     if _compiled(backend, theta, mesh, load):
         sensitive = torch.is_grad_enabled() and theta.requires_grad
         found, _ = CompiledRollout.apply(theta, mesh, load, watched, mechanics, sensitive)
     else:
         found = torch_backend.watched_trajectory(theta, mesh, load, watched, mechanics)
-    return (found[:, :, 0] if watch is None else found).to(device)
+    return found[:, :, 0] if watch is None else found
 
 
 def rollout_sensitivities(
@@ -72,7 +67,7 @@ def rollout_sensitivities(
     Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
     where the compiled motion is so chaotic that rounding decides them.
     """
-    device, theta = theta.device, _checked(theta.detach(), mesh, load)
+    theta = _checked(theta.detach(), mesh, load)
     watched = _watched(mesh, load, watch)
     if _compiled(backend, theta, mesh, load):
         found, slopes = CompiledRollout.apply(theta, mesh, load, watched, mechanics, True)
@@ -84,12 +79,11 @@ def rollout_sensitivities(
 
         with torch.no_grad():
             slopes, found = torch.func.jacfwd(moved, has_aux=True)(theta.new_zeros(3))
-    both = (found[:, :, 0], slopes[:, :, 0]) if watch is None else (found, slopes)
-    return both[0].to(device), both[1].to(device)
+    return (found[:, :, 0], slopes[:, :, 0]) if watch is None else (found, slopes)
 
 
 def _checked(theta: Tensor, mesh: MeshBatch, load: PressBatch) -> Tensor:
-    """θ where the meshes are, in at least single precision; a ValueError names shapes that don't belong together."""
+    """θ in at least single precision, or a ValueError that names the shapes that don't belong together."""
     batch = mesh.vertex_offsets.shape[0] - 1
     for name, value, shape in (
         ("theta", theta, (batch, 3)),
@@ -100,7 +94,7 @@ def _checked(theta: Tensor, mesh: MeshBatch, load: PressBatch) -> Tensor:
     ):
         if tuple(value.shape) != shape:
             raise ValueError(f"{name} has shape {tuple(value.shape)}; give {shape} for {batch} meshes.")
-    return theta.to(mesh.vertices.device, torch.promote_types(theta.dtype, torch.float32))
+    return theta.to(torch.promote_types(theta.dtype, torch.float32))
 
 
 def _watched(mesh: MeshBatch, load: PressBatch, watch: Tensor | None) -> Tensor:

@@ -35,7 +35,7 @@ def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -
 
 
 def test_the_network_goes_by_one_observation() -> None:
-    with pytest.raises(ValueError, match="both is for --estimator direct"):
+    with pytest.raises(ValueError, match="both is not for --estimator network; take direct"):
         open_estimator(EstimatorOptions("network", observation="both"))
 
 

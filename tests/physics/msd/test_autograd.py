@@ -144,7 +144,7 @@ def test_backends_that_cannot_do_it_say_so(monkeypatch):
     with pytest.raises(ValueError, match="choose auto, numba or torch"):
         rollout(theta, mesh, load, backend="jax")
     with pytest.raises(ValueError, match="computes on the CPU"):
-        rollout(theta, dataclasses.replace(mesh, vertices=mesh.vertices.to("meta")), load, backend="numba")
+        rollout(theta.to("meta"), mesh, load, backend="numba")
     for backend in ("numba", "torch"):
         with pytest.raises(ValueError, match="names vertex 36; the mesh has 36"):
             rollout(theta, mesh, dataclasses.replace(load, vertices=torch.tensor([36])), backend=backend)

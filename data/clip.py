@@ -7,6 +7,7 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 import contextlib
 import dataclasses
 import functools
+import itertools
 import math
 import time
 from collections import defaultdict
@@ -23,7 +24,7 @@ from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
-from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
+from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth, resize_labels
 from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
 from palpate.data.labels import TISSUE, MaskError
@@ -38,6 +39,8 @@ AHEAD = 4
 """Frames that wait between two stages that overlap."""
 Stage = Callable[[Iterator[PreparedFrame]], Iterator[PreparedFrame]]
 """How a stage gives its frames to the next one."""
+Noticed = Callable[[PreparedFrame], None] | None
+"""Called with every frame that is prepared, before its contact is decided."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,9 @@ class ClipStream:
         """Time spent so far by stage [s]."""
         given = ClipInputs() if inputs is None else inputs
         depth, of_clip = settings.depth, (settings.layout, settings.classes, source.path)
-        self._masks = given.masks or open_masks(settings.masks, *of_clip, threads=depth.threads, device=depth.device)
+        self._masks = given.masks or open_masks(
+            settings.masks, *of_clip, threads=depth.threads, device=depth.device, every=settings.every
+        )
         self._depth = given.depth or open_depth(settings.depth, settings.layout, source)
         camera = given.camera or clip_camera(source.path, settings.layout)
         self.metric = self._depth.metric
@@ -127,19 +132,20 @@ class ClipStream:
         """
         return self._frames(iter)
 
-    def overlapped(self, most: int = AHEAD) -> Iterator[PreparedFrame]:
+    def overlapped(self, most: int = AHEAD, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         """The same frames, while threads prepare the next ones and decide about their contact.
 
         Args:
             most: frames that wait between two stages; each makes what follows a frame's time later.
+            noticed: called in one of these threads.
         """
-        return self._frames(functools.partial(ahead, most=most))
+        return self._frames(functools.partial(ahead, most=most), noticed)
 
-    def _frames(self, staged: Stage) -> Iterator[PreparedFrame]:
+    def _frames(self, staged: Stage, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings, from_shading=self._depth.from_shading)
         held: list[PreparedFrame] = []
-        for prepared in staged(self._judged(staged)):
+        for prepared in staged(self._judged(staged, noticed)):
             held.append(prepared)
             if len(held) > 1:
                 with self._timed("tracking"):
@@ -150,9 +156,9 @@ class ClipStream:
         motion.settle()
         yield from held
 
-    def _judged(self, staged: Stage) -> Iterator[PreparedFrame]:
+    def _judged(self, staged: Stage, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, frames = self.settings.geometry, staged(self._prepared())
+        geometry, frames = self.settings.geometry, staged(self._prepared(noticed))
         if geometry.contact == "motion":
             frames = self._decided(frames, DentContacts(self.camera, geometry))
         elif geometry.contact == "touching":
@@ -172,18 +178,28 @@ class ClipStream:
             yield from decided
         yield from contacts.finish()
 
-    def _prepared(self) -> Iterator[PreparedFrame]:
+    def _prepared(self, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Every frame by itself, in order."""
         frames = iter(self.source)
-        while True:
+        kept: np.ndarray | None = None
+        for count in itertools.count():
             with self._timed("decode"):
                 frame = next(frames, None)
             if frame is None:
                 return
-            yield self.prepared(frame)
+            prepared = self.prepared(frame, kept if count % self.settings.every else None)
+            kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
+            if noticed is not None:
+                noticed(prepared)
+            yield prepared
 
-    def prepared(self, frame: Frame) -> PreparedFrame:
+    def prepared(self, frame: Frame, depth_before: np.ndarray | None = None) -> PreparedFrame:
         """Everything about a frame that needs no other frame.
+
+        Args:
+            frame: of the clip.
+            depth_before: z of a frame before, which is taken for this one's, shape [h, w] [scene units]; None = its
+                own is found.
 
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
@@ -198,15 +214,18 @@ class ClipStream:
                 labels = self._masks(frame)
         except MaskError as error:
             mask_error = str(error)
-        depth, depth_error = self._picture_depth(frame)
+        nothing_found = np.zeros(frame.picture.shape[:2], np.float32), ""
+        depth, depth_error = nothing_found if depth_before is not None else self._picture_depth(frame)
         if self._undistortion is not None:
             frame = dataclasses.replace(frame, image=self._undistortion.image(frame.image))
             depth = self._undistortion.depth(depth)
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
-            known = labels if labels is not None else np.zeros(depth.shape, np.uint8)
+            known = labels if labels is not None else np.zeros(frame.picture.shape[:2], np.uint8)
             # What of shading is shape is found on the grid.
-            if self.settings.depth.rounded == "picture" and not self._depth.from_shading:
+            if depth_before is not None:
+                z, grid_labels = depth_before, resize_labels(known, shape)
+            elif self.settings.depth.rounded == "picture" and not self._depth.from_shading:
                 depth_error = depth_error or self._beyond_scale(depth)
                 depth = np.zeros_like(depth) if depth_error else self._rounded(depth)
                 z, grid_labels = resize_depth(depth, known, shape)

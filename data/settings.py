@@ -1,7 +1,7 @@
 """Everything that decides how a clip's frames are prepared."""
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
@@ -31,13 +31,18 @@ class PrepareSettings:
     """Largest number of frames in a row without contact that count as flicker and don't end a run of contact."""
     track_seconds: float = 1.0
     """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
+    every: int = 1
+    """In one of so many frames automatic masks and guessed depth are found anew; in the others instruments are followed
+    and depth is what it was."""
 
     def __post_init__(self) -> None:
         if self.bridge_frames < 0:
             raise ValueError(f"bridge_frames is {self.bridge_frames}; give 0 or more.")
         if not (math.isfinite(self.track_seconds) and self.track_seconds >= 0):
             raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
+        if self.every < 1:
+            raise ValueError(f"every is {self.every}; give 1 or more.")
 
 
-NUMBERS = tuple(item.name for item in fields(PrepareSettings) if type(item.default) in (int, float))
-"""Names of the fields of `PrepareSettings` that are plain numbers; exported models hold them under these names."""
+NUMBERS = ("bridge_frames", "track_seconds")
+"""Fields of `PrepareSettings` that exported models hold under these names."""

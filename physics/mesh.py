@@ -143,8 +143,9 @@ def _decimated_triangles(valid: np.ndarray, keep: float) -> np.ndarray:
 def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | None, spacing: float) -> Mesh:
     """Number the used pixels and derive springs and rim; ``triangles`` [F, 3] holds flat pixel indices."""
     height, width = points.shape[:2]
-    used, triangles = np.unique(triangles, return_inverse=True)
-    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    shown = np.zeros(height * width, bool)
+    shown[triangles] = True
+    used, triangles = np.flatnonzero(shown), (np.cumsum(shown) - 1)[triangles].astype(np.int32)
     pixels = np.stack(np.unravel_index(used, (height, width)), axis=1).astype(np.int32)
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     keys, counts = np.unique(edges[:, 0].astype(np.int64) * len(used) + edges[:, 1], return_counts=True)

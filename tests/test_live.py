@@ -43,8 +43,12 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
         said = capsys.readouterr()
         lines = [json.loads(line) for line in said.out.splitlines()]
         assert [json.loads(listening.recv(1 << 16)) for _ in lines] == lines
-    frames = [line for line in lines if "frame" in line]
-    # The first second went into the depth's scale.
+    frames, first = ([line for line in lines if line.get("decided") is decided] for decided in (True, False))
+    assert [line["frame"] for line in first] == [line["frame"] for line in frames]
+    assert all(lines.index(one) < lines.index(last) for one, last in zip(first, frames, strict=True))
+    assert all(0 < one["latency_s"] < last["latency_s"] for one, last in zip(first, frames, strict=True))
+    assert {one.get("status", last["status"]) for one, last in zip(first, frames, strict=True)} >= {"no_tool"}
+    # The first half second went into the depth's scale.
     assert [line["frame"] for line in frames] == list(range(len(frames)))
     assert 0 < len(frames) < len(twice)
     assert all(0 < line["latency_s"] < 600 and line["dropped"] == 0 and line["status"] for line in frames)

@@ -12,7 +12,7 @@ import numpy as np
 from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
-SPACING, GUARD = 24, 24
+SPACING, GUARD = 32, 24
 """Of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
 FEWEST, LEAST_SHARE = 30, 0.5
 """Fewer points, or a smaller share of them, that agree on a motion tell none."""

@@ -149,7 +149,9 @@ class LightContacts:
 
     def _decided(self, lit: LitFrame) -> list[PreparedFrame]:
         """The frames that one more decides, in order."""
-        if len(self._rest) >= FEWEST_REST:
+        # Without instruments, and none before, nothing depends on what the light does.
+        looked_at = lit.tips or self._place is not None or any(one.tips for one in self._waiting)
+        if len(self._rest) >= FEWEST_REST and looked_at:
             self._compare(lit)
         if self._place is not None:
             self._go_on(lit, self._place)

@@ -228,26 +228,36 @@ def resize_depth(
     """
     if depth.ndim != 2 or depth.shape != labels.shape:
         raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
-    height, width = size
-    shrinking = height <= depth.shape[0] and width <= depth.shape[1]
-    interpolation = cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
-
-    def resized(map_: np.ndarray) -> np.ndarray:
-        return cv2.resize(map_, (width, height), interpolation=interpolation)
-
-    present = np.flatnonzero(np.bincount(labels.ravel()))
-    order = sorted(present, key=lambda value: (value != TOOL, value != TISSUE, value))
-    members = [(labels == value).astype(np.float32) for value in order]
-    shares = np.stack([resized(member) for member in members])
+    order, members, shares = _shares(labels, size)
     winner = shares.argmax(axis=0)
     valid = depth > 0
     complete = bool(valid.all())
-    result = np.zeros((height, width), np.float32)
+    result = np.zeros(size, np.float32)
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
         if value == OUTSIDE_LABEL:
             continue
         usable = member if complete else member * valid
-        weight = shares[index] if complete else resized(usable)
+        weight = shares[index] if complete else _resized(usable, size)
         chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
-        result[chosen] = resized(depth * usable)[chosen] / weight[chosen]
+        result[chosen] = _resized(depth * usable, size)[chosen] / weight[chosen]
     return result, np.asarray(order, np.uint8)[winner]
+
+
+def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The labels alone, as of `resize_depth`."""
+    order, _, shares = _shares(labels, size)
+    return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
+
+
+def _shares(labels: np.ndarray, size: tuple[int, int]) -> tuple[list[int], list[np.ndarray], np.ndarray]:
+    """The labels that there are, where each is, float32 [H, W], and how much of every grid pixel, [labels, h, w]."""
+    present = np.flatnonzero(np.bincount(labels.ravel())).tolist()
+    order = sorted(present, key=lambda value: (value != TOOL, value != TISSUE, value))
+    members = [(labels == value).astype(np.float32) for value in order]
+    return order, members, np.stack([_resized(member, size) for member in members])
+
+
+def _resized(map_: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A map at a size (height, width): area average when shrinking, bilinear when enlarging."""
+    shrinking = size[0] <= map_.shape[0] and size[1] <= map_.shape[1]
+    return cv2.resize(map_, size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)

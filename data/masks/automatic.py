@@ -6,6 +6,8 @@ followed there as a rigid body, for half a second at most. The mode abstains (no
 docs/reports/masks.md reports its accuracy on real clips.
 """
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -16,7 +18,7 @@ from palpate.data.masks.instrument_bands import WORKING_SIZE, Band, find_bands
 from palpate.data.masks.rigid import RigidInstrument, filled
 from palpate.data.source.frames import Frame
 
-VERSION = 2
+VERSION = 3
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
 SATURATED = 245
 """Pixels whose brightest channel is at least this have no usable colour [8-bit value]."""
@@ -57,6 +59,8 @@ MAX_INSTRUMENTS = 3
 """Largest number of instruments in one picture."""
 MOST_MISSED = 12
 """So many frames in a row an instrument is followed without being found."""
+LEVELS = 1024
+"""Levels of redness by which its quantiles are found; sorting all pixels takes five times as long."""
 SAME = 0.3
 """What is found is a known instrument if they share so much of the smaller one."""
 
@@ -95,11 +99,14 @@ class _Known:
 
 
 class AutomaticMasks:
-    """Mask source (see masks.MaskSource) for raw video; frames must come in order."""
+    """Mask source (see masks.MaskSource) for raw video; frames must come in order.
 
-    identity = f"automatic:{VERSION}"
+    Args:
+        every: instruments are sought in one of so many frames, and only followed in the others.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, every: int = 1) -> None:
+        self.identity, self._every = f"automatic:{VERSION}" + (f":{every}" if every > 1 else ""), every
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self.reset()
 
@@ -107,14 +114,22 @@ class AutomaticMasks:
         """Forget the frames of the clip so far."""
         self._last_gray: np.ndarray | None = None
         self._known: list[_Known] = []
+        self._field = np.zeros((0, 0), bool)
+        """The endoscope's picture when instruments were sought last."""
+        self._since = 0
+        """Frames since then."""
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
         image = frame.picture
-        scale = WORKING_SIZE / max(image.shape[:2])
-        size = max(round(image.shape[1] * scale), 16), max(round(image.shape[0] * scale), 16)
-        working = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-        tool = self._find_tool(working)
+        sought, self._since = self._since == 0, (self._since + 1) % self._every
+        # What moves is told by the frame right before.
+        if sought:
+            tool = self._find_tool(_working(image))
+        elif self._known or self._since == 0:
+            tool = self._followed(cv2.cvtColor(_working(image), cv2.COLOR_RGB2GRAY))
+        else:
+            tool = np.zeros((1, 1), bool)
         labels = lit_picture(image).astype(np.uint8) * np.uint8(TISSUE)
         if tool.any():
             full = cv2.resize(tool.astype(np.float32), image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
@@ -124,12 +139,12 @@ class AutomaticMasks:
     def _find_tool(self, working: np.ndarray) -> np.ndarray:
         """Tool pixels of the working picture, bool [h, w]."""
         lit = lit_picture(working)
-        field = picture_field(lit)
+        field = self._field = picture_field(lit)
         gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
         smooth = cv2.GaussianBlur(working, (0, 0), 1.0).astype(np.float32)
         bright, red = brightest_channel(smooth), redness(smooth)
         look = Look(pallor(red, bright, lit), red, bright)
-        motion = self._motion_against_tissue(gray, field)
+        motion = functools.cache(functools.partial(self._motion_against_tissue, gray, self._last_gray, field))
         self._last_gray = gray
         slopes = cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1)
         found: list[np.ndarray] = []
@@ -148,6 +163,15 @@ class AutomaticMasks:
                 filled(tool, known.body.outline, 1)
         return (tool > 0) & field
 
+    def _followed(self, gray: np.ndarray) -> np.ndarray:
+        """Where the known instruments have gone in a working picture, bool [h, w]."""
+        tool, self._last_gray = np.zeros(gray.shape, np.uint8), gray
+        self._known = [known for known in self._known if known.body.follow(gray)]
+        for known in self._known:
+            if not known.missed or known.times > 1:
+                filled(tool, known.body.outline, 1)
+        return (tool > 0) & self._field
+
     def _update(self, found: list[np.ndarray], gray: np.ndarray) -> None:
         """Take what is found in a picture [h, w], masks [h, w], and follow what isn't."""
         now = []
@@ -158,12 +182,14 @@ class AutomaticMasks:
                 outline = max(parts, key=cv2.contourArea)[:, 0].astype(np.float64)
                 now.append(_Known(RigidInstrument(outline, gray), times))
         for known in self._known:
-            known.missed += 1
+            known.missed += self._every
             if known.missed <= MOST_MISSED and not any(known.is_at(mask) for mask in found) and known.body.follow(gray):
                 now.append(known)
         self._known = now
 
-    def _is_instrument(self, band: Band, look: Look, slopes: tuple[np.ndarray, np.ndarray], motion: np.ndarray) -> bool:
+    def _is_instrument(
+        self, band: Band, look: Look, slopes: tuple[np.ndarray, np.ndarray], motion: Callable[[], np.ndarray]
+    ) -> bool:
         """Whether a band's colour, edges or motion are an instrument's."""
         if band.length < MIN_LENGTH or band.gap > MAX_GAP * band.length:
             return False
@@ -177,15 +203,15 @@ class AutomaticMasks:
             if np.abs(across).mean() >= GROOVED_CONTRAST:
                 return True
         if paleness >= MOVING_PALLOR and band.edges >= MOVING_EDGES:
-            return bool(np.median(band_values(band, motion)) >= MIN_MOTION)
+            return bool(np.median(band_values(band, motion())) >= MIN_MOTION)
         return False
 
-    def _motion_against_tissue(self, gray: np.ndarray, field: np.ndarray) -> np.ndarray:
+    def _motion_against_tissue(self, gray: np.ndarray, before: np.ndarray | None, field: np.ndarray) -> np.ndarray:
         """Speed against the affine motion of most of the picture [px a frame], float32 [h, w]; 0 at first."""
-        if self._last_gray is None or self._last_gray.shape != gray.shape:
+        if before is None or before.shape != gray.shape:
             return np.zeros(gray.shape, np.float32)
         size = (gray.shape[1] // 2, gray.shape[0] // 2)
-        first, second = (cv2.resize(g, size, interpolation=cv2.INTER_AREA) for g in (gray, self._last_gray))
+        first, second = (cv2.resize(g, size, interpolation=cv2.INTER_AREA) for g in (gray, before))
         flow = self._flow.calc(first, second, None)  # ty: ignore[no-matching-overload]  no first guess
         rows, columns = (grid.ravel() for grid in np.mgrid[4 : size[1] : 8, 4 : size[0] : 8])
         inside = field[rows * 2, columns * 2]
@@ -202,16 +228,23 @@ class AutomaticMasks:
         return cv2.resize(speed.astype(np.float32), gray.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
+def _working(image: np.ndarray) -> np.ndarray:
+    """A picture [H, W, 3] whose longer side is WORKING_SIZE."""
+    scale = WORKING_SIZE / max(image.shape[:2])
+    size = max(round(image.shape[1] * scale), 16), max(round(image.shape[0] * scale), 16)
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+
+
 def lit_picture(image: np.ndarray) -> np.ndarray:
     """Lit pixels of the endoscope's picture, bool [H, W], from RGB uint8 [H, W, 3].
 
     They are the largest connected region that is not black: the dark surround and clipped black pixels are left out.
     """
-    bright = (brightest_channel(cv2.blur(image, (5, 5))) > DARKEST_LIT).astype(np.uint8)
-    _, regions, areas, _ = cv2.connectedComponentsWithStats(bright)
-    if len(areas) < 2:
-        return np.zeros(bright.shape, bool)
-    return regions == 1 + int(np.argmax(areas[1:, cv2.CC_STAT_AREA]))
+    bright = brightest_channel(cv2.blur(image, (5, 5))) > DARKEST_LIT
+    count, regions = cv2.connectedComponents(bright.astype(np.uint8))
+    if count <= 2:
+        return bright
+    return regions == 1 + int(np.argmax(np.bincount(regions[bright])[1:]))
 
 
 def brightest_channel(image: np.ndarray) -> np.ndarray:
@@ -231,7 +264,8 @@ def picture_field(lit: np.ndarray) -> np.ndarray:
 
 def redness(image: np.ndarray) -> np.ndarray:
     """(R − (G+B)/2)/max of every pixel, float32 [H, W]: about 0.5 for liver, 0.25 for pale organs, 0 for metal."""
-    return (image[..., 0] - (image[..., 1] + image[..., 2]) / 2) / (brightest_channel(image) + 8)
+    red, green, blue = cv2.split(image)
+    return (red - (green + blue) / 2) / (cv2.max(cv2.max(red, green), blue) + 8)
 
 
 def pallor(red: np.ndarray, bright: np.ndarray, lit: np.ndarray) -> np.ndarray:
@@ -246,18 +280,23 @@ def pallor(red: np.ndarray, bright: np.ndarray, lit: np.ndarray) -> np.ndarray:
         bright: brightest channel [8-bit value], [H, W].
         lit: lit pixels, bool [H, W].
     """
-    result = np.zeros(red.shape, np.float32)
     if not lit.any():
-        return result
-    least, reds = 0.45 * float(np.median(red[lit])), red[lit]
-    bins = (bright[lit] / 16).astype(np.uint8)
-    # Sorted once: a mask for each of the bins takes several times as long.
-    order = np.argsort(bins, kind="stable")
-    expected = np.empty_like(reds)
-    for here in np.split(order, np.flatnonzero(np.diff(bins[order])) + 1):
-        expected[here] = max(float(np.quantile(reds[here], 0.2)), least)
-    result[lit] = expected - reds
-    return result
+        return np.zeros(red.shape, np.float32)
+    bins = (bright * (1 / 16)).astype(np.uint8)
+    counts = cv2.calcHist([bins.astype(np.float32), red], [0, 1], lit.astype(np.uint8), [16, LEVELS], [0, 16, -1, 1])
+    least = 0.45 * float(_quantiles(counts.sum(axis=0, keepdims=True), 0.5)[0])
+    expected = np.maximum(_quantiles(counts, 0.2), least).astype(np.float32)
+    return np.where(lit, expected[bins] - red, np.float32(0))
+
+
+def _quantiles(counts: np.ndarray, share: float) -> np.ndarray:
+    """Redness that a share of the pixels lie below, by histograms [N, LEVELS] from -1 to 1, shape [N]."""
+    below = np.cumsum(counts, axis=1)
+    wanted = share * below[:, -1:]
+    level = np.argmax(below >= wanted, axis=1)[:, None]
+    inside = np.take_along_axis(counts, level, axis=1)
+    over = (np.take_along_axis(below, level, axis=1) - wanted) / np.maximum(inside, 1)
+    return 2 * (level + 1 - over)[:, 0] / counts.shape[1] - 1
 
 
 def band_values(band: Band, values: np.ndarray, low: float = 0.0, high: float | None = None) -> np.ndarray:

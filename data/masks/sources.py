@@ -68,7 +68,14 @@ class MaskSource(Protocol):
 
 
 def open_masks(
-    kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path, *, threads: int = 0, device: str = "cpu"
+    kind: str,
+    layout: ClipLayout,
+    classes: MaskClasses,
+    clip: Path,
+    *,
+    threads: int = 0,
+    device: str = "cpu",
+    every: int = 1,
 ) -> MaskSource:
     """Open the mask source of one clip.
 
@@ -79,6 +86,7 @@ def open_masks(
         classes: which annotated classes are tool and tissue.
         clip: the clip's folder or video file.
         threads, device: of a segmentation model, as of `data.picture_network.PictureNetwork`.
+        every: of automatic masks, as of `data.settings.PrepareSettings`.
 
     Raises:
         InputError: an unknown kind, a file that can't be used, or a clip without annotation masks.
@@ -90,7 +98,7 @@ def open_masks(
         return AnnotationMasks(layout, classes, clip)
     from palpate.data.masks.automatic import AutomaticMasks
 
-    return AutomaticMasks()
+    return AutomaticMasks(every)
 
 
 def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> MaskSource:

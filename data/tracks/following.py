@@ -45,6 +45,8 @@ MAX_SIDE = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
 """Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
+FAR = 8192.0
+"""Distance from the tool where there is none [px]."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
 REACHES = ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16))
@@ -60,7 +62,9 @@ def lit_field(picture: np.ndarray) -> np.ndarray:
 
 
 def tool_distance(tool: np.ndarray) -> np.ndarray:
-    """Distance of every pixel from the tool's mask [H, W] [px], float32; huge where there is no tool."""
+    """Distance of every pixel from the tool's mask [H, W] [px], float32; FAR where there is no tool."""
+    if not tool.any():
+        return np.full(tool.shape, FAR, np.float32)
     return cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 5)
 
 

@@ -5,8 +5,9 @@
     ffmpeg … -f rawvideo -pix_fmt rgb24 - | palpate live - --size 854x480
 
 A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
-so far; where a run of contact has ended, another one holds what `interactions.csv` does. Presses are estimated by
-the network alone (--rate fast of `palpate infer`). Research software, not a medical device.
+so far; where a run of contact has ended, another one holds what `interactions.csv` does. Whether an instrument touches
+is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Presses are
+estimated by the network alone (--rate fast of `palpate infer`). Research software, not a medical device.
 """
 
 import argparse
@@ -16,7 +17,9 @@ import re
 import signal
 import socket
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
@@ -27,6 +30,7 @@ from palpate.common.command_line import path_option, real_number, whole_number
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.data.clip import ClipStream
+from palpate.data.prepared import PreparedFrame
 from palpate.data.source.live import LiveSource, open_live
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.network.estimator import FAST, NetworkEstimator
@@ -36,11 +40,15 @@ from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm, upper_force
 from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values
 
-SCALED_IN = 1.0
+SCALED_IN = 0.5
 """The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
 WAITING = 1
 """Frames that wait between two stages."""
 LOOPBACK = "127.0.0.1"
+REMEMBERED = 1 << 16
+"""So many frames' lateness counts."""
+NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask")
+"""Statuses that later frames don't change."""
 MOST_UNSENT = 100
 """Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""
 
@@ -98,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = JsonLines(source, options.port, server, alarm)
     try:
         with stopped_by_interrupt(source):
-            for output in estimates_of(session, clip.overlapped(WAITING)):
+            for output in estimates_of(session, clip.overlapped(WAITING, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:
@@ -123,16 +131,23 @@ class JsonLines:
     def __init__(self, source: LiveSource, port: int | None, server: Any, alarm: ForceAlarm | None) -> None:
         self.source, self.port, self.server, self.alarm = source, port, server, alarm
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._late = np.zeros(1 << 16)
+        self._late: dict[bool, deque[float]] = {decided: deque(maxlen=REMEMBERED) for decided in (False, True)}
+        """Of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
+        self._one = threading.Lock()
+
+    def notice(self, prepared: PreparedFrame) -> None:
+        """Print what a frame shows before its contact is decided; called from another thread than `add`."""
+        frame = prepared.frame
+        found: dict[str, Any] = {"frame": frame.number, "time_s": round(frame.time_s, 6), "decided": False}
+        found |= {"status": prepared.status} if prepared.status in NOT_TOUCHING else {}
+        self._send(found | self._lateness(frame.number, decided=False))
 
     def add(self, output: Output) -> None:
         """Print an estimate of a frame or of a run of contact."""
         if isinstance(output, FrameEstimate):
-            late = time.monotonic() - self.source.came.pop(output.frame, math.nan)
-            self._late[self._frames % len(self._late)] = late
             self._frames += 1
-            found = _known(output.values, FRAMES) | {"latency_s": round(late, 4), "dropped": self.source.dropped}
+            found = _known(output.values, FRAMES) | {"decided": True} | self._lateness(output.frame, decided=True)
             if self.alarm is not None:
                 upper = None if output.estimate is None else upper_force(output.estimate)
                 found["alarm"] = self.alarm.push(output.time_s, output.contact, upper)
@@ -140,25 +155,39 @@ class JsonLines:
             if self.alarm is not None:
                 self.alarm.end_run()
             found = {"interaction": _known(interaction_values(output), INTERACTIONS)}
-        line = as_json(found)
-        print(line, flush=True)
-        if self.port is not None:
-            self._socket.sendto(line.encode(), (LOOPBACK, self.port))
-        if self.server is not None and self.server.is_connected() and len(self.server.outgoing_messages) < MOST_UNSENT:
-            from pyigtl import StringMessage
+        self._send(found)
 
-            self.server.send_message(StringMessage(line, device_name="palpate"), wait=False)
+    def _lateness(self, number: int, *, decided: bool) -> dict[str, Any]:
+        came = self.source.came.pop(number, math.nan) if decided else self.source.came.get(number, math.nan)
+        self._late[decided].append(time.monotonic() - came)
+        return {"latency_s": round(self._late[decided][-1], 4), "dropped": self.source.dropped}
+
+    def _send(self, found: dict[str, Any]) -> None:
+        line = as_json(found)
+        with self._one:
+            print(line, flush=True)
+            if self.port is not None:
+                self._socket.sendto(line.encode(), (LOOPBACK, self.port))
+            if self._takes_more():
+                from pyigtl import StringMessage
+
+                self.server.send_message(StringMessage(line, device_name="palpate"), wait=False)
+
+    def _takes_more(self) -> bool:
+        """Whether there is an OpenIGTLink client that keeps up."""
+        server = self.server
+        return server is not None and server.is_connected() and len(server.outgoing_messages) < MOST_UNSENT
 
     def summary(self) -> str:
         """A sentence on frames, latency, and what was lost."""
-        late, seconds = self._late[: self._frames], time.monotonic() - self._begun
-        if not len(late):
+        if not self._frames:
             return "No frame was estimated."
-        usual, most = 1000 * np.nanquantile(late, [0.5, 0.95])
+        seconds = time.monotonic() - self._begun
+        first, last = (1000 * np.nanquantile(self._late[decided], [0.5, 0.95]) for decided in (False, True))
         return (
-            f"{self._frames} frames, {self._frames / seconds:.1f} a second, {usual:.0f} ms late in the median and "
-            f"{most:.0f} at the 95th percentile; {self.source.dropped} were dropped, the source stalled "
-            f"{self.source.stalls} times."
+            f"{self._frames} frames, {self._frames / seconds:.1f} a second; their first lines were {first[0]:.0f} ms "
+            f"late in the median and {first[1]:.0f} at the 95th percentile, decided ones {last[0]:.0f} and "
+            f"{last[1]:.0f}; {self.source.dropped} were dropped, the source stalled {self.source.stalls} times."
         )
 
 

@@ -99,6 +99,18 @@ def test_stages_that_overlap_give_the_same_frames(tmp_path):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
+def test_guessed_depth_is_found_in_one_of_so_many_frames_and_kept_in_between(tmp_path):
+    folder = write_clip(tmp_path / "video01_00000", shift=1.0)
+    guessed = replace(SETTINGS, depth=replace(SETTINGS.depth, source="photometric"))
+    each, some = run(folder, guessed), run(folder, replace(guessed, every=3))
+    for index, (one, kept) in enumerate(zip(each, some, strict=True)):
+        assert np.array_equal(kept.depth, each[index // 3 * 3].depth)
+        assert np.array_equal(kept.labels, one.labels)
+    assert not np.array_equal(each[4].depth, each[3].depth)
+    measured = run(folder, replace(SETTINGS, every=3))
+    assert all(np.array_equal(one.depth, two.depth) for one, two in zip(measured, run(folder), strict=True))
+
+
 def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
     folder = write_clip(tmp_path / "clip", first=10)
     remove_frame(folder, 15)

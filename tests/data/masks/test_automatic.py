@@ -153,10 +153,23 @@ def test_pallor_compares_equal_brightness():
     image[25:30, 10:15] = (100, 100, 100)
     red, bright = module.redness(image), brightest_channel(image)
     pale = pallor(red, bright, np.ones((40, 40), bool))
-    # Redness is 55/208 and 60/108 of the two tissues and 0 of the patch.
-    assert (red[5, 5], pale[27, 12]) == (pytest.approx(55 / 208), pytest.approx(60 / 108))
-    assert pale[5, 5] == pale[36, 36] == 0
+    # Redness is 55/208 and 60/108 of the two tissues and 0 of the patch; it is told to half a level.
+    level = 2 / module.LEVELS
+    assert (red[5, 5], pale[27, 12]) == (pytest.approx(55 / 208), pytest.approx(60 / 108, abs=level))
+    assert (pale[5, 5], pale[36, 36]) == (pytest.approx(0, abs=level), pytest.approx(0, abs=level))
     assert (pallor(red, bright, np.zeros((40, 40), bool)) == 0).all()
+
+
+def test_pallor_is_against_a_quantile_at_equal_brightness():
+    rng = np.random.default_rng(1)
+    red, bright = rng.uniform(0.1, 0.6, (60, 80)).astype(np.float32), rng.uniform(0, 255, (60, 80)).astype(np.float32)
+    lit = rng.random((60, 80)) < 0.8
+    pale, least = pallor(red, bright, lit), 0.45 * np.median(red[lit])
+    for level in range(16):
+        here = lit & (bright // 16 == level)
+        expected = max(np.quantile(red[here], 0.2), least) - red[here]
+        assert pale[here] == pytest.approx(expected, abs=0.01)  # neighbouring values lie so far apart
+    assert (pale[~lit] == 0).all()
 
 
 def test_brightest_channel_is_the_maximum():
@@ -211,6 +224,17 @@ def test_an_instrument_that_was_found_twice_is_followed_where_it_is_not_found(mo
         if not missed[-1]:
             assert overlap(labels == 2, mask) > 0.8  # more of it comes in from the edge
     assert missed == [False] * (2 + module.MOST_MISSED) + [True]
+
+
+def test_where_instruments_are_sought_in_one_frame_of_three_they_are_followed_in_the_others(monkeypatch):
+    sought, find = [], AutomaticMasks._find_tool
+    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda self, image: sought.append(1) or find(self, image))
+    masks = AutomaticMasks(3)
+    for step in range(8):
+        image, mask = moving(step)
+        assert overlap(masks(as_frame(image, step)) == 2, mask) > 0.8
+    assert len(sought) == 3
+    assert masks.identity != AutomaticMasks().identity
 
 
 def test_what_was_found_once_is_not_followed(monkeypatch):

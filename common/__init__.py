@@ -7,6 +7,7 @@ settings      values of settings that come from files; tables: rows as CSV and a
 lazy          package faces that load nothing; provenance: digest of the code
 onnx_devices  where ONNX networks run, and opening them
 workers       processes that work through tasks; ahead: threads that do so for the next stage
+distributed   workers of other machines that do
 robust        Student's errors, spreads by medians, affine motions of points
 """
 

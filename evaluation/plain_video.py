@@ -47,6 +47,7 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
+from palpate.estimators.network.estimator import FAST
 from palpate.estimators.open import EstimatorOptions
 from palpate.estimators.open import open_estimator as open_by_options
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -187,6 +188,8 @@ class PlainVideo(Measurements):
     """network's file (default: the one that comes along)"""
     observation: Literal["field", "brightness", "both"] | None = None
     """what is fitted (default: what there is); both with direct alone"""
+    rate: Literal["full", "fast"] = "full"
+    """what is done of a clip, as of palpate infer; fast with network alone"""
 
     writes = ("table.csv", "summary.csv")
 
@@ -196,6 +199,8 @@ class PlainVideo(Measurements):
             raise ValueError("--model is for --estimator network; leave it out.")
         if self.observation == BOTH and self.estimator == "network":
             raise ValueError("--observation both is for --estimator direct; leave it out.")
+        if self.rate == FAST and self.estimator != "network":
+            raise ValueError("--rate fast is for --estimator network; leave it out.")
         require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
 
     @property
@@ -219,13 +224,16 @@ class PlainVideo(Measurements):
     def options(self) -> EstimatorOptions:
         """What opens the estimator: the direct one takes light of itself, the network is asked to for whole runs."""
         by_light = BRIGHTNESS if self.estimator == "network" and self.suite != GIVEN else None
-        return EstimatorOptions(self.estimator, self.model, observation=self.observation or by_light)
+        observation = self.observation or by_light
+        return EstimatorOptions(self.estimator, self.model, observation=observation, rate=self.rate)
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
         drawn = {**dataclasses.asdict(self.settings), "seed": self.seed}
         if self.observation is not None:
             drawn["observation"] = self.observation
+        if self.rate == FAST:
+            drawn["rate"] = self.rate
         if self.estimator == "network":
             drawn |= {"estimator": self.estimator, "model_sha256": file_sha256(self.model or SHIPPED)}
         return drawn

@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
+from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
 from palpate.common.onnx_devices import PROVIDERS
@@ -112,6 +113,8 @@ class Batch:
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
                 "there, or leave --calibration out."
             )
+        if options.scheduler is not None and options.jobs > 1:
+            raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         if options.shard and self.calibration is not None and self.calibration.of_one_clip:
             raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
         chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
@@ -183,7 +186,7 @@ class Batch:
             except ValueError as error:
                 failed.append(self._failure(given, error))
         paths = self._ordered(list(found))
-        if paths and (self.options.shard or self.options.jobs > 1):
+        if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
             number, count = self.options.shard or (1, 1)
             if count > len(paths):
                 raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
@@ -198,20 +201,25 @@ class Batch:
         """How the clips went: one after the other, or with --jobs as they are done, in processes of their own."""
         # The others wait for the clip whose force scales them.
         scales = self.calibration is not None and self.calibration.of_one_clip
-        alone = paths if self.options.jobs == 1 else paths[: int(scales)]
+        scheduler = self.options.scheduler
+        alone = paths if self.options.jobs == 1 and scheduler is None else paths[: int(scales)]
         for number, path in enumerate(alone, start=1):
             yield self.attempt(path, progress, f"{number}/{len(paths)}")
         left = dict.fromkeys(paths[len(alone) :])
         if not left:
             return
         jobs = min(self.options.jobs, len(left))
-        share = max(1, (self.options.threads or os.cpu_count() or 1) // jobs)
+        share = max(1, (self.options.threads or os.cpu_count() or 1) // jobs) if scheduler is None else 1
         options = tuple((vars(self.options) | {"threads": share, "inputs": ()}).items())
         tasks = [(options, path, self.folders.get(path), self.carried) for path in left]
         bar = progress.add_task("clips", total=len(tasks))
         said: set[str] = set()
         try:
-            for path, outcome, lines in run_tasks(_attempt_in_worker, tasks, jobs, threads=share):
+            if scheduler is None:
+                results = run_tasks(_attempt_in_worker, tasks, jobs, threads=share)
+            else:
+                results = run_distributed(_attempt_in_worker, tasks, scheduler)
+            for path, outcome, lines in results:
                 for line in lines:
                     if line not in said:  # each worker says where networks run
                         say(self.console, line)
@@ -361,6 +369,9 @@ def _write(results: ClipResults, frames: deque[PreparedFrame], item: Output) -> 
 def run(options: argparse.Namespace) -> int:
     """Work through a batch and return the program's exit status."""
     console = Console(stderr=True)
+    if options.scheduler is not None:  # its workers run elsewhere
+        given = {name: value.absolute() for name, value in vars(options).items() if isinstance(value, Path)}
+        vars(options).update(given, inputs=[path.absolute() for path in options.inputs])
     try:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
@@ -376,6 +387,9 @@ def run(options: argparse.Namespace) -> int:
                 outcomes.append(outcome)
         except KeyboardInterrupt:
             interrupted = True
+        except ValueError as error:  # of the scheduler; a clip's is in its outcome
+            say(console, f"{store.PROGRAM}: {sentence_of(error)}")
+            return 2
     Console().print(_table(outcomes), soft_wrap=True)
     if interrupted:
         finished = sum(outcome.state != FAILED for outcome in outcomes)

@@ -4,12 +4,14 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import onnxruntime
 import pytest
+from distributed import LocalCluster
 
 from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
@@ -657,6 +659,32 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
     assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
+
+
+def test_two_workers_of_a_scheduler_give_the_same_tables(
+    named_alike, inputs, one_by_one, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = ["--scheduler", cluster.scheduler_address]
+        assert several(named_alike, inputs, Path("out"), *address) == 1
+        assert several(named_alike, inputs, Path("out"), *address, "--jobs", "2") == 2
+    assert tables(tmp_path / "out") == one_by_one
+    said = capsys.readouterr()
+    assert (said.out.count("done"), said.err.count("failed: ")) == (2, 1)
+    assert "leave one of them out" in said.err
+
+
+def test_a_scheduler_that_cannot_be_used_is_said(named_alike, inputs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("palpate.common.distributed.ANSWERS_WITHIN", 1)
+    assert several(named_alike, inputs, tmp_path, "--scheduler", "tcp://127.0.0.1:9") == 2
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in flat(capsys.readouterr().err)
+    with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:
+        assert several(named_alike, inputs, tmp_path, "--scheduler", cluster.scheduler_address) == 2
+    assert "has workers of 2 threads" in flat(capsys.readouterr().err)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert several(named_alike, inputs, tmp_path, "--scheduler", "tcp://127.0.0.1:9") == 2
+    assert "install 'palpate[distributed]'" in flat(capsys.readouterr().err)
 
 
 def test_a_device_that_is_not_there_is_wrong_usage(inputs, tmp_path, capsys):

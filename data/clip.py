@@ -6,7 +6,6 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 
 import contextlib
 import dataclasses
-import functools
 import itertools
 import math
 import time
@@ -35,10 +34,8 @@ from palpate.data.source.camera import Camera, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
 
-AHEAD = 4
-"""Frames that wait between two stages that overlap."""
-Stage = Callable[[Iterator[PreparedFrame]], Iterator[PreparedFrame]]
-"""How a stage gives its frames to the next one."""
+AHEAD, WHILE_FITTING = 4, 32
+"""Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
 """Called with every frame that is prepared, before its contact is decided."""
 
@@ -130,22 +127,25 @@ class ClipStream:
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
         """
-        return self._frames(iter)
+        return self._frames()
 
-    def overlapped(self, most: int = AHEAD, noticed: Noticed = None) -> Iterator[PreparedFrame]:
+    def overlapped(
+        self, most: int = AHEAD, decided: int = WHILE_FITTING, noticed: Noticed = None
+    ) -> Iterator[PreparedFrame]:
         """The same frames, while threads prepare the next ones and decide about their contact.
 
         Args:
-            most: frames that wait between two stages; each makes what follows a frame's time later.
+            most: prepared frames that wait for their decision; each makes what follows a frame's time later.
+            decided: frames that wait for the caller after it.
             noticed: called in one of these threads.
         """
-        return self._frames(functools.partial(ahead, most=most), noticed)
+        return self._frames(most, decided, noticed)
 
-    def _frames(self, staged: Stage, noticed: Noticed = None) -> Iterator[PreparedFrame]:
+    def _frames(self, most: int = 0, decided: int = 0, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings, from_shading=self._depth.from_shading)
         held: list[PreparedFrame] = []
-        for prepared in staged(self._judged(staged, noticed)):
+        for prepared in _staged(self._judged(most, noticed), decided):
             held.append(prepared)
             if len(held) > 1:
                 with self._timed("tracking"):
@@ -156,9 +156,9 @@ class ClipStream:
         motion.settle()
         yield from held
 
-    def _judged(self, staged: Stage, noticed: Noticed) -> Iterator[PreparedFrame]:
+    def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, frames = self.settings.geometry, staged(self._prepared(noticed))
+        geometry, frames = self.settings.geometry, _staged(self._prepared(noticed), most)
         if geometry.contact == "motion":
             frames = self._decided(frames, DentContacts(self.camera, geometry))
         elif geometry.contact == "touching":
@@ -282,6 +282,11 @@ class ClipStream:
             yield
         finally:
             self.seconds[stage] += time.perf_counter() - start
+
+
+def _staged(frames: Iterator[PreparedFrame], most: int) -> Iterator[PreparedFrame]:
+    """Frames that a thread of their own makes, so many of which wait at most; 0 = made when they are asked for."""
+    return ahead(frames, most) if most else frames
 
 
 def prepare(

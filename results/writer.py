@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping
@@ -97,6 +98,8 @@ class ClipResults:
                 video = self._partial / store.OVERLAY
                 self._video = keep(closing(open_video(video, canvas_size(size), fps))) if overlay else None
                 self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
+                # What `finish` needs is loaded meanwhile: it takes most of a second.
+                self._drawer.submit(importlib.import_module, "matplotlib.figure")
                 self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and maps else None
         except BaseException:
             self.__exit__()

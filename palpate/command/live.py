@@ -106,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = JsonLines(source, options.port, server, alarm)
     try:
         with stopped_by_interrupt(source):
-            for output in estimates_of(session, clip.overlapped(WAITING, lines.notice)):
+            for output in estimates_of(session, clip.overlapped(WAITING, WAITING, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:

@@ -40,7 +40,7 @@ OUTPUTS = ("next_state", "known", "left", "misfit", "log_mean", "log_covariance"
 """Of B presses so far: state; how many slots are known [B], int64; share of the change that the shapes leave, and
 misfit [B]; mean [B, 3] and covariance [B, 3, 3] of (log k_s, log k_d, log |F|), not numbers before the second frame;
 whether each of COMBINATIONS is determined [B, 6], and each of k_s, k_d and F at its bound [B, 3], bool."""
-SWEEPS = 6
+SWEEPS = 5
 """Of Jacobi's rotations; four leave nothing beside the diagonal of a matrix [3, 3]."""
 
 
@@ -127,24 +127,25 @@ def _double(numbers: float | Sequence[Sequence[float]]) -> Tensor:
 
 def _solved(matrix: Tensor, right: Tensor) -> Tensor:
     """Solutions [B, N, K] of symmetric positive systems [B, N, N], by eliminations: ONNX has no operator for it."""
-    size = matrix.shape[-1]
-    both, unit = torch.cat([matrix, right], dim=2), torch.eye(size).double()
-    for at in range(size):
-        both = both - (both[:, :, at, None] - unit[:, at, None]) * (both[:, at, None] / both[:, at, None, at, None])
-    return both[..., size:]
+    both, unit = torch.cat([matrix, right], dim=2), torch.eye(matrix.shape[-1]).double()
+    for at in range(len(unit)):
+        row = both[:, at : at + 1]
+        both = both - (both[..., at : at + 1] - unit[:, at : at + 1]) * (row / row[..., at : at + 1])
+    return both[..., len(unit) :]
 
 
 def _eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """Eigenvalues [B, 3] and eigenvectors as columns [B, 3, 3] of symmetric matrices, by Jacobi's rotations."""
     unit = torch.eye(3).double()
     vectors = unit.expand_as(matrix)
-    for one, other in ((0, 1), (0, 2), (1, 2)) * SWEEPS:
-        spin = unit[one].outer(unit[other]) - unit[other].outer(unit[one])
+    spins = [(one, other, unit[one].outer(unit[other])) for one, other in ((0, 1), (0, 2), (1, 2))]
+    spins = [(one, other, half - half.T, half @ half.T + half.T @ half) for one, other, half in spins]
+    for one, other, spin, plane in spins * SWEEPS:
         gap, twice = matrix[:, other, other] - matrix[:, one, one], 2 * matrix[:, one, other]
         length = gap.abs() + torch.sqrt(gap.square() + twice.square())
         tangent = (torch.where(gap < 0, -twice, twice) / length.clamp(min=1e-300))[:, None, None]
         cosine = 1 / torch.sqrt(1 + tangent.square())
-        turn = unit + cosine * tangent * spin + (1 - cosine) * spin @ spin
+        turn = unit + cosine * tangent * spin + (cosine - 1) * plane
         matrix, vectors = turn.transpose(1, 2) @ matrix @ turn, vectors @ turn
     return matrix.diagonal(dim1=1, dim2=2), vectors
 

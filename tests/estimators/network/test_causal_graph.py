@@ -99,7 +99,6 @@ def test_frame_by_frame_it_says_what_the_estimator_says_of_the_press_so_far(writ
         slots, count = light_slots(contact)
         assert told["known"] == count
         assert told["left"] == pytest.approx(slots.unexplained(count), abs=1e-9)
-    print(f"{len(flags)} frames: off by {worst}; flags {np.sum(flags, axis=0)}")
     assert worst.max() < 1e-5
     # Each was seen both ways, but for k_d and F, which are never at their bounds here.
     often = np.mean(flags, axis=0)[[*range(7), 9]]

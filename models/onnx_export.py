@@ -160,7 +160,7 @@ def write(
     with replacing(output) as partial:
         onnx.save(model, partial, format="protobuf")
         difference = difference_of(partial)
-        if difference > PARITY_TOLERANCE:
+        if not difference <= PARITY_TOLERANCE:  # or it is no number
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "
                 f"{PARITY_TOLERANCE:g}; nothing was written to {output}."

@@ -10,12 +10,12 @@ FOCAL, DISTANCE, RADIUS = 160.0, 0.4, 12
 """Of the camera [grid pixels], of the tissue [scene units], and rows from the contact to its rim."""
 
 
-def facing() -> tuple[Mesh, int]:
+def facing(distance: float = DISTANCE, focal: float = FOCAL, radius: int = RADIUS) -> tuple[Mesh, int]:
     """Tissue that faces the camera, and the vertex in its middle."""
-    rows, columns = np.indices((2 * RADIUS + 1,) * 2) - RADIUS
-    rays = np.stack([columns / FOCAL, rows / FOCAL, np.ones(rows.shape)], axis=-1)
-    mesh = grid_mesh(DISTANCE * rays, np.ones(rows.shape, bool))
-    return mesh, int(np.flatnonzero((mesh.pixels == RADIUS).all(axis=1))[0])
+    rows, columns = np.indices((2 * radius + 1,) * 2) - radius
+    rays = np.stack([columns / focal, rows / focal, np.ones(rows.shape)], axis=-1)
+    mesh = grid_mesh(distance * rays, np.ones(rows.shape, bool))
+    return mesh, int(np.flatnonzero((mesh.pixels == radius).all(axis=1))[0])
 
 
 def lit_contact(times: np.ndarray, change: np.ndarray) -> Interaction:

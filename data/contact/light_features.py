@@ -101,6 +101,8 @@ class LightSlots:
     def vectors(self, known: np.ndarray) -> np.ndarray:
         """What the network is given of the first slots of every contact, shape [B, LIGHT_FEATURES], float32.
 
+        `estimators.network.causal_graph` does the same in torch, and what comes before.
+
         Args:
             known: how many slots count, 1 to SLOTS, shape [B].
         """

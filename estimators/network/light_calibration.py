@@ -1,12 +1,15 @@
-"""Adds the posterior of brightness sequences to an exported contact posterior, and calibrates it.
+"""Adds the posterior of brightness sequences to an exported contact posterior, calibrates it, makes it one graph.
 
     python -m estimators.network.light_calibration --model contact.onnx --light runs/light/light.pt --output plain.onnx
     python -m estimators.network.light_calibration --model plain.onnx --results runs/light/video … --output contact.onnx
+    python -m estimators.network.light_calibration --model contact.onnx --one-graph --output press.onnx
 
 The first adds what `train.py fit -c configs/light.yaml` wrote to a file of `estimators.network.calibration`. The second
 calibrates such a file by results of `evaluation.plain_video --estimator network` with it: what the drawn sequences
 don't have (coders, cameras, other laws of light) shifts its means and widens its covariances, by as much as on
-validation videos. Their truth is used for this and nothing else; no weight of the network changes.
+validation videos. Their truth is used for this and nothing else; no weight of the network changes. The third writes
+what `estimators.network.causal_graph` makes of a file that ships: presses by their light, frame by frame, for programs
+that have ONNX Runtime and no Python (docs/training.md).
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -27,6 +30,7 @@ from palpate.common.command_line import path_option
 from palpate.common.files import file_sha256, read_file
 from palpate.data.source.layout import read_mapping
 from palpate.estimators.network.calibration import MAX_RESULTS_BYTES, RECORD, RESULTS
+from palpate.estimators.network.causal_graph import write_causal
 from palpate.estimators.network.light_training import new_light_posterior
 from palpate.models.calibration import LightCalibration
 from palpate.models.calibration_fit import fit_light
@@ -64,7 +68,7 @@ def calibration_of(model: Path, folders: Sequence[Path]) -> LightCalibration:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Add or calibrate; returns the exit status."""
+    """Add, calibrate or write the graph; returns the exit status."""
     program, text = "python -m estimators.network.light_calibration", __doc__.split("\n")[0]
     parser = argparse.ArgumentParser(prog=program, description=text)
     parser.add_argument("--model", type=path_option, required=True, metavar="FILE", help="exported contact posterior")
@@ -72,6 +76,8 @@ def main(arguments: list[str] | None = None) -> int:
     what.add_argument("--light", type=path_option, metavar="FILE", help="light.pt of configs/light.yaml, to add")
     text = "results of evaluation.plain_video --estimator network with --model"
     what.add_argument("--results", type=path_option, nargs="+", metavar="DIR", help=text)
+    text = "write features, network and calibration as one graph that goes frame by frame"
+    what.add_argument("--one-graph", action="store_true", help=text)
     parser.add_argument("--output", type=path_option, required=True, metavar="FILE", help="ONNX file to write")
     options = parser.parse_args(arguments)
     try:
@@ -79,6 +85,8 @@ def main(arguments: list[str] | None = None) -> int:
             posterior = new_light_posterior()
             load_posterior(posterior, options.light)
             difference = add_light(options.model, options.output, posterior, file_sha256(options.light))
+        elif options.one_graph:
+            difference = write_causal(options.model, options.output)
         else:
             found = calibration_of(options.model, options.results)
             difference = calibrate_light(options.model, options.output, found)
@@ -87,7 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    print(f"{options.output}: written; largest difference from torch {difference:.1e}")
+    print(f"{options.output}: written; largest difference from what it should be {difference:.1e}")
     return 0
 
 

@@ -56,9 +56,10 @@ def test_metadata_is_complete_and_neither_weights_nor_paths_of_this_machine_lie_
         onnx_export.require_own_model(own)  # may be replaced
 
 
-def test_a_file_that_differs_from_torch_is_never_left(exported, tmp_path):
-    with pytest.raises(onnx_export.ParityError, match=r"differs from torch by 0\.01"):
-        onnx_export.write(onnx.load(exported[1]), METADATA, tmp_path / "parameters.onnx", lambda path: 0.01)
+@pytest.mark.parametrize("difference", [0.01, float("nan")])
+def test_a_file_that_differs_from_torch_is_never_left(exported, tmp_path, difference):
+    with pytest.raises(onnx_export.ParityError, match=f"differs from torch by {difference}"):
+        onnx_export.write(onnx.load(exported[1]), METADATA, tmp_path / "parameters.onnx", lambda path: difference)
     assert list(tmp_path.iterdir()) == []
 
 

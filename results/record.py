@@ -19,7 +19,7 @@ from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
 from palpate.estimators.contract import Estimator
-from palpate.estimators.network.estimator import FAST, LEAVES_OUT
+from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -123,7 +123,7 @@ def build_record(
         "warnings": [
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
-            *([LEAVES_OUT] if clip.guesses_depth and causes["estimator"].get("rate") == FAST else []),
+            *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *results.doubts[:1],
             *(
                 [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]
@@ -137,6 +137,12 @@ def build_record(
         "overlay_encoder": results.encoder,
         "versions": versions(),
     }
+
+
+def _left_out(clip: ClipStream) -> list[str]:
+    """What the rate fast leaves out of a clip, in sentences."""
+    seldom = clip.guesses_depth or clip.sources["masks"] == "automatic"
+    return ([SELDOM] if seldom else []) + ([LEAVES_OUT] if clip.guesses_depth else [])
 
 
 def describe(record: Mapping[str, Any]) -> str:

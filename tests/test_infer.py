@@ -20,6 +20,7 @@ from palpate.data.contact.motion import FRAYED
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
+from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
 from tests.data.clips import real_frames
@@ -659,6 +660,14 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
     assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
+
+
+def test_what_fast_leaves_out_is_said_of_the_clips_that_it_concerns(inputs, tmp_path):
+    options = ["--output", str(tmp_path), "--rate", "fast", "--no-overlay"]
+    assert infer.main([str(inputs / "clips"), *options]) == 0
+    plain, stored = (record(tmp_path / name)["warnings"] for name in ("drawn", "folder"))
+    assert {SELDOM, LEAVES_OUT} <= set(plain)
+    assert not {SELDOM, LEAVES_OUT} & set(stored)
 
 
 def test_two_workers_of_a_scheduler_give_the_same_tables(

@@ -37,6 +37,10 @@ FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
 """By the rate fast, as of `PrepareSettings.every`."""
+SELDOM = (
+    f"By --rate fast, automatic masks and depth that is guessed are found in one frame of {FAST_EVERY}; in between "
+    "instruments are followed and depth is kept."
+)
 LEAVES_OUT = (
     "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. "
     "That costs accuracy: on drawn videos of tissue that faces a still camera k_d/k_s is off by 6 to 20 % and F/k_s by "

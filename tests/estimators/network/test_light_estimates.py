@@ -9,6 +9,7 @@ from palpate.data.contact.interaction import BRIGHTNESS
 from palpate.data.contact.light_features import light_amounts, light_shapes, light_slots
 from palpate.data.prepared import PreparedFrame
 from palpate.estimators import runs
+from palpate.estimators.contract import Chosen
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.network.estimator import BY_NETWORK, LEFT, TOO_DARK, NetworkEstimator
 from palpate.estimators.onset import BETWEEN
@@ -105,6 +106,7 @@ def test_frames_are_estimated_by_light_as_they_come_and_runs_are_if_that_is_aske
 
 def test_fast_leaves_fits_of_whole_runs_out(network, watched) -> None:
     fast = NetworkEstimator(network.model, BETWEEN, rate="fast")
+    assert [each.preparation(Chosen()).every for each in (network, fast)] == [1, 3]
     frames, (run,) = follow(fast.start(clip_info()), watched)
     np.testing.assert_allclose(run.estimate.theta, network.lit(run.interaction).theta)
     assert not any(BY_NETWORK in frame.detail for frame in frames)

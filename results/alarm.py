@@ -50,7 +50,7 @@ class ForceAlarm:
     @classmethod
     def of(cls, estimator: NetworkEstimator, limit: float, unit: str, fps: float) -> Self:
         """The alarm of a clip of so many frames a second, by the estimates of a network."""
-        return cls(limit, unit, min(estimator.press_seconds[1], estimator.mechanics.seconds), 1 / fps)
+        return cls(limit, unit, told_seconds(estimator), 1 / fps)
 
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""
@@ -95,6 +95,11 @@ class ForceAlarm:
             f"safe nor unsafe, in {frames} of {self.frames.total()} frames ({seconds:.2f} s); research "
             "software, not a medical device"
         )
+
+
+def told_seconds(estimator: NetworkEstimator) -> float:
+    """So much after the onset of contact, an estimate by depth tells nothing of the force any more [s]."""
+    return min(estimator.press_seconds[1], estimator.mechanics.seconds)
 
 
 def upper_force(found: Estimate) -> float | None:

@@ -1,0 +1,202 @@
+"""The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
+
+A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
+It is in newtons where something tells them, else relative to the run's own peak.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.physics.load import PressShape
+from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
+from palpate.results.calibrated import NEWTONS
+from palpate.results.columns import TEXTS
+from palpate.results.verdicts import MEANINGS, state
+
+RELATIVE = "of this contact's own peak (relative, not N)"
+FORMAT_VERSION = 1
+"""Version of the file's layout."""
+SAME_INSTANT = 1e-6
+"""Times nearer to each other than this are one [s]."""
+NO_FORCE = "Nothing is determined of the force."
+LATER = "What the force is after the part of the contact that was observed and estimated is not known."
+STILL = "Frames without a picture, or in which too little moves, tell no force."
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForce:
+    """The force of a run of contact in its T frames in contact; not a number where it is unknown."""
+
+    onset_frame: int
+    onset_time_s: float
+    verdict: str
+    frames: np.ndarray
+    """Indices of those frames in the clip, shape [T]."""
+    force: np.ndarray
+    """Along that of the last frame, shape [T], in `unit`; of a press over its F."""
+    low: np.ndarray
+    """Lower end of its 90 % interval, shape [T]."""
+    high: np.ndarray
+    """Upper end."""
+    unit: str
+    why: str
+    """Why it is unknown somewhere."""
+    pressed: np.ndarray
+    """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+
+    @classmethod
+    def of(
+        cls,
+        run: InteractionEstimate,
+        estimates: Sequence[FrameEstimate],
+        newtons: Sequence[Mapping[str, float]] = (),
+        seconds: float = math.inf,
+    ) -> "ContactForce":
+        """The force of a run that has ended.
+
+        Args:
+            run: the run.
+            estimates: of all frames so far, by index in the clip.
+            newtons: rows of forces.csv where a pull's force is known in newtons.
+            seconds: so much after the onset, an estimate by depth tells nothing any more [s].
+        """
+        touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
+        while touched and not estimates[touched[-1]].contact:
+            touched.pop()
+        times = np.array([estimates[index].time_s for index in touched])
+        unknown = np.full(len(touched), np.nan)
+        force, low, high, pressed, unit, why = unknown, unknown, unknown, unknown, "", run.detail or NO_FORCE
+        found = run.main_estimate
+        if isinstance(found, Estimate):
+            pressed = _pressed(run, found, times - run.onset_time_s, seconds)
+            if any(name.startswith("force") for name in found.determined):
+                force, unit, why = pressed, RELATIVE, LATER
+        elif isinstance(found, GripEstimate) and "relative_force" in found.determined:
+            half = NINETY * found.force_sd
+            kept, unit = np.stack([found.force, found.force - half, found.force + half]), RELATIVE
+            if newtons:
+                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ("", "_low", "_high")])
+                unit = NEWTONS
+            force, low, high = _between(run.onset_time_s + found.times, kept, times)
+            why = STILL
+        elif isinstance(found, FieldEstimate):
+            why = "--estimator online tells no force."
+        if isinstance(found, Estimate) and found.given_verdict:
+            why = MEANINGS[run.verdict]
+        place = run.onset_frame, run.onset_time_s, state(run)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed)
+
+    def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
+        """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
+        if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
+            return self
+        curves = [self.pressed * row.get(f"force{end}", math.nan) for end in ("", "_low", "_high")]
+        return ContactForce(
+            self.onset_frame, self.onset_time_s, self.verdict, self.frames, *curves, NEWTONS, LATER, self.pressed
+        )
+
+    def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
+        """What forces.json has of the run.
+
+        Args:
+            estimates: of all of the clip's frames.
+            lasts: how long each of those lasts, shape [N] [s].
+        """
+        seconds = lasts[self.frames]
+        known = np.isfinite(self.force)
+        curves = np.stack([self.force, self.low, self.high])
+        found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
+        if known.any():
+            top = np.flatnonzero(known)[np.abs(self.force[known]).argmax()]
+            if self.unit == RELATIVE and self.force[top]:
+                curves = curves / self.force[top]
+                curves[1:] = np.sort(curves[1:], axis=0)
+            means = curves[:, known] @ seconds[known] / seconds[known].sum()
+            for name, values in (("mean", means), ("peak", curves[:, top])):
+                found |= dict(zip((name, f"{name}_low", f"{name}_high"), values.tolist(), strict=True))
+            found["peak_time_s"] = estimates[self.frames[top]].time_s
+        alarms = [estimates[index].alarm for index in self.frames]
+        if any(alarm is not None for alarm in alarms):
+            for alarm in (ABOVE, BELOW, UNKNOWN):
+                found[f"limit_{alarm}_s"] = float(seconds[[each == alarm for each in alarms]].sum())
+        return found | {
+            "onset_frame": self.onset_frame,
+            "onset_time_s": self.onset_time_s,
+            "verdict": self.verdict,
+            "unit": self.unit if known.any() else "",
+            "contact_frames": len(self.frames),
+            "contact_s": float(seconds.sum()),
+            "unknown_frames": int((~known).sum()),
+            "unknown_s": float(seconds[~known].sum()),
+            "why": "" if known.all() and len(known) else self.why,
+            "time_s": [estimates[index].time_s for index in self.frames],
+            "frame_s": seconds,
+            **dict(zip(("force", "force_low", "force_high"), curves.tolist(), strict=True)),
+        }
+
+
+def forces_record(
+    contacts: Sequence[ContactForce],
+    estimates: Sequence[FrameEstimate],
+    fps: float,
+    calibrated: Sequence[Mapping[str, Any]] = (),
+    limit: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The content of forces.json.
+
+    Args:
+        contacts: the clip's runs of contact.
+        estimates: of its frames.
+        fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
+        calibrated: rows of calibrated.csv, one a run of contact.
+        limit: `limit` and `unit` of --force-limit.
+    """
+    times = np.array([estimate.time_s for estimate in estimates])
+    lasts = np.diff(times, append=times[-1:] + 1 / fps)
+    rows = {row["onset_frame"]: row for row in calibrated}
+    told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
+    return {
+        "format_version": FORMAT_VERSION,
+        "notice": "Research software, not a medical device.",
+        "force_limit": None if limit is None else {name: limit[name] for name in ("limit", "unit")},
+        "fields": TEXTS["contact_forces"],
+        "contacts": [contact.record(estimates, lasts) for contact in told],
+    }
+
+
+def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:
+    """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
+    shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
+    last, contact = seconds, run.interaction
+    if contact is not None and found.by_light and contact.brightness is not None:
+        last = contact.brightness.times[-1]
+    elif contact is not None and len(contact.observation):
+        last = min(last, contact.observation.times[-1])
+    end = math.inf if run.load_s is None else run.load_s + release - shape.fall
+    factor = _risen(since - delay, shape.rise) - _risen(since - end, shape.fall)
+    return np.where(since <= last + SAME_INSTANT, factor, np.nan)
+
+
+def _risen(since: np.ndarray, duration: float) -> np.ndarray:
+    """How much of a ramp of some duration has risen since it began, shape as given."""
+    return np.clip(since / duration, 0, 1) if duration else (since >= -SAME_INSTANT).astype(np.float64)
+
+
+def _between(kept: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Curves [C, K] at other times, shape [C, T]; not a number where frames are missing.
+
+    Of a long pull every n-th frame is kept, and the force between two of them that follow on is on the line between.
+    """
+    after = np.minimum(np.searchsorted(kept, times - SAME_INSTANT), len(kept) - 1)
+    gaps = np.diff(kept, prepend=-math.inf)
+    near = np.abs(kept[after] - times) <= SAME_INSTANT
+    inside = near | ((gaps[after] <= 1.5 * gaps.min()) & (times <= kept[-1]))
+    return np.where(inside, [np.interp(times, kept, each) for each in values], np.nan)

@@ -1,0 +1,100 @@
+"""Writes the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from palpate.common.files import as_json
+from palpate.common.output import ForeignFile
+from palpate.results import store
+from palpate.results.page.gather import clip_folders, clip_of, summary_of
+from palpate.results.page.own import CLIP, INDEX, is_own, write_own
+from palpate.results.verdicts import COLORS, MEANINGS
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+Failure = tuple[str, str]
+"""Name of a clip that has no results, and the sentence that says why."""
+FAILURES = re.compile(rb'<script type="application/json" id="failures">(.*?)</script>', re.DOTALL)
+UNREADABLE = "its results are damaged or of another version; run palpate infer on it again with --overwrite."
+
+
+def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[str] = (), *, anew: bool) -> Path:
+    """Write the page of a folder of results, and those of its clips; returns the former.
+
+    Clips that failed in earlier batches stay listed until they are tried again or have results.
+
+    Args:
+        output: the folder.
+        failed: clips of this batch without results.
+        tried: names of all clips of this batch.
+        anew: whether to write all clips' pages, not only those that are missing or older than their results.
+
+    Raises:
+        OutputError: a page can't be written, or a file that this program did not write is in its place.
+    """
+    environment, rows, foreign = _environment(), [], None
+    with store.writing(output):
+        failures = [item for item in _earlier_failures(output / INDEX) if item[0] not in tried]
+        failures += failed
+        for folder in clip_folders(output):
+            try:
+                rows.append(summary_of(folder))
+                clip = clip_of(folder) if anew or _is_stale(folder) else None
+            except (KeyError, TypeError, ValueError, OSError):
+                failures.append((folder.name, f"{folder}: {UNREADABLE}"))
+                continue
+            try:
+                if clip is not None:
+                    write_own(folder / CLIP, environment.get_template("clip.html").render(clip=clip, colors=COLORS))
+            except ForeignFile as error:
+                foreign = error
+        index = environment.get_template("index.html")
+        write_own(
+            output / INDEX,
+            index.render(clips=rows, failures=list(dict.fromkeys(failures)), colors=COLORS, meanings=MEANINGS),
+        )
+        if foreign is not None:
+            raise foreign
+    return output / INDEX
+
+
+def _is_stale(folder: Path) -> bool:
+    """Whether a clip's page is missing or older than its results."""
+    page = folder / CLIP
+    return not page.exists() or page.stat().st_mtime_ns < (folder / store.RECORD).stat().st_mtime_ns
+
+
+def _earlier_failures(index: Path) -> list[Failure]:
+    """What the page of a batch lists as failed; nothing where there is no page of ours."""
+    found = FAILURES.search(index.read_bytes()) if is_own(index) else None
+    return [] if found is None else [(name, sentence) for name, sentence in json.loads(found[1])]
+
+
+def _environment() -> Environment:
+    """Templates whose every value is escaped: names of files are a user's."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    templates = FileSystemLoader(Path(__file__).with_name("templates"))
+    found = Environment(
+        loader=templates,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.policies["json.dumps_function"] = as_json
+    found.policies["json.dumps_kwargs"] = {}
+    found.filters["cell"] = _cell
+    return found
+
+
+def _cell(value: Any) -> str:
+    """A number of a JSON file as tables show it; a dash where there is none."""
+    return "–" if value is None or value == "" else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -4,6 +4,7 @@ A press's force is its estimate's, as long as that was observed; a pull's comes 
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from palpate.estimators.estimate import NINETY, Estimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
@@ -22,8 +22,8 @@ from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
-FORMAT_VERSION = 1
-"""Version of the file's layout."""
+ENDS = ("", "_low", "_high")
+"""Of the names of a value and of the ends of its 90 % interval."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 NO_FORCE = "Nothing is determined of the force."
@@ -71,26 +71,23 @@ class ContactForce:
         touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
         while touched and not estimates[touched[-1]].contact:
             touched.pop()
-        times = np.array([estimates[index].time_s for index in touched])
-        unknown = np.full(len(touched), np.nan)
-        force, low, high, pressed, unit, why = unknown, unknown, unknown, unknown, "", run.detail or NO_FORCE
-        found = run.main_estimate
+        found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
+        force = low = high = pressed = np.full(len(touched), np.nan)
+        unit, why = "", run.detail or NO_FORCE
         if isinstance(found, Estimate):
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
-        elif isinstance(found, GripEstimate) and "relative_force" in found.determined:
-            half = NINETY * found.force_sd
-            kept, unit = np.stack([found.force, found.force - half, found.force + half]), RELATIVE
-            if newtons:
-                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ("", "_low", "_high")])
-                unit = NEWTONS
-            force, low, high = _between(run.onset_time_s + found.times, kept, times)
-            why = STILL
+            elif found.given_verdict:
+                why = MEANINGS[run.verdict]
         elif isinstance(found, FieldEstimate):
             why = "--estimator online tells no force."
-        if isinstance(found, Estimate) and found.given_verdict:
-            why = MEANINGS[run.verdict]
+        elif found is not None and "relative_force" in found.determined:
+            half, unit, why = NINETY * found.force_sd, NEWTONS if newtons else RELATIVE, STILL
+            kept = np.stack([found.force, found.force - half, found.force + half])
+            if newtons:
+                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
+            force, low, high = _between(run.onset_time_s + found.times, kept, times)
         place = run.onset_frame, run.onset_time_s, state(run)
         return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed)
 
@@ -98,10 +95,8 @@ class ContactForce:
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
-        curves = [self.pressed * row.get(f"force{end}", math.nan) for end in ("", "_low", "_high")]
-        return ContactForce(
-            self.onset_frame, self.onset_time_s, self.verdict, self.frames, *curves, NEWTONS, LATER, self.pressed
-        )
+        force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
+        return dataclasses.replace(self, force=force, low=low, high=high, unit=NEWTONS, why=LATER)
 
     def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
         """What forces.json has of the run.
@@ -110,37 +105,27 @@ class ContactForce:
             estimates: of all of the clip's frames.
             lasts: how long each of those lasts, shape [N] [s].
         """
-        seconds = lasts[self.frames]
-        known = np.isfinite(self.force)
+        seconds, known = lasts[self.frames], np.isfinite(self.force)
         curves = np.stack([self.force, self.low, self.high])
         found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
         if known.any():
-            top = np.flatnonzero(known)[np.abs(self.force[known]).argmax()]
+            top = int(np.nanargmax(np.abs(self.force)))
             if self.unit == RELATIVE and self.force[top]:
                 curves = curves / self.force[top]
                 curves[1:] = np.sort(curves[1:], axis=0)
             means = curves[:, known] @ seconds[known] / seconds[known].sum()
             for name, values in (("mean", means), ("peak", curves[:, top])):
-                found |= dict(zip((name, f"{name}_low", f"{name}_high"), values.tolist(), strict=True))
+                found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
             found["peak_time_s"] = estimates[self.frames[top]].time_s
         alarms = [estimates[index].alarm for index in self.frames]
-        if any(alarm is not None for alarm in alarms):
-            for alarm in (ABOVE, BELOW, UNKNOWN):
-                found[f"limit_{alarm}_s"] = float(seconds[[each == alarm for each in alarms]].sum())
-        return found | {
-            "onset_frame": self.onset_frame,
-            "onset_time_s": self.onset_time_s,
-            "verdict": self.verdict,
-            "unit": self.unit if known.any() else "",
-            "contact_frames": len(self.frames),
-            "contact_s": float(seconds.sum()),
-            "unknown_frames": int((~known).sum()),
-            "unknown_s": float(seconds[~known].sum()),
-            "why": "" if known.all() and len(known) else self.why,
-            "time_s": [estimates[index].time_s for index in self.frames],
-            "frame_s": seconds,
-            **dict(zip(("force", "force_low", "force_high"), curves.tolist(), strict=True)),
-        }
+        for alarm in (ABOVE, BELOW, UNKNOWN) if any(each is not None for each in alarms) else ():
+            found[f"limit_{alarm}_s"] = seconds[[each == alarm for each in alarms]].sum()
+        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict")}
+        found |= {"unit": self.unit if known.any() else "", "why": "" if known.all() and len(known) else self.why}
+        for name, some in (("contact", known | ~known), ("unknown", ~known)):
+            found |= {f"{name}_frames": some.sum(), f"{name}_s": seconds[some].sum()}
+        found |= {"time_s": [estimates[index].time_s for index in self.frames], "frame_s": seconds}
+        return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
 
 
 def forces_record(
@@ -162,14 +147,10 @@ def forces_record(
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
-    told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
-    return {
-        "format_version": FORMAT_VERSION,
-        "notice": "Research software, not a medical device.",
-        "force_limit": None if limit is None else {name: limit[name] for name in ("limit", "unit")},
-        "fields": TEXTS["contact_forces"],
-        "contacts": [contact.record(estimates, lasts) for contact in told],
-    }
+    told = [contact.in_newtons(rows.get(contact.onset_frame, {})).record(estimates, lasts) for contact in contacts]
+    limited = None if limit is None else {name: limit[name] for name in ("limit", "unit")}
+    notice = "Research software, not a medical device."
+    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": told}
 
 
 def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:

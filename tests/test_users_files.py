@@ -50,7 +50,14 @@ EVENTS = 12
 ROW = "full-0"
 PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
-    "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt"),
+    "estimate": (
+        "clip/parameters.csv",
+        "clip/run.json",
+        "clip/notes.txt",
+        ".clip.partial-1/notes.txt",
+        "index.html",
+        "clip/page.html",
+    ),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/1-brightness.png", "figures/notes.txt"),
     "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),

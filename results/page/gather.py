@@ -8,16 +8,17 @@ from typing import Any
 
 import yaml
 
-from palpate.common.files import read_file
 from palpate.results import store
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
-MOST_BYTES = 2**28
-"""Of a table; a day's frames have less."""
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
-CONTACT_CURVES = ("time_s", "frame_s", "force", "force_low", "force_high")
+FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
+"""What of parameters.csv is looked at: all of it is too much of a long clip."""
+SETTINGS = ("input", "estimator", "depth_model", "masks", "scale", "camera", "settings", "providers", "versions")
+"""What run.json has of how a clip was computed."""
+CONTACT_CURVES = ("unit", "time_s", "frame_s", "force", "force_low", "force_high")
 """What forces.json has of every frame in contact."""
 
 
@@ -33,14 +34,14 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
-    given, contacts, statuses = record["input"], record["contacts"], record["statuses"]
+    given, contacts = record["input"], record["contacts"]
+    order = [*COLORS, *contacts]
     return {
         "name": folder.name,
-        "contacts": _counted(contacts),
-        "statuses": _counted(statuses),
+        "contacts": [(name, in_words(name), int(contacts[name])) for name in sorted(contacts, key=order.index)],
         "frames": int(given["frames"]),
         "seconds": given["frames"] / given["fps"],
-        "touching": int(statuses.get("ok", 0)),
+        "touching": int(record["statuses"].get("ok", 0)),
         "estimator": str(record["estimator"]["name"]),
         "warnings": [str(warning) for warning in record["warnings"]],
         "newtons": bool((record.get("calibration") or {}).get("scale")),
@@ -55,24 +56,20 @@ def clip_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
     record = store.read_record(folder)
-    frames, runs = _table(folder / store.TABLE), _table(folder / store.INTERACTIONS)
-    report = json.loads(read_file(folder / store.REPORT, MOST_BYTES))
-    calibrated = _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else []
+    frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
     encoder = record["overlay_encoder"] if (folder / store.OVERLAY).is_file() else "none"
-    settings = {"estimator": record["estimator"], "depth": record["depth_model"]["identity"], "masks": record["masks"]}
-    settings |= {"model": (record["model"] or {}).get("path"), "scale": record["scale"], "camera": record["camera"]}
-    settings |= {"input": record["input"], "versions": record["versions"]} | record["settings"]
+    settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return summary_of(folder) | {
         "video": None if encoder == "none" else store.OVERLAY,
         "video_note": TEXTS["video"][encoder],
         "found": contacts,
         "limit": report["force_limit"],
-        "force_fields": report["fields"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "verdicts": [_explained(*item) for item in record["verdicts"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
-        "calibrated": calibrated,
+        "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "columns": record["columns"],
         "settings": _flat(settings),
         "timings": record["timings_s"],
@@ -94,45 +91,37 @@ def _explained(name: str, count: int = 0) -> dict[str, Any]:
 
 def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:
     """A run of contact: its rows of both tables, and its verdict in words, with no number surer than that."""
-    verdict = run["verdict"] or "no_estimate"
-    values = {name: number for name, cell in run.items() if (number := _number(cell)) is not None}
-    shown = numbers(verdict, values) if verdict != "no_estimate" else []
-    return {"row": run, "forces": forces, "numbers": shown} | _explained(verdict)
+    verdict, values = run["verdict"], {name: _number(cell) for name, cell in run.items()}
+    doubtful = verdict == "determined" and run["detail"]
+    shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
+    return {"row": run, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
 
 
-def _curves(
-    record: Mapping[str, Any], frames: Sequence[Mapping[str, str]], contacts: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
+def _curves(record: dict[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
     """What the page's script draws, by frame and by run of contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
         found[name] = [_number(row[name]) for row in frames]
-    found["sure"] = ["stiffness" in row["determined"].split(";") for row in frames]
+    found["sure"] = [_is_sure(row) for row in frames]
     found["state"] = _coded([row["verdict"] or row["status"] for row in frames])
     found["detail"] = _coded([row["detail"] for row in frames])
     if record["force_limit"]:
         found["alarm"] = _coded([row["alarm"] for row in frames])
     for contact in contacts:
-        row, forces = contact["row"], contact["forces"]
-        values = {name: _number(row[name]) for name in ("onset_frame", "onset_time_s", *CURVES)}
-        values |= {"name": contact["name"], "words": contact["words"], "unit": forces["unit"]}
-        values["sure"] = "stiffness" in row["determined"].split(";")
-        found["contacts"].append(values | {name: forces[name] for name in CONTACT_CURVES})
+        values = {name: _number(contact["row"][name]) for name in CURVES} | {"sure": _is_sure(contact["row"])}
+        found["contacts"].append(values | {name: contact["forces"][name] for name in CONTACT_CURVES})
     return found
+
+
+def _is_sure(row: Mapping[str, str]) -> bool:
+    """Whether a row's stiffness is determined."""
+    return "stiffness" in row["determined"].split(";")
 
 
 def _coded(texts: Sequence[str]) -> dict[str, Any]:
     """Texts that repeat, as their places in a list of them."""
-    names = list(dict.fromkeys(texts))
-    places = {name: place for place, name in enumerate(names)}
-    return {"names": names, "words": [in_words(name) for name in names], "index": [places[text] for text in texts]}
-
-
-def _counted(counts: Mapping[str, int]) -> list[tuple[str, str, int]]:
-    """Name, words and count of verdicts or statuses, in the order of COLORS."""
-    order = list(COLORS)
-    known = sorted(counts, key=lambda name: order.index(name) if name in order else len(order))
-    return [(name, in_words(name), int(counts[name])) for name in known]
+    places = {name: place for place, name in enumerate(dict.fromkeys(texts))}
+    return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 
 
 def _number(cell: str) -> float | None:
@@ -142,14 +131,14 @@ def _number(cell: str) -> float | None:
         return None
 
 
-def _table(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(read_file(path, MOST_BYTES).decode("utf-8", "replace").splitlines()))
+def _table(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+        return [{name: row.get(name, "") for name in columns or row} for row in csv.DictReader(stream)]
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
     """Settings with those within settings, by their joined names."""
     found = []
     for name, value in values.items():
-        nested = isinstance(value, dict) and value
-        found += _flat(value, f"{before}{name}.") if nested else [(f"{before}{name}", value)]
+        found += _flat(value, f"{before}{name}.") if isinstance(value, dict) else [(f"{before}{name}", value)]
     return found

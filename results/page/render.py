@@ -40,37 +40,30 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
     """
     environment, rows, foreign = _environment(), [], None
     with store.writing(output):
-        failures = [item for item in _earlier_failures(output / INDEX) if item[0] not in tried]
-        failures += failed
+        failures = [item for item in _listed_failures(output / INDEX) if item[0] not in tried] + list(failed)
         for folder in clip_folders(output):
+            page = folder / CLIP
             try:
-                rows.append(summary_of(folder))
-                clip = clip_of(folder) if anew or _is_stale(folder) else None
+                made = (folder / store.RECORD).stat().st_mtime_ns
+                stale = anew or not page.exists() or page.stat().st_mtime_ns < made
+                summary, clip = summary_of(folder), clip_of(folder) if stale else None
             except (KeyError, TypeError, ValueError, OSError):
                 failures.append((folder.name, f"{folder}: {UNREADABLE}"))
                 continue
+            rows.append(summary)
             try:
                 if clip is not None:
-                    write_own(folder / CLIP, environment.get_template("clip.html").render(clip=clip, colors=COLORS))
+                    write_own(page, environment.get_template("clip.html").render(clip=clip, colors=COLORS))
             except ForeignFile as error:
                 foreign = error
-        index = environment.get_template("index.html")
-        write_own(
-            output / INDEX,
-            index.render(clips=rows, failures=list(dict.fromkeys(failures)), colors=COLORS, meanings=MEANINGS),
-        )
+        told = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
+        write_own(output / INDEX, environment.get_template("index.html").render(told))
         if foreign is not None:
             raise foreign
     return output / INDEX
 
 
-def _is_stale(folder: Path) -> bool:
-    """Whether a clip's page is missing or older than its results."""
-    page = folder / CLIP
-    return not page.exists() or page.stat().st_mtime_ns < (folder / store.RECORD).stat().st_mtime_ns
-
-
-def _earlier_failures(index: Path) -> list[Failure]:
+def _listed_failures(index: Path) -> list[Failure]:
     """What the page of a batch lists as failed; nothing where there is no page of ours."""
     found = FAILURES.search(index.read_bytes()) if is_own(index) else None
     return [] if found is None else [(name, sentence) for name, sentence in json.loads(found[1])]
@@ -80,15 +73,9 @@ def _environment() -> Environment:
     """Templates whose every value is escaped: names of files are a user's."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    templates = FileSystemLoader(Path(__file__).with_name("templates"))
-    found = Environment(
-        loader=templates,
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    space: dict[str, Any] = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **space)
     found.policies["json.dumps_function"] = as_json
     found.policies["json.dumps_kwargs"] = {}
     found.filters["cell"] = _cell

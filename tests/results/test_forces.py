@@ -11,27 +11,20 @@ from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
 from palpate.results.columns import TEXTS
 from palpate.results.forces import RELATIVE, ContactForce, forces_record
-from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, NONE
+from tests.estimators.estimates import ESTIMATE, GOOD, NONE
 from tests.results.fields import GRIP, PULL
 
 STEP = 0.04
+BLIND = dataclasses.replace(ESTIMATE, given_verdict="onset_in_view", covariance=None)
 
 
-def frames(contact: str, **told) -> list[FrameEstimate]:
-    """One a letter: `x` in contact, `?` undecided, `.` none."""
-    meaning = {"x": True, "?": None, ".": False}
-    alarms = told.get("alarms", [None] * len(contact))
-    return [
-        FrameEstimate(index, STEP * index, "ok", contact=meaning[letter], alarm=alarm)
-        for index, (letter, alarm) in enumerate(zip(contact, alarms, strict=True))
-    ]
-
-
-def told(run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=np.inf, **told) -> dict:
-    """What forces.json has of a run that begins in the first frame in contact."""
-    estimates, onset = frames(contact, **told), contact.index("x")
+def told(run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=np.inf, alarms=()) -> dict:
+    """What forces.json has of a run in frames of which `x` are in contact, `?` undecided, and `.` not."""
+    states, onset = [{"x": True, "?": None, ".": False}[letter] for letter in contact], contact.index("x")
+    seen = enumerate(zip(states, alarms or [None] * len(states), strict=True))
+    estimates = [FrameEstimate(at, STEP * at, "ok", contact=touches, alarm=alarm) for at, (touches, alarm) in seen]
     run = dataclasses.replace(run, onset=onset, onset_frame=onset, onset_time_s=STEP * onset)
-    limit = {"limit": 0.1, "unit": "N", "alarms": 1} if told else None
+    limit = {"limit": 0.1, "unit": "N", "alarms": 1} if alarms else None
     found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, calibrated, limit)
     document = json.loads(as_json(found))
     assert list(document["contacts"][0]) == list(document["fields"]) == list(TEXTS["contact_forces"])
@@ -100,12 +93,7 @@ def test_a_pull_is_relative_to_its_own_peak_and_unknown_where_frames_are_missing
         (dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, covariance=np.eye(3))), "Nothing is"),
         (dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, misfit=9.0)), "Nothing is determined"),
         (dataclasses.replace(NONE, field=PULL), "--estimator online tells no force."),
-        (
-            InteractionEstimate(
-                0, 0, 0.0, None, CONTACT, dataclasses.replace(ESTIMATE, given_verdict="onset_in_view", covariance=None)
-            ),
-            "The onset was observed; the model does not say what is determined.",
-        ),
+        (dataclasses.replace(GOOD, estimate=BLIND), "The onset was observed; the model does not say what"),
     ],
 )
 def test_where_nothing_is_determined_all_of_the_contact_is_unknown(run: InteractionEstimate, why: str) -> None:

@@ -28,6 +28,7 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
+ALWAYS = (math.inf, math.inf)
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
@@ -58,7 +59,7 @@ class ContactForce:
         run: InteractionEstimate,
         estimates: Sequence[FrameEstimate],
         newtons: Sequence[Mapping[str, float]] = (),
-        seconds: float = math.inf,
+        seconds: tuple[float, float] = ALWAYS,
     ) -> "ContactForce":
         """The force of a run that has ended.
 
@@ -66,7 +67,7 @@ class ContactForce:
             run: the run.
             estimates: of all frames so far, by index in the clip.
             newtons: rows of forces.csv where a pull's force is known in newtons.
-            seconds: so much after the onset, an estimate by depth tells nothing any more [s].
+            seconds: so much after the onset, an estimate by depth, by light, tells nothing any more [s].
         """
         touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
         while touched and not estimates[touched[-1]].contact:
@@ -153,14 +154,13 @@ def forces_record(
     return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": told}
 
 
-def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:
+def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: tuple[float, float]) -> np.ndarray:
     """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
     shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
-    last, contact = seconds, run.interaction
-    if contact is not None and found.by_light and contact.brightness is not None:
-        last = contact.brightness.times[-1]
-    elif contact is not None and len(contact.observation):
-        last = min(last, contact.observation.times[-1])
+    last, contact = seconds[found.by_light], run.interaction
+    seen = None if contact is None else contact.brightness if found.by_light else contact.observation
+    if seen is not None and len(seen.times):
+        last = min(last, seen.times[-1])
     end = math.inf if run.load_s is None else run.load_s + release - shape.fall
     factor = _risen(since - delay, shape.rise) - _risen(since - end, shape.fall)
     return np.where(since <= last + SAME_INSTANT, factor, np.nan)

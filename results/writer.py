@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping
@@ -24,7 +23,7 @@ from palpate.results import columns, store
 from palpate.results.alarm import ForceAlarm, upper_force
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
-from palpate.results.forces import ContactForce, forces_record
+from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
 from palpate.results.spool import FrameSpool, Waiting
@@ -51,7 +50,7 @@ class ClipResults:
         fields: whether the estimator gives fields of stiffness.
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
-        seconds: so much after the onset of contact, an estimate by depth tells no force any more [s].
+        seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -69,7 +68,7 @@ class ClipResults:
         fields: bool = False,
         maps: bool = False,
         alarm: ForceAlarm | None = None,
-        seconds: float = math.inf,
+        seconds: tuple[float, float] = ALWAYS,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
         self._fps, self._seconds = fps, seconds

@@ -108,7 +108,8 @@ def _curves(record: dict[str, Any], frames: list[dict[str, str]], contacts: list
     if record["force_limit"]:
         found["alarm"] = _coded([row["alarm"] for row in frames])
     for contact in contacts:
-        values = {name: _number(contact["row"][name]) for name in CURVES} | {"sure": _is_sure(contact["row"])}
+        values = {name: _number(contact["row"][name]) for name in CURVES}
+        values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
         found["contacts"].append(values | {name: contact["forces"][name] for name in CONTACT_CURVES})
     return found
 

@@ -191,6 +191,6 @@ def test_the_pages_work_in_a_browser(size: str, results: Path, many: Path, tmp_p
     assert acted(many / "index.html") == [201, "clip 0", "last.mp4", "descending", *chosen]
     frames = read_rows(results / ODD / "parameters.csv")
     tenth = f"frame {frames[10]['frame']}, {float(frames[10]['time_s']):.2f} s"
-    # force, stiffness by contact and by frame, verdicts, alarms, time
-    told = [6, True, f"frame {frames[-1]['frame']}", tenth, "10", True]
+    # force, stiffness by contact and by frame, verdict by contact and by frame, alarms, time
+    told = [7, True, f"frame {frames[-1]['frame']}", tenth, "10", True]
     assert acted(results / ODD / "page.html") == told

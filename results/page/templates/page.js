@@ -69,8 +69,12 @@ function showCurves(data) {
   /* Pieces hold from one time to the next: begin, end, value, low, high (null: none), and whether they are sure. */
   const draw = (kind, title, pieces) => {
     const height = 165, top = 6, bottom = height - 8, svg = panel(height, title);
-    const shown = pieces.flatMap(piece => [piece.value, piece.low ?? piece.value, Math.min(piece.high ?? piece.value, 5 * Math.abs(piece.value))]);
-    const low = Math.min(0, ...shown), high = Math.max(...shown, low + 1e-12) + 0.05 * (Math.max(...shown) - low);
+    let low = 0, high = 0;
+    for (const piece of pieces) {  // a hundredfold interval would flatten the rest
+      low = Math.min(low, piece.value, Math.max(piece.low ?? piece.value, -5 * Math.abs(piece.value)));
+      high = Math.max(high, piece.value, Math.min(piece.high ?? piece.value, 5 * Math.abs(piece.value)));
+    }
+    high += 0.05 * (high - low) || 1;
     const y = value => bottom - (Math.min(Math.max(value, low), high) - low) / (high - low) * (bottom - top);
     for (const tick of ticks(low, high, 4)) {
       add(svg, "line", {class: "grid", x1: left, x2: width - right, y1: y(tick), y2: y(tick)});
@@ -122,6 +126,13 @@ function showCurves(data) {
     value: contact.stiffness, low: contact.stiffness_low, high: contact.stiffness_high, sure: contact.sure,
   }));
 
+  const names = ["", ...new Set(data.contacts.map(contact => contact.name))];
+  const verdicts = {names, words: names.map(name => name.replaceAll("_", " ")), index: times.map(() => 0)};
+  for (const contact of data.contacts) {
+    const first = times.findIndex(time => Math.abs(time - contact.time_s[0]) < 1e-6);
+    if (first >= 0) verdicts.index.fill(names.indexOf(contact.name), first, first + contact.time_s.length);
+  }
+
   const drawAll = () => {
     if (box.clientWidth === width) return;
     width = box.clientWidth;
@@ -131,7 +142,8 @@ function showCurves(data) {
     for (const unit of units) draw("force", "force, " + unit, data.contacts.filter(contact => contact.unit === unit).flatMap(forcePieces));
     if (runPieces.length) draw("stiffness", "stiffness by contact, " + data.unit, runPieces);
     if (framePieces.length) draw("stiffness", "stiffness by frame, " + data.unit, framePieces);
-    band("verdict, or status", data.state, "v-");
+    if (data.contacts.length) band("verdict of the contact", verdicts, "v-");
+    band("verdict of the frame, or its status", data.state, "v-");
     if (data.alarm) band("alarm of the force limit", data.alarm, "a-");
     axis();
     move(current);
@@ -144,6 +156,7 @@ function showCurves(data) {
       const at = contact.time_s.findIndex(time => Math.abs(time - times[index]) < 1e-6);
       if (at < 0) continue;
       const force = contact.force[at];
+      parts.push("contact: " + contact.name.replaceAll("_", " "));
       parts.push(force === null ? "force unknown" : `force ${ranged(force, contact.force_low[at], contact.force_high[at])} ${contact.unit}`);
     }
     const value = data.stiffness[index];
@@ -185,6 +198,7 @@ function showCurves(data) {
     const failed = () => { document.getElementById("unplayable").hidden = false; };
     video.addEventListener("error", failed);
     if (video.error) failed();
+    video.addEventListener("loadedmetadata", () => { if (current) seek(current); });
     for (const name of ["seeked", "timeupdate"]) video.addEventListener(name, follow);
     video.addEventListener("play", () => {
       const tick = () => { if (!video.paused) { follow(); requestAnimationFrame(tick); } };

@@ -24,8 +24,8 @@ def is_own(path: Path) -> bool:
     if path.name not in (INDEX, CLIP) or not path.is_file() or path.is_symlink():
         return False
     content = path.read_bytes()
-    body, mark, _ = content.rpartition(_END.partition(b"%s")[0])
-    return bool(mark) and content == body + _last_line(body)
+    body = content[: -len(_last_line(b""))]
+    return content == body + _last_line(body)
 
 
 def write_own(path: Path, text: str) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Failure = tuple[str, str]
 """Name of a clip that has no results, and the sentence that says why."""
 FAILURES = re.compile(rb'<script type="application/json" id="failures">(.*?)</script>', re.DOTALL)
-UNREADABLE = "its results are damaged or of another version; run palpate infer on it again with --overwrite."
+UNREADABLE = "its results are damaged or of another version ({}: {}); compute it again with palpate infer --overwrite."
 
 
 def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[str] = (), *, anew: bool) -> Path:
@@ -38,26 +38,26 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
     Raises:
         OutputError: a page can't be written, or a file that this program did not write is in its place.
     """
-    environment, rows, foreign = _environment(), [], None
+    environment, rows, damaged, foreign = _environment(), [], [], None
     with store.writing(output):
         failures = [item for item in _listed_failures(output / INDEX) if item[0] not in tried] + list(failed)
         for folder in clip_folders(output):
-            page = folder / CLIP
+            page, text = folder / CLIP, ""
             try:
-                made = (folder / store.RECORD).stat().st_mtime_ns
-                stale = anew or not page.exists() or page.stat().st_mtime_ns < made
-                summary, clip = summary_of(folder), clip_of(folder) if stale else None
-            except (KeyError, TypeError, ValueError, OSError):
-                failures.append((folder.name, f"{folder}: {UNREADABLE}"))
+                summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
+                if anew or not page.exists() or page.stat().st_mtime_ns < made:
+                    text = environment.get_template("clip.html").render(clip=clip_of(folder), colors=COLORS)
+            except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
+                damaged.append((folder.name, f"{folder}: {UNREADABLE.format(type(error).__name__, error)}"))
                 continue
             rows.append(summary)
             try:
-                if clip is not None:
-                    write_own(page, environment.get_template("clip.html").render(clip=clip, colors=COLORS))
+                if text:
+                    write_own(page, text)
             except ForeignFile as error:
                 foreign = error
         told = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
-        write_own(output / INDEX, environment.get_template("index.html").render(told))
+        write_own(output / INDEX, environment.get_template("index.html").render(told, damaged=damaged))
         if foreign is not None:
             raise foreign
     return output / INDEX

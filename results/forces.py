@@ -17,11 +17,12 @@ from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
 from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
-from palpate.results.calibrated import NEWTONS
 from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
+MEASURED = "N, by the force that was measured for a while"
+"""Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
 ENDS = ("", "_low", "_high")
 """Of the names of a value and of the ends of its 90 % interval."""
 SAME_INSTANT = 1e-6
@@ -84,7 +85,7 @@ class ContactForce:
         elif isinstance(found, FieldEstimate):
             why = "--estimator online tells no force."
         elif found is not None and "relative_force" in found.determined:
-            half, unit, why = NINETY * found.force_sd, NEWTONS if newtons else RELATIVE, STILL
+            half, unit, why = NINETY * found.force_sd, MEASURED if newtons else RELATIVE, STILL
             kept = np.stack([found.force, found.force - half, found.force + half])
             if newtons:
                 kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
@@ -97,7 +98,7 @@ class ContactForce:
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
         force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
-        return dataclasses.replace(self, force=force, low=low, high=high, unit=NEWTONS, why=LATER)
+        return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
 
     def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
         """What forces.json has of the run.

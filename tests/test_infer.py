@@ -551,6 +551,11 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     widths = [np.log(float(row["force_high"]) / float(row["force_low"])) for row in (one, other)]
     assert widths[0] == pytest.approx(2 * NINETY * 0.01, rel=1e-3)
     assert widths[1] > widths[0]
+    (press,) = json.loads((tmp_path / "out" / "other" / "forces.json").read_text(encoding="utf-8"))["contacts"]
+    assert [press[f"peak{end}"] for end in ("", "_low", "_high")] == pytest.approx(
+        [float(other[f"force{end}"]) for end in ("", "_low", "_high")], rel=1e-6
+    )
+    assert press["unit"] == other["force_unit"]
     (found,) = runs(tmp_path / "out" / "one")
     assert float(one["stiffness"]) == pytest.approx(2.0 / float(found["force"]) * float(found["stiffness"]), rel=1e-4)
     assert one["force_unit"].startswith("N, by known force of 2 N at frame")

@@ -61,9 +61,10 @@ def test_a_press_that_rises_and_falls() -> None:
 
 def test_a_press_in_newtons_has_the_interval_of_its_calibration() -> None:
     row = {"onset_frame": 2, "determined": "stiffness;force", "force": 0.5, "force_low": 0.4, "force_high": 0.625}
+    row["force_unit"] = "N, by stiffness"
     found = told(GOOD, "..xxxx..", calibrated=[row])
     numbers = [found[f"{name}{end}"] for name in ("mean", "peak") for end in ("", "_low", "_high")]
-    assert (found["unit"], numbers) == ("N", pytest.approx([0.5, 0.4, 0.625] * 2))
+    assert (found["unit"], numbers) == ("N, by stiffness", pytest.approx([0.5, 0.4, 0.625] * 2))
     assert told(GOOD, "..xxxx..", calibrated=[row | {"determined": "stiffness"}])["unit"] == RELATIVE
 
 
@@ -84,7 +85,7 @@ def test_a_pull_is_relative_to_its_own_peak_and_unknown_where_frames_are_missing
     rows = [{"force_N": -2 * value, "force_N_low": -3 * value, "force_N_high": -value} for value in force]
     in_newtons = told(run, ".xxxxxxxx", newtons=rows)
     assert [in_newtons[f"peak{end}"] for end in ("", "_low", "_high", "_time_s")] == [-4, -6, -2, pytest.approx(0.16)]
-    assert in_newtons["unit"] == "N"
+    assert in_newtons["unit"] == "N, by the force that was measured for a while"
 
 
 @pytest.mark.parametrize(

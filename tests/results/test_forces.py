@@ -10,7 +10,7 @@ from palpate.common.files import as_json
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
 from palpate.results.columns import TEXTS
-from palpate.results.forces import RELATIVE, ContactForce, forces_record
+from palpate.results.forces import ALWAYS, RELATIVE, ContactForce, forces_record
 from tests.estimators.estimates import ESTIMATE, GOOD, NONE
 from tests.results.fields import GRIP, PULL
 
@@ -18,34 +18,28 @@ STEP = 0.04
 BLIND = dataclasses.replace(ESTIMATE, given_verdict="onset_in_view", covariance=None)
 
 
-def told(
-    run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=(np.inf, np.inf), alarms=()
-) -> dict:
+def told(run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=ALWAYS, alarms=()) -> dict:
     """What forces.json has of a run in frames of which `x` are in contact, `?` undecided, and `.` not."""
     states, onset = [{"x": True, "?": None, ".": False}[letter] for letter in contact], contact.index("x")
     seen = enumerate(zip(states, alarms or [None] * len(states), strict=True))
     estimates = [FrameEstimate(at, STEP * at, "ok", contact=touches, alarm=alarm) for at, (touches, alarm) in seen]
     run = dataclasses.replace(run, onset=onset, onset_frame=onset, onset_time_s=STEP * onset)
-    limit = {"limit": 0.1, "unit": "N", "alarms": 1} if alarms else None
-    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, calibrated, limit)
+    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, calibrated)
     document = json.loads(as_json(found))
     assert list(document["contacts"][0]) == list(document["fields"]) == list(TEXTS["contact_forces"])
-    assert document["force_limit"] == (None if limit is None else {"limit": 0.1, "unit": "N"})
     return document["contacts"][0]
 
 
 def test_a_press_is_held_and_unknown_after_what_was_observed_or_estimated() -> None:
     """GOOD is pressed for four frames and followed for eight after its onset."""
     found = told(GOOD, "..xxxx..")
-    assert (found["unit"], found["mean"], found["peak"], found["mean_low"]) == (RELATIVE, 1, 1, None)
-    assert (found["contact_frames"], found["unknown_frames"], found["unknown_s"], found["why"]) == (4, 0, 0, "")
-    assert found["contact_s"] == pytest.approx(4 * STEP)
+    assert found == found | {"unit": RELATIVE, "mean": 1, "peak": 1, "mean_low": None, "why": "", "unknown_s": 0}
+    assert (found["contact_frames"], found["contact_s"]) == (4, pytest.approx(4 * STEP))
     held = dataclasses.replace(GOOD, load_s=None)
     late = told(held, ".xxxxx?xxxxxx?.")  # the last undecided frame belongs to nothing
     assert late["time_s"] == pytest.approx([STEP * index for index in range(1, 13)])
     assert late["force"] == [1] * 9 + [None] * 3
-    assert (late["contact_frames"], late["unknown_frames"]) == (12, 3)
-    assert late["unknown_s"] == pytest.approx(3 * STEP)
+    assert (late["contact_frames"], late["unknown_frames"], late["unknown_s"]) == (12, 3, pytest.approx(3 * STEP))
     assert late["why"].startswith("What the force is after the part")
     assert told(held, "xxxxxxxxxxxx", seconds=(4.5 * STEP, 9))["unknown_frames"] == 7  # the network was trained so far
     assert told(GOOD, "xx.xx")["contact_frames"] == 4  # contact flickers
@@ -55,8 +49,7 @@ def test_a_press_that_rises_and_falls() -> None:
     shape = PressShape(rise=2 * STEP, fall=2 * STEP)
     estimate = dataclasses.replace(ESTIMATE, shape=shape, delays=(-STEP / 2, STEP / 2))
     found = told(dataclasses.replace(GOOD, estimate=estimate, load_s=6 * STEP), "xxxxxx")
-    assert found["force"] == pytest.approx([0.25, 0.75, 1, 1, 1, 0.75])
-    assert found["mean"] == pytest.approx(4.75 / 6)
+    assert [*found["force"], found["mean"]] == pytest.approx([0.25, 0.75, 1, 1, 1, 0.75, 4.75 / 6])
 
 
 def test_a_press_in_newtons_has_the_interval_of_its_calibration() -> None:
@@ -101,10 +94,9 @@ def test_a_pull_is_relative_to_its_own_peak_and_unknown_where_frames_are_missing
 )
 def test_where_nothing_is_determined_all_of_the_contact_is_unknown(run: InteractionEstimate, why: str) -> None:
     found = told(run, ".xxx")
-    assert (found["unit"], found["mean"], found["peak"], found["peak_time_s"]) == ("", None, None, None)
+    assert found == found | {"unit": "", "mean": None, "peak": None, "peak_time_s": None, "force": [None] * 3}
     assert (found["unknown_frames"], found["unknown_s"]) == (3, pytest.approx(3 * STEP))
     assert found["why"].startswith(why)
-    assert found["force"] == [None] * 3
 
 
 def test_time_above_a_limit_is_that_of_the_alarm() -> None:

@@ -46,7 +46,7 @@ demo: $(INSTALLED)
 	@echo
 	@echo "report:   $(DEMO)/training/evaluation/report.html"
 	@echo "network:  $(DEMO)/parameters.onnx"
-	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, overlay.mp4, summary.png, fit.png, run.json)"
+	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, summary.png, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
 	@echo
 	@echo "One clip compared with its truth: by the shipped network, by the one just trained, and by fitting the simulator"
@@ -55,6 +55,8 @@ demo: $(INSTALLED)
 	@echo
 	@echo "The same clip from its video file alone, with depth and masks estimated, lengths up to the depth's scale:"
 	@$(BIN)/python -m evaluation.compare_with_truth $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
+	@echo
+	@echo "Look at the results in a browser: file://$(abspath $(DEMO)/results/index.html)"
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.rollout

@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | benchmark | synthetic …
+    palpate infer | live | train | export | calibrate | plan | page | benchmark | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -19,6 +19,7 @@ COMMANDS = {
     "export": "palpate.command.train",
     "calibrate": "palpate.command.calibrate",
     "plan": "palpate.command.plan",
+    "page": "palpate.command.page",
     "benchmark": "palpate.evaluation.benchmark",
     "synthetic": "palpate.data.synthetic.__main__",
 }

@@ -3,12 +3,14 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
+import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
+from palpate.data.contact.features import slot_times
 from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.network.estimator import NetworkEstimator
 
@@ -50,7 +52,7 @@ class ForceAlarm:
     @classmethod
     def of(cls, estimator: NetworkEstimator, limit: float, unit: str, fps: float) -> Self:
         """The alarm of a clip of so many frames a second, by the estimates of a network."""
-        return cls(limit, unit, min(estimator.press_seconds[1], estimator.mechanics.seconds), 1 / fps)
+        return cls(limit, unit, told_seconds(estimator)[0], 1 / fps)
 
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""
@@ -95,6 +97,12 @@ class ForceAlarm:
             f"safe nor unsafe, in {frames} of {self.frames.total()} frames ({seconds:.2f} s); research "
             "software, not a medical device"
         )
+
+
+def told_seconds(estimator: NetworkEstimator) -> tuple[float, float]:
+    """So much after the onset of contact, a run's estimate by depth, by light, tells no force any more [s]."""
+    by_light = float(slot_times()[-1]) if estimator.by_network else math.inf
+    return min(estimator.press_seconds[1], estimator.mechanics.seconds), by_light
 
 
 def upper_force(found: Estimate) -> float | None:

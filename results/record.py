@@ -23,6 +23,7 @@ from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
+from palpate.results.page.own import is_own
 from palpate.results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
 from palpate.results.writer import ClipResults
 
@@ -218,7 +219,7 @@ def sha256_of(path: Path) -> str:
     digest = hashlib.sha256()
     for file in all_below(path):
         relative = file.relative_to(path)
-        own = file.name in WRITTEN and file.name in own_files(file.parent)
+        own = (file.name in WRITTEN and file.name in own_files(file.parent)) or is_own(file)
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
             state = file.stat()
             content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)

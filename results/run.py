@@ -36,9 +36,10 @@ from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, pre
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.alarm import ForceAlarm
+from palpate.results.alarm import ForceAlarm, told_seconds
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
+from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
 from palpate.results.writer import ClipResults
 
@@ -72,6 +73,8 @@ class Outcome:
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
+    given: str = ""
+    """Name of the clip's file or folder."""
 
 
 class Batch:
@@ -136,12 +139,14 @@ class Batch:
             if self._has_known_force(path):
                 self.carried = folder
             say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
-            return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
+            return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             known = self.known if newtons is None else newtons.known
-            options = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
-            options["maps"] = self.estimator.name in MAPPING
+            options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
+            options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING}
+            if isinstance(self.estimator, NetworkEstimator):
+                options["seconds"] = told_seconds(self.estimator)
             written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
@@ -174,7 +179,7 @@ class Batch:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
             say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
-        return Outcome(source.name, DONE, str(folder), counts_of(record))
+        return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -307,7 +312,7 @@ class Batch:
             text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
-        return Outcome(path.name, FAILED, sentence)
+        return Outcome(path.name, FAILED, sentence, given=path.name)
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
@@ -391,11 +396,22 @@ def run(options: argparse.Namespace) -> int:
             say(console, f"{store.PROGRAM}: {sentence_of(error)}")
             return 2
     Console().print(_table(outcomes), soft_wrap=True)
+    _write_pages(options.output, outcomes, console)
     if interrupted:
         finished = sum(outcome.state != FAILED for outcome in outcomes)
         say(console, f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
         return INTERRUPTED
     return int(any(outcome.state == FAILED for outcome in outcomes))
+
+
+def _write_pages(output: Path, outcomes: list[Outcome], console: Console) -> None:
+    """Write the batch's page and its clips', and say where; one that can't be written is no clip's failure."""
+    failed = [(outcome.given, outcome.where) for outcome in outcomes if outcome.state == FAILED]
+    try:
+        page = write_pages(output, failed, {outcome.given for outcome in outcomes}, anew=False)
+        say(console, f"Look at {page}")
+    except store.OutputError as error:
+        say(console, f"no page: {error}")
 
 
 def _table(outcomes: list[Outcome]) -> Table:

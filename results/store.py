@@ -19,9 +19,10 @@ from palpate.common.output import ForeignFile, is_unchanged
 TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
+REPORT = "forces.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
+    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
 )  # fmt: skip
 """All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
 MARKER = ".unfinished-results"

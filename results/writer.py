@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import H264, Mpeg4, open_video
 from palpate.estimators.calibration_file import ClipLength
@@ -23,6 +24,7 @@ from palpate.results import columns, store
 from palpate.results.alarm import ForceAlarm, upper_force
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
+from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
 from palpate.results.spool import FrameSpool, Waiting
@@ -49,6 +51,7 @@ class ClipResults:
         fields: whether the estimator gives fields of stiffness.
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
+        seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -66,8 +69,10 @@ class ClipResults:
         fields: bool = False,
         maps: bool = False,
         alarm: ForceAlarm | None = None,
+        seconds: tuple[float, float] = ALWAYS,
     ) -> None:
         self.folder, self._size, self._known = folder, size, known
+        self._fps, self._seconds = fps, seconds
         self.calibration, self.alarm = calibration, alarm
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
@@ -78,6 +83,7 @@ class ClipResults:
         """Number of runs of contact by verdict."""
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
+        self._contacts: list[ContactForce] = []
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.stretched = False
@@ -172,6 +178,7 @@ class ClipResults:
             self.stretched |= run.field.stretched
             if run.field.explanation and not run.field.determined:
                 self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
+        self._contacts.append(ContactForce.of(run, self.estimates, forces, self._seconds))
         self.counts[state(run)] += 1
         if state(run) == "no_estimate":
             self.unexplained[run.detail] += 1
@@ -202,6 +209,10 @@ class ClipResults:
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:
                 self._write_newtons(self.calibration, title)
+            limit = None if self.alarm is None else self.alarm.record()
+            calibrated = () if self.calibration is None else self.calibration.rows
+            report = forces_record(self._contacts, self.estimates, self._fps, calibrated, limit)
+            (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
 

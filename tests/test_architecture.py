@@ -51,6 +51,7 @@ FENCES = {
         "evaluation/",
         "benchmarks/",
     ),
+    "jinja2": ("results/page/render.py",),
     "pandas": ("evaluation/",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
@@ -59,6 +60,7 @@ LIGHT_DOORS = {
     "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
     "palpate.command.infer": "palpate.estimators.direct.sampling",
     "palpate.command.live": "palpate.estimators.direct.sampling",
+    "palpate.command.page": "palpate.results.page.own",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
@@ -197,7 +199,11 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 
 @pytest.mark.parametrize(
     ("library", "user"),
-    [("matplotlib", "palpate.results.plots"), ("scipy.stats", "palpate.estimators.direct.sampling")],
+    [
+        ("matplotlib", "palpate.results.plots"),
+        ("scipy.stats", "palpate.estimators.direct.sampling"),
+        ("jinja2", "palpate.results.page.render"),
+    ],
 )
 def test_what_loads_slowly_is_loaded_only_where_it_is_used(library: str, user: str) -> None:
     assert any(is_inside(name, library) for name in imported(modules()[user]))

@@ -29,7 +29,10 @@ from tests.inference_inputs import metadata, write_clip, write_model, write_vide
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
-FILES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+FILES = [
+    "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
+    "summary.png",
+]  # fmt: skip
 SCENE = SceneSettings(
     width=214, height=120, frames=22, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.0005,
     stiffness=(0.4, 0.4), damping=(0.03, 0.03), force=(-0.05, -0.05),
@@ -63,6 +66,10 @@ def record(folder: Path) -> dict:
     return json.loads((folder / "run.json").read_text(encoding="utf-8"))
 
 
+def clips_in(output: Path) -> list[str]:
+    return sorted(path.name for path in output.iterdir() if path.is_dir())
+
+
 def flat(text: str) -> str:
     return " ".join(text.split())
 
@@ -70,7 +77,7 @@ def flat(text: str) -> str:
 def test_folder_and_video_give_complete_results_and_a_narrow_table(inputs, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder", "index.html"]
     for name in ("drawn", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
@@ -176,8 +183,7 @@ def test_output_among_the_inputs_is_no_input(inputs, tmp_path):
     shutil.copytree(inputs / "clips", tmp_path / "clips")
     for _ in range(2):
         assert call(inputs, tmp_path / "clips" / "folder", clips=str(tmp_path / "clips")) == 0
-    made = sorted(path.name for path in (tmp_path / "clips" / "folder").iterdir() if path.is_dir())
-    assert made == ["drawn", "folder"]
+    assert clips_in(tmp_path / "clips" / "folder") == ["drawn", "folder"]
 
 
 @pytest.mark.parametrize("within", ["python", "compiled code"])
@@ -196,11 +202,12 @@ def test_interruption_keeps_finished_clips_and_continues(within, inputs, tmp_pat
     with monkeypatch.context() as patch:
         patch.setattr(ClipResults, "write", interrupt)
         assert call(inputs, tmp_path) == 130
-    assert [path.name for path in tmp_path.iterdir()] == ["drawn"]
+    assert clips_in(tmp_path) == ["drawn"]
+    assert 'href="drawn/page.html"' in (tmp_path / "index.html").read_text()
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
     before = (tmp_path / "drawn" / "run.json").stat().st_mtime_ns
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder"]
+    assert clips_in(tmp_path) == ["drawn", "folder"]
     assert (tmp_path / "drawn" / "run.json").stat().st_mtime_ns == before
 
 
@@ -547,6 +554,11 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     widths = [np.log(float(row["force_high"]) / float(row["force_low"])) for row in (one, other)]
     assert widths[0] == pytest.approx(2 * NINETY * 0.01, rel=1e-3)
     assert widths[1] > widths[0]
+    (press,) = json.loads((tmp_path / "out" / "other" / "forces.json").read_text(encoding="utf-8"))["contacts"]
+    assert [press[f"peak{end}"] for end in ("", "_low", "_high")] == pytest.approx(
+        [float(other[f"force{end}"]) for end in ("", "_low", "_high")], rel=1e-6
+    )
+    assert press["unit"] == other["force_unit"]
     (found,) = runs(tmp_path / "out" / "one")
     assert float(one["stiffness"]) == pytest.approx(2.0 / float(found["force"]) * float(found["stiffness"]), rel=1e-4)
     assert one["force_unit"].startswith("N, by known force of 2 N at frame")
@@ -618,8 +630,8 @@ def test_clips_at_once_give_the_same_tables_and_one_that_fails_is_named(
     assert "broken.mp4" in said.err
     assert said.err.count("ONNX Runtime uses CPUExecutionProvider for estimator") == 1
     assert said.out.count("done") == 2
-    for folder in tmp_path.iterdir():
-        assert record(folder)["providers"] == {"estimator": "CPUExecutionProvider"}
+    for name in clips_in(tmp_path):
+        assert record(tmp_path / name)["providers"] == {"estimator": "CPUExecutionProvider"}
     before = contents(tmp_path)
     assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
     assert capsys.readouterr().err.count("up to date") == 2
@@ -630,8 +642,10 @@ def test_shares_together_are_the_whole(named_alike, inputs, one_by_one, tmp_path
     statuses, found = [], []
     for share in ("2/3", "3/3", "1/3"):
         statuses.append(several(named_alike, inputs, tmp_path, "--shard", share))
-        found.append(len(list(tmp_path.iterdir())))
+        found.append(len(clips_in(tmp_path)))
     assert (statuses, found) == ([0, 1, 0], [1, 1, 2])
+    page = (tmp_path / "index.html").read_text()  # of all shares
+    assert (page.count("/page.html"), page.count('class="failed"')) == (2, 1)
     assert tables(tmp_path) == one_by_one
     capsys.readouterr()
     assert several(named_alike, inputs, tmp_path, "--shard", "1/4") == 2
@@ -655,10 +669,12 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
         patch.setattr("palpate.results.run.run_tasks", interrupted)
         assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 130
     assert "1 of 2 clips are complete; run the same command to continue" in capsys.readouterr().err
-    done = [path.name for path in (tmp_path / "out").iterdir()]
-    assert set(done) <= {"a", "b"}  # a second may have been done as well; nothing half done is left
+    assert set(clips_in(tmp_path / "out")) <= {
+        "a",
+        "b",
+    }  # a second may have been done as well; nothing half done is left
     assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
+    assert clips_in(tmp_path / "out") == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
 
 

@@ -1,9 +1,10 @@
-"""What a user types: `palpate infer`, `live`, `train`, `calibrate`, `plan`; in a checkout `python infer.py` and so on.
+"""What a user types: `palpate infer`, `live`, `train`, `calibrate`, `plan`, `page`; in a checkout `python infer.py` …
 
 infer      video → estimates
 live       camera, stream or pipe → a line of JSON a frame
 train      fit, validate, test or export the parameter network, from one configuration file
 tracking   the MLflow run of a training
 calibrate  measured forces → material constants
+page       results → pages for a browser
 plan       an instrument's path past tissue that gives way
 """

@@ -70,3 +70,4 @@ assert "torch" not in sys.modules
     assert (int(frame), verdict) == (run.onset_frame, run.verdict)
     assert [float(value) for value in theta] == pytest.approx(run.estimate.theta, rel=1e-6)
     assert (tmp_path / "out" / clip.name / "interactions.csv").is_file()
+    assert f'href="{clip.name}/page.html"' in (tmp_path / "out" / "index.html").read_text()

@@ -33,7 +33,7 @@ SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
 FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
 NONE_SEEN = FrameEstimate(8, 0.32, "no_tool")
-NAMES = ["fit.png", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
 
 
 def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:

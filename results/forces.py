@@ -1,0 +1,184 @@
+"""The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
+
+A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
+It is in newtons where something tells them, else relative to the run's own peak.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.physics.load import PressShape
+from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
+from palpate.results.columns import TEXTS
+from palpate.results.verdicts import MEANINGS, state
+
+RELATIVE = "of this contact's own peak (relative, not N)"
+MEASURED = "N, by the force that was measured for a while"
+"""Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
+ENDS = ("", "_low", "_high")
+"""Of the names of a value and of the ends of its 90 % interval."""
+SAME_INSTANT = 1e-6
+"""Times nearer to each other than this are one [s]."""
+NO_FORCE = "Nothing is determined of the force."
+LATER = "What the force is after the part of the contact that was observed and estimated is not known."
+ALWAYS = (math.inf, math.inf)
+STILL = "Frames without a picture, or in which too little moves, tell no force."
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForce:
+    """The force of a run of contact in its T frames in contact; not a number where it is unknown."""
+
+    onset_frame: int
+    onset_time_s: float
+    verdict: str
+    frames: np.ndarray
+    """Indices of those frames in the clip, shape [T]."""
+    force: np.ndarray
+    """Along that of the last frame, shape [T], in `unit`; of a press over its F."""
+    low: np.ndarray
+    """Lower end of its 90 % interval, shape [T]."""
+    high: np.ndarray
+    """Upper end."""
+    unit: str
+    why: str
+    """Why it is unknown somewhere."""
+    pressed: np.ndarray
+    """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+
+    @classmethod
+    def of(
+        cls,
+        run: InteractionEstimate,
+        estimates: Sequence[FrameEstimate],
+        newtons: Sequence[Mapping[str, float]] = (),
+        seconds: tuple[float, float] = ALWAYS,
+    ) -> "ContactForce":
+        """The force of a run that has ended.
+
+        Args:
+            run: the run.
+            estimates: of all frames so far, by index in the clip.
+            newtons: rows of forces.csv where a pull's force is known in newtons.
+            seconds: so much after the onset, an estimate by depth, by light, tells nothing any more [s].
+        """
+        touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
+        while touched and not estimates[touched[-1]].contact:
+            touched.pop()
+        found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
+        force = low = high = pressed = np.full(len(touched), np.nan)
+        unit, why = "", run.detail or NO_FORCE
+        if isinstance(found, Estimate):
+            pressed = _pressed(run, found, times - run.onset_time_s, seconds)
+            if any(name.startswith("force") for name in found.determined):
+                force, unit, why = pressed, RELATIVE, LATER
+            elif found.given_verdict:
+                why = MEANINGS[run.verdict]
+        elif isinstance(found, FieldEstimate):
+            why = "--estimator online tells no force."
+        elif found is not None and "relative_force" in found.determined:
+            half, unit, why = NINETY * found.force_sd, MEASURED if newtons else RELATIVE, STILL
+            kept = np.stack([found.force, found.force - half, found.force + half])
+            if newtons:
+                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
+            force, low, high = _between(run.onset_time_s + found.times, kept, times)
+        place = run.onset_frame, run.onset_time_s, state(run)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed)
+
+    def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
+        """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
+        if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
+            return self
+        force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
+        return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
+
+    def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
+        """What forces.json has of the run.
+
+        Args:
+            estimates: of all of the clip's frames.
+            lasts: how long each of those lasts, shape [N] [s].
+        """
+        seconds, known = lasts[self.frames], np.isfinite(self.force)
+        curves = np.stack([self.force, self.low, self.high])
+        found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
+        if known.any():
+            top = int(np.nanargmax(np.abs(self.force)))
+            if self.unit == RELATIVE and self.force[top]:
+                curves = curves / self.force[top]
+                curves[1:] = np.sort(curves[1:], axis=0)
+            means = curves[:, known] @ seconds[known] / seconds[known].sum()
+            for name, values in (("mean", means), ("peak", curves[:, top])):
+                found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
+            found["peak_time_s"] = estimates[self.frames[top]].time_s
+        alarms = [estimates[index].alarm for index in self.frames]
+        for alarm in (ABOVE, BELOW, UNKNOWN) if any(each is not None for each in alarms) else ():
+            found[f"limit_{alarm}_s"] = seconds[[each == alarm for each in alarms]].sum()
+        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict")}
+        found |= {"unit": self.unit if known.any() else "", "why": "" if known.all() and len(known) else self.why}
+        for name, some in (("contact", known | ~known), ("unknown", ~known)):
+            found |= {f"{name}_frames": some.sum(), f"{name}_s": seconds[some].sum()}
+        found |= {"time_s": [estimates[index].time_s for index in self.frames], "frame_s": seconds}
+        return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
+
+
+def forces_record(
+    contacts: Sequence[ContactForce],
+    estimates: Sequence[FrameEstimate],
+    fps: float,
+    calibrated: Sequence[Mapping[str, Any]] = (),
+    limit: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The content of forces.json.
+
+    Args:
+        contacts: the clip's runs of contact.
+        estimates: of its frames.
+        fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
+        calibrated: rows of calibrated.csv, one a run of contact.
+        limit: `limit` and `unit` of --force-limit.
+    """
+    times = np.array([estimate.time_s for estimate in estimates])
+    lasts = np.diff(times, append=times[-1:] + 1 / fps)
+    rows = {row["onset_frame"]: row for row in calibrated}
+    told = [contact.in_newtons(rows.get(contact.onset_frame, {})).record(estimates, lasts) for contact in contacts]
+    limited = None if limit is None else {name: limit[name] for name in ("limit", "unit")}
+    notice = "Research software, not a medical device."
+    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": told}
+
+
+def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: tuple[float, float]) -> np.ndarray:
+    """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
+    shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
+    last, contact = seconds[found.by_light], run.interaction
+    seen = None if contact is None else contact.brightness if found.by_light else contact.observation
+    if seen is not None and len(seen.times):
+        last = min(last, seen.times[-1])
+    end = math.inf if run.load_s is None else run.load_s + release - shape.fall
+    factor = _risen(since - delay, shape.rise) - _risen(since - end, shape.fall)
+    return np.where(since <= last + SAME_INSTANT, factor, np.nan)
+
+
+def _risen(since: np.ndarray, duration: float) -> np.ndarray:
+    """How much of a ramp of some duration has risen since it began, shape as given."""
+    return np.clip(since / duration, 0, 1) if duration else (since >= -SAME_INSTANT).astype(np.float64)
+
+
+def _between(kept: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Curves [C, K] at other times, shape [C, T]; not a number where frames are missing.
+
+    Of a long pull every n-th frame is kept, and the force between two of them that follow on is on the line between.
+    """
+    after = np.minimum(np.searchsorted(kept, times - SAME_INSTANT), len(kept) - 1)
+    gaps = np.diff(kept, prepend=-math.inf)
+    near = np.abs(kept[after] - times) <= SAME_INSTANT
+    inside = near | ((gaps[after] <= 1.5 * gaps.min()) & (times <= kept[-1]))
+    return np.where(inside, [np.interp(times, kept, each) for each in values], np.nan)

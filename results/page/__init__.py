@@ -1,0 +1,10 @@
+"""Pages that show results in a browser, without a network: one of a batch, and one of every clip.
+
+gather     what the pages show, from the files of a folder of results; texts.yaml: what every status means, what to do
+render     writes the pages from templates/
+own        which pages are as this program wrote them
+"""
+
+from palpate.common.lazy import exported
+
+__getattr__ = exported(__name__, {})

@@ -1,0 +1,145 @@
+"""What the pages show: a folder of results as plain dicts. Cells are taken as they stand, nothing is computed anew."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from palpate.results import store
+from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
+
+TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
+CURVES = ("stiffness", "stiffness_low", "stiffness_high")
+"""Columns of both tables that are drawn over time."""
+FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
+"""What of parameters.csv is looked at: all of it is too much of a long clip."""
+SETTINGS = ("input", "estimator", "depth_model", "masks", "scale", "camera", "settings", "providers", "versions")
+"""What run.json has of how a clip was computed."""
+CONTACT_CURVES = ("unit", "time_s", "frame_s", "force", "force_low", "force_high")
+"""What forces.json has of every frame in contact."""
+
+
+def clip_folders(output: Path) -> list[Path]:
+    """Folders of complete clips in a folder of results, by name."""
+    return [path for path in sorted(output.iterdir()) if not path.name.startswith(".") and store.read_record(path)]
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """What the page of a batch shows of a clip: name, runs of contact and frames by what was found, warnings.
+
+    Raises:
+        KeyError, TypeError, ValueError: the record is damaged, or of another version.
+    """
+    record = store.read_record(folder)
+    given, contacts = record["input"], record["contacts"]
+    order = [*COLORS, *contacts]
+    return {
+        "name": folder.name,
+        "contacts": [(name, in_words(name), int(contacts[name])) for name in sorted(contacts, key=order.index)],
+        "frames": int(given["frames"]),
+        "seconds": given["frames"] / given["fps"],
+        "touching": int(record["statuses"].get("ok", 0)),
+        "estimator": str(record["estimator"]["name"]),
+        "warnings": [str(warning) for warning in record["warnings"]],
+        "newtons": bool((record.get("calibration") or {}).get("scale")),
+    }
+
+
+def clip_of(folder: Path) -> dict[str, Any]:
+    """What a clip's page shows.
+
+    Raises:
+        OSError: a table can't be read.
+        KeyError, TypeError, ValueError: the results are damaged, or of another version.
+    """
+    record = store.read_record(folder)
+    frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
+    contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
+    encoder = record["overlay_encoder"] if (folder / store.OVERLAY).is_file() else "none"
+    settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
+    return summary_of(folder) | {
+        "video": None if encoder == "none" else store.OVERLAY,
+        "video_note": TEXTS["video"][encoder],
+        "found": contacts,
+        "limit": report["force_limit"],
+        "states": [_explained(*item) for item in record["statuses"].items()],
+        "verdicts": [_explained(*item) for item in record["verdicts"].items()],
+        "advice": [(warning, advice(warning)) for warning in record["warnings"]],
+        "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
+        "columns": record["columns"],
+        "settings": _flat(settings),
+        "timings": record["timings_s"],
+        "files": [(name, TEXTS["files"][name]) for name in store.WRITTEN if (folder / name).is_file()],
+        "curves": _curves(record, frames, contacts),
+    }
+
+
+def advice(warning: str) -> str:
+    """What to do about a warning of run.json."""
+    return next((what for words, what in TEXTS["warnings"].items() if words in warning), TEXTS["other_warning"])
+
+
+def _explained(name: str, count: int = 0) -> dict[str, Any]:
+    """A verdict or a status in words, what it means, and what to do about it."""
+    said = TEXTS["statuses"].get(name) or {"means": MEANINGS.get(name, ""), "do": TEXTS["verdicts"].get(name, "")}
+    return {"name": name, "words": in_words(name), "count": count} | said
+
+
+def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:
+    """A run of contact: its rows of both tables, and its verdict in words, with no number surer than that."""
+    verdict, values = run["verdict"], {name: _number(cell) for name, cell in run.items()}
+    doubtful = verdict == "determined" and run["detail"]
+    shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
+    return {"row": run, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
+
+
+def _curves(record: dict[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the page's script draws, by frame and by run of contact; what is not known is None."""
+    found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
+    for name in ("frame", "time_s", *CURVES):
+        found[name] = [_number(row[name]) for row in frames]
+    found["sure"] = [_is_sure(row) for row in frames]
+    found["state"] = _coded([row["verdict"] or row["status"] for row in frames])
+    found["detail"] = _coded([row["detail"] for row in frames])
+    if record["force_limit"]:
+        found["alarm"] = _coded([row["alarm"] for row in frames])
+    for contact in contacts:
+        values = {name: _number(contact["row"][name]) for name in CURVES}
+        values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
+        found["contacts"].append(values | {name: contact["forces"][name] for name in CONTACT_CURVES})
+    return found
+
+
+def _is_sure(row: Mapping[str, str]) -> bool:
+    """Whether a row's stiffness is determined."""
+    return "stiffness" in row["determined"].split(";")
+
+
+def _coded(texts: Sequence[str]) -> dict[str, Any]:
+    """Texts that repeat, as their places in a list of them."""
+    places = {name: place for place, name in enumerate(dict.fromkeys(texts))}
+    return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def _table(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+        return [{name: row.get(name, "") for name in columns or row} for row in csv.DictReader(stream)]
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Settings with those within settings, by their joined names."""
+    found = []
+    for name, value in values.items():
+        found += _flat(value, f"{before}{name}.") if isinstance(value, dict) else [(f"{before}{name}", value)]
+    return found

@@ -1,0 +1,87 @@
+"""Writes the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from palpate.common.files import as_json
+from palpate.common.output import ForeignFile
+from palpate.results import store
+from palpate.results.page.gather import clip_folders, clip_of, summary_of
+from palpate.results.page.own import CLIP, INDEX, is_own, write_own
+from palpate.results.verdicts import COLORS, MEANINGS
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+Failure = tuple[str, str]
+"""Name of a clip that has no results, and the sentence that says why."""
+FAILURES = re.compile(rb'<script type="application/json" id="failures">(.*?)</script>', re.DOTALL)
+UNREADABLE = "its results are damaged or of another version ({}: {}); compute it again with palpate infer --overwrite."
+
+
+def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[str] = (), *, anew: bool) -> Path:
+    """Write the page of a folder of results, and those of its clips; returns the former.
+
+    Clips that failed in earlier batches stay listed until they are tried again or have results.
+
+    Args:
+        output: the folder.
+        failed: clips of this batch without results.
+        tried: names of all clips of this batch.
+        anew: whether to write all clips' pages, not only those that are missing or older than their results.
+
+    Raises:
+        OutputError: a page can't be written, or a file that this program did not write is in its place.
+    """
+    environment, rows, damaged, foreign = _environment(), [], [], None
+    with store.writing(output):
+        failures = [item for item in _listed_failures(output / INDEX) if item[0] not in tried] + list(failed)
+        for folder in clip_folders(output):
+            page, text = folder / CLIP, ""
+            try:
+                summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
+                if anew or not page.exists() or page.stat().st_mtime_ns < made:
+                    text = environment.get_template("clip.html").render(clip=clip_of(folder), colors=COLORS)
+            except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
+                damaged.append((folder.name, f"{folder}: {UNREADABLE.format(type(error).__name__, error)}"))
+                continue
+            rows.append(summary)
+            try:
+                if text:
+                    write_own(page, text)
+            except ForeignFile as error:
+                foreign = error
+        told = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
+        write_own(output / INDEX, environment.get_template("index.html").render(told, damaged=damaged))
+        if foreign is not None:
+            raise foreign
+    return output / INDEX
+
+
+def _listed_failures(index: Path) -> list[Failure]:
+    """What the page of a batch lists as failed; nothing where there is no page of ours."""
+    found = FAILURES.search(index.read_bytes()) if is_own(index) else None
+    return [] if found is None else [(name, sentence) for name, sentence in json.loads(found[1])]
+
+
+def _environment() -> Environment:
+    """Templates whose every value is escaped: names of files are a user's."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    space: dict[str, Any] = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **space)
+    found.policies["json.dumps_function"] = as_json
+    found.policies["json.dumps_kwargs"] = {}
+    found.filters["cell"] = _cell
+    return found
+
+
+def _cell(value: Any) -> str:
+    """A number of a JSON file as tables show it; a dash where there is none."""
+    return "–" if value is None or value == "" else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,193 @@
+"""The pages of a folder of results: what they show is in the tables, nothing is loaded, no name runs as a script."""
+
+import json
+import re
+import shutil
+import subprocess
+from collections import Counter
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import av
+import pytest
+
+from palpate.__main__ import main
+from palpate.data.prepared import OUT_OF_CONTACT
+from palpate.data.synthetic.clip import write_clip
+from palpate.results.page.gather import TEXTS, advice
+from palpate.results.page.own import is_own
+from palpate.results.page.render import write_pages
+from palpate.results.record import PERSISTENT, UNCALIBRATED, UNDRIVEN
+from palpate.results.store import WRITTEN, OutputError
+from palpate.results.verdicts import COLORS, MEANINGS
+from tests.tables import read_rows
+from tests.test_infer import SCENE, record
+
+ODD = "a & 'b' #1 50%"
+BROKEN = "<img src=x onerror=alert(1)>.mp4"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
+    """Of a clip, and of a file that is no video, both with names that a page must escape."""
+    folder = tmp_path_factory.mktemp("pages")
+    clip = write_clip(folder / "clips", 1, SCENE, 3)
+    clip.with_suffix(".mp4").unlink()
+    clip.rename(clip.with_name(ODD))
+    clip.with_name(BROKEN).write_bytes(b"no video")
+    options = ["--output", str(folder / "out"), "--onset", "stamp", "--force-limit", "0.045"]
+    assert main(["infer", str(clip.parent), *options]) == 1
+    return folder / "out"
+
+
+class Page(HTMLParser):
+    """A page's tags, all of which must be closed."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path, self.text, self.tags, self.open = path, path.read_text(encoding="utf-8"), [], []
+        self.feed(self.text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self.open += [tag] if tag not in ("meta", "input", "img", "br") else []
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def all_of(self, attribute: str) -> list[str]:
+        return [attributes[attribute] for _, attributes in self.tags if attribute in attributes]
+
+
+def test_pages_load_nothing_from_elsewhere_and_names_do_nothing(results: Path) -> None:
+    index, clip = (Page(results / name) for name in ("index.html", f"{ODD}/page.html"))
+    for page in (index, clip):
+        links = page.all_of("href") + page.all_of("src")
+        assert not [link for link in links if re.match(r"\w+:|//", link)]
+        assert all((page.path.parent / unquote(link)).exists() for link in links)
+        loaded = re.findall(r"url\(|@import|fetch\(|XMLHttp|import\(|https?://(?!www.w3.org/2000/svg)", page.text)
+        assert (loaded, page.all_of("onerror")) == ([], [])
+        assert set(Counter(page.all_of("id")).values()) == {1}
+        assert "Research software, not a medical device." in page.text
+        assert is_own(page.path)
+    assert "&lt;img src=x onerror=alert(1)&gt;.mp4 can&#39;t be opened as a video" in index.text
+    assert index.all_of("href") == ["a%20%26%20%27b%27%20%231%2050%25/page.html"]
+
+
+def test_the_numbers_are_those_of_the_tables(results: Path) -> None:
+    page, folder = Page(results / ODD / "page.html"), results / ODD
+    data, frames = json.loads(re.search('id="data">(.*?)</script>', page.text)[1]), read_rows(folder / "parameters.csv")
+    (run,), (contact,) = read_rows(folder / "interactions.csv"), data["contacts"]
+    (forces,) = json.loads((folder / "forces.json").read_text())["contacts"]
+    for name in ("frame", "time_s", "stiffness", "stiffness_low", "stiffness_high"):
+        assert data[name] == [float(row[name]) if row[name] else None for row in frames]
+    for name, values in (("state", [row["verdict"] or row["status"] for row in frames]), ("alarm", None)):
+        assert [data[name]["names"][at] for at in data[name]["index"]] == (values or [row[name] for row in frames])
+    shown = {name: float(run[name]) for name in ("stiffness", "stiffness_low", "stiffness_high")}
+    shown |= {name: forces[name] for name in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
+    assert contact == shown | {"name": run["verdict"], "sure": True}
+    told = [len(forces["time_s"]), 25 * forces["limit_unknown_s"], 25 * forces["limit_above_s"]]
+    asked = (("contact", "1"), ("alarm", "unknown"), ("alarm", "above"))
+    assert told == pytest.approx([sum(row[name] == value for row in frames) for name, value in asked])
+    assert f"0 of {forces['contact_s']:.4g} s (0 of {forces['contact_frames']} frames)" in page.text
+    assert not [cell for cell in run.values() if cell and f"<td>{cell}</td>" not in unescape(page.text)]
+
+
+def test_the_video_plays_in_browsers_or_the_page_says_that_it_may_not(results: Path, tmp_path: Path) -> None:
+    content = (results / ODD / "overlay.mp4").read_bytes()
+    with av.open(str(results / ODD / "overlay.mp4")) as video:
+        assert (video.streams.video[0].codec.name, video.streams.video[0].pix_fmt) == ("h264", "yuv420p")
+    assert content.index(b"moov") < content.index(b"mdat")
+    for encoder, said in (("mp4v", "many browsers do not play it"), ("libx264", "no overlay video (--no-overlay)")):
+        folder = shutil.copytree(results / ODD, tmp_path / encoder / "clip")
+        (folder / "run.json").write_text(json.dumps(record(folder) | {"overlay_encoder": encoder}))
+        (folder / "overlay.mp4").rename(folder / ("overlay.mp4" if encoder == "mp4v" else "mine.mp4"))
+        write_pages(folder.parent, anew=True)
+        page = Page(folder / "page.html")
+        assert said in page.text
+        assert ("video" in dict(page.tags)) == (encoder == "mp4v")
+
+
+def test_pages_are_rebuilt_failures_stay_until_tried_again_and_a_user_s_page_stays(results, tmp_path, capsys) -> None:
+    output = shutil.copytree(results, tmp_path / "out")
+    index, clip = output / "index.html", output / ODD / "page.html"
+    before = index.read_bytes(), clip.read_bytes()
+    clip.unlink()
+    assert main(["page", str(output)]) == 0
+    assert (index.read_bytes(), clip.read_bytes()) == before
+    write_pages(output, [], [BROKEN], anew=False)
+    assert 'class="failed"' not in index.read_text()
+    kept = (output / ODD / "forces.json").rename(output / "kept")
+    write_pages(output, anew=True)
+    assert "its results are damaged or of another version (FileNotFoundError" in index.read_text()
+    kept.rename(output / ODD / "forces.json")
+    write_pages(output, anew=True)
+    assert 'class="failed"' not in index.read_text()
+    index.write_text("mine")
+    with pytest.raises(OutputError, match=r"index.html is not as this program wrote it; move it away"):
+        write_pages(output, anew=False)
+    assert (main(["page", str(output)]), index.read_text()) == (1, "mine")
+    with pytest.raises(SystemExit, match="2"):
+        main(["page", str(tmp_path)])
+    assert "holds no results of palpate infer" in capsys.readouterr().err
+
+
+def test_every_status_verdict_file_and_warning_has_a_remedy() -> None:
+    statuses = {"ok", *OUT_OF_CONTACT, *PERSISTENT, "no_tissue"}
+    assert set(TEXTS["statuses"]) == statuses
+    assert set(TEXTS["verdicts"]) == {*MEANINGS, "no_estimate"} == set(COLORS) - statuses - {"doubtful"}
+    assert set(TEXTS["files"]) == set(WRITTEN)
+    warnings = [UNCALIBRATED, UNDRIVEN, *(f"3 of 9 frames are {name}, the first is 1: x" for name in PERSISTENT)]
+    assert TEXTS["other_warning"] not in map(advice, warnings)
+
+
+@pytest.fixture(scope="module")
+def many(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two hundred clips, of a quarter of which nothing is determined."""
+    output = tmp_path_factory.mktemp("many")
+    for number in range(200):
+        folder = shutil.copytree(results / ODD, output / f"clip {number}", ignore=shutil.ignore_patterns("*.[mp]*"))
+        found = {"contacts": {"determined" if number % 4 else "undetermined": number % 7 + 1}}
+        (folder / "run.json").write_text(json.dumps(record(results / ODD) | found))
+    write_pages(output, [("last.mp4", "last.mp4: failed.")], anew=False)
+    return output
+
+
+def test_the_page_of_a_batch_is_light(many: Path) -> None:
+    page = Page(many / "index.html")
+    assert page.path.stat().st_size < 300_000
+    assert not {"video", "img", "svg", "iframe"} & set(dict(page.tags))
+    assert Counter(page.all_of("data-kinds")) == {"failed": 1, "undetermined": 50, "determined": 150}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+@pytest.mark.parametrize("size", ["390,844", "820,1180", "1440,900"])
+def test_the_pages_work_in_a_browser(size: str, results: Path, many: Path, tmp_path: Path) -> None:
+    def acted(page: Path) -> list:
+        acts = Path(__file__).with_name("page_acts") / ("index.js" if page.name == "index.html" else "clip.js")
+        copy, script = page.with_name("driven.html"), f"<script>{{{acts.read_text()}}}</script></body>"
+        copy.write_text(page.read_text(encoding="utf-8").replace("</body>", script), encoding="utf-8")
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={tmp_path}",
+            f"--window-size={size}",
+        ]
+        options += ["--enable-logging=stderr", "--virtual-time-budget=2000", "--dump-dom", copy.as_uri()]
+        done = subprocess.run([str(CHROMIUM), *options], capture_output=True, text=True, timeout=120)
+        copy.unlink()
+        assert "CONSOLE" not in done.stderr
+        return json.loads(unescape(re.search(r'data-said="([^"]*)"', done.stdout)[1]))
+
+    chosen = [["clip 196", "clip 192"], "2 of 201 clips"]
+    assert acted(many / "index.html") == [201, "clip 0", "last.mp4", "descending", *chosen]
+    frames = read_rows(results / ODD / "parameters.csv")
+    tenth = f"frame {frames[10]['frame']}, {float(frames[10]['time_s']):.2f} s"
+    # force, stiffness by contact and by frame, verdict by contact and by frame, alarms, time
+    told = [7, True, f"frame {frames[-1]['frame']}", tenth, "10", True]
+    assert acted(results / ODD / "page.html") == told

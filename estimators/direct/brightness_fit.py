@@ -195,7 +195,7 @@ def _led(
     for _ in range(rounds):
         logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
         problem.look(logs)
-        logs = find_optimum(problem, logs, *box, evaluations, FALL).logs
+        logs = find_optimum(problem, logs, box, evaluations, FALL).logs
     problem.look(logs)
     return -problem.skill, logs
 
@@ -207,7 +207,7 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     starts = [
         np.clip(np.concatenate([logs[:3] + step, logs[3:]]), box[0] + 1e-9, box[1] - 1e-9) for step in (0.0, *FIRMER)
     ]
-    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
+    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     # What law and coding get wrong shows in what is left unexplained, and in how far residuals belong together.
     left = ((1 - problem.skill) / USUALLY_LEFT) ** 2

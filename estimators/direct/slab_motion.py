@@ -192,7 +192,8 @@ class SlabMotion(DelayedMotion):
         """Of a body, and how the places move in each, shape [V, 3, M]."""
         pattern = slab.patch(PATCH, self._place)[:, None] * np.asarray(self.contact.direction, np.float64)
         shift = 4 / (self.step**2 * USUAL_YOUNG)
-        modes = Modes(slab.solid, POISSON, slab.held, DENSITY, pattern, shift, _stiffer(slab, self.region))
+        tissue = Material("linear", _stiffer(slab, self.region), POISSON)
+        modes = Modes(slab.solid, tissue, slab.held, DENSITY, pattern, shift)
         shown = slab.between(self._pixels) @ modes.shapes.reshape(len(pattern), -1)
         return modes, shown.reshape(len(self._pixels), 3, -1)
 

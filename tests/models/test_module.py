@@ -221,7 +221,7 @@ def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, se
         "regularisation": ("regularisation_loss",),
     }
     for name in functions[term]:
-        monkeypatch.setattr(f"palpate.models.module.{name}", None)  # calling it would fail
+        monkeypatch.setattr(f"palpate.models.losses.{name}", None)  # calling it would fail
     module = build(Watched, **settings | {"weights": LossWeights(**{"physics": 1.0, term: 0.0})})
     found = module.generator_losses(batch)[0].items()
     assert full[term] != 0 or term == "regularisation"  # bounded heads never leave the box

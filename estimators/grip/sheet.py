@@ -148,13 +148,14 @@ class Profile(NamedTuple):
     """Of that, by axis."""
 
 
-def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> np.ndarray:
+def loaded_cells(grid: PointGrid) -> np.ndarray:
     """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
 
     Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
-    work. Under a long shaft half of these. Arguments as of `PointGrid`.
+    work. Under a long shaft half of these.
     """
-    loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
+    places = np.concatenate([grid.points[grid.distance < LOADED], grid.hidden])
+    loaded = np.rint(places / grid.spacing).astype(np.int64)
     half = loaded[loaded.sum(axis=1) % 2 == 0]
     return half if len(half) <= MOST_LOADED else half[half[:, 0] % 2 == 0]
 
@@ -183,12 +184,12 @@ class SheetProblem:
     """
 
     def __init__(self, grid: PointGrid, reach: float = REACH) -> None:
-        points, distance, hidden, spacing = grid
+        points, distance, _, spacing = grid
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
         self._points, self._spacing = points, spacing
-        self._loaded_cells = loaded_cells(points, distance, hidden, spacing)
+        self._loaded_cells = loaded_cells(grid)
         self._middle, self._size = points.mean(axis=0), points.std(axis=0)
         self.loaded = len(self._loaded_cells)
         self._whitening = Whitening(points[self.counted], reach)

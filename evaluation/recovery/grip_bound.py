@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 from scipy.spatial.distance import cdist
 
 from palpate.common.robust import affine_terms, median_sd
-from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
+from palpate.estimators.grip.sheet import SIZE, PointGrid, load_precision, loaded_cells
 from palpate.estimators.grip.whitening import matern, pair_products
 from palpate.physics.sheet import response
 
@@ -144,28 +144,17 @@ class GripBound(NamedTuple):
     """Of what holds the tissue in the last frame over stiffness."""
 
 
-def grip_bound(
-    points: np.ndarray,
-    distance: np.ndarray,
-    hidden: np.ndarray,
-    spacing: int,
-    moved: np.ndarray,
-    following: Following,
-    log_anchor: float,
-) -> GripBound:
+def grip_bound(grid: PointGrid, moved: np.ndarray, following: Following, log_anchor: float) -> GripBound:
     """Bounds of a grip in a clip.
 
     Args:
-        points: places at rest of the points in view in the last frame, on a square grid, shape [n, 2] [px].
-        distance: from the tool there, shape [n] [px].
-        hidden: places of the grid that the tool hides there, shape [H, 2] [px].
-        spacing: of the grid [px].
+        grid: of the points in view in the last frame, n of them.
         moved: where they truly are since rest, shape [T, n, 2] [px].
         following: of these points.
         log_anchor: true log of foundation over stiffness.
     """
-    cells = np.rint(points / spacing).astype(np.int64)
-    loaded = loaded_cells(points, distance, hidden, spacing)
+    points, loaded = grid.points, loaded_cells(grid)
+    cells = np.rint(points / grid.spacing).astype(np.int64)
     apart = tuple(np.moveaxis(cells[:, None] - loaded, -1, 0) % SIZE)
     terms = affine_terms(points)
     answer = response(math.exp(log_anchor), SIZE)

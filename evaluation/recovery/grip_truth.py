@@ -16,6 +16,7 @@ from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.sheet import PointGrid
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.evaluation.harness import Row
@@ -75,7 +76,8 @@ def _grip_against_truth(
     places = points[visible], follower.distance[visible]
     followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    bound = grip_bound(*places, follower.hidden, SPACING, true[:, visible], followed, log_anchor)
+    grid = PointGrid(*places, follower.hidden, SPACING)
+    bound = grip_bound(grid, true[:, visible], followed, log_anchor)
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
     found: Row = {

@@ -38,6 +38,8 @@ FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
 BENDINGS = (0.02, 0.3, 1.0)
 """Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
 tried."""
+Answer = Callable[[np.ndarray], np.ndarray]
+"""From values of the particles to values of points."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -73,7 +75,7 @@ def fit_motion(
     body: Body,
     grip: Grip,
     seen: np.ndarray,
-    shown: Callable[[np.ndarray], np.ndarray],
+    shown: Answer,
     stepping: Stepping,
     stiffness: float,
     bendings: Sequence[float] = BENDINGS,
@@ -123,13 +125,7 @@ NOISE = 0.3
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
 
-    def __init__(
-        self,
-        objective: Objective,
-        begun: Stiffness,
-        cells: Callable[[np.ndarray], np.ndarray],
-        shown: Callable[[np.ndarray], np.ndarray],
-    ) -> None:
+    def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
         """Begin at rest.
 
         Args:

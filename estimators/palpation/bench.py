@@ -68,14 +68,13 @@ class Bench:
         self.near: LinearSystem | None = None
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
-        self.poses = [
-            register(thinned(each.points), skin.vertices, skin.triangles, each.pose, shown=SHOWN) for each in palpations
-        ]
+        surface = skin.vertices, skin.triangles
+        self.poses = [register(thinned(each.points), surface, each.pose, shown=SHOWN) for each in palpations]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []
         for pose, each in zip(self.poses, palpations, strict=True):
-            match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
+            match = Match.of(placed(pose, each.points), *surface)
             normals = match.normal @ pose[:3, :3]
             back = -each.points / np.maximum(np.linalg.norm(each.points, axis=1, keepdims=True), 1e-300)
             self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))

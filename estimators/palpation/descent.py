@@ -133,7 +133,7 @@ class _Error:
         total, poses = 0.0, []
         for rest, cloud, pose in zip(rests, self._clouds, self._poses, strict=True):
             vertices = skin.moved(rest.displacement)
-            poses.append(register(cloud, vertices, skin.triangles, pose, 1.0, SHOWN) if aligned else pose)
+            poses.append(register(cloud, (vertices, skin.triangles), pose, 1.0, SHOWN) if aligned else pose)
             apart = Match.of(placed(poses[-1], cloud), vertices, skin.triangles).apart
             total += float(np.square(apart).mean())
         return _Found(total, list(rests), poses)

@@ -33,6 +33,8 @@ TURNS = 3
 """In which every view is laid onto all others."""
 OVER = 0.7
 """Cosine of the angle to the normal beyond which a place lies aside of a surface."""
+Triangles = tuple[np.ndarray, np.ndarray]
+"""A surface: vertices [V, 3] [m], and triangles [F, 3]."""
 SEAM = 0.6
 """Of the median edge: what lies closer to an earlier view is the same surface."""
 
@@ -56,19 +58,13 @@ def thinned(points: np.ndarray) -> np.ndarray:
 
 
 def register(
-    points: np.ndarray,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    pose: np.ndarray,
-    kept: float = KEPT,
-    shown: float = SHOWN,
+    points: np.ndarray, surface: Triangles, pose: np.ndarray, kept: float = KEPT, shown: float = SHOWN
 ) -> np.ndarray:
     """Pose that lays points onto a surface.
 
     Args:
         points: in the sensor's frame, shape [P, 3] [m].
-        vertices: of the surface, shape [V, 3] [m].
-        triangles: shape [F, 3].
+        surface: vertices, shape [V, 3] [m], and triangles, shape [F, 3].
         pose: to begin at: where the sensor was, as the tool that carries it says, shape [4, 4].
         kept: share of the pairs that align.
         shown: as SHOWN; facets alone show a ball's turns by a hundredth.
@@ -80,7 +76,7 @@ def register(
     size = float(np.ptp(points, axis=0).max())
     for _ in range(ROUNDS):
         seen = placed(found, points)
-        match = Match.of(seen, vertices, triangles)
+        match = Match.of(seen, *surface)
         near = match.apart <= np.quantile(match.apart, kept)
         centre = seen[near].mean(axis=0)
         # Turned about the middle, and in units of the cloud's size, the six unknowns weigh equally.
@@ -157,11 +153,11 @@ def join_views(views: Sequence[View]) -> Joined:
     return Joined(whole[0][used], which.reshape(-1, 3), poses, rms)
 
 
-def _laid(view: View, surface: tuple[np.ndarray, np.ndarray], pose: np.ndarray, kept: float = OVERLAP) -> np.ndarray:
-    return register(thinned(view.vertices), *surface, pose, kept)
+def _laid(view: View, surface: Triangles, pose: np.ndarray, kept: float = OVERLAP) -> np.ndarray:
+    return register(thinned(view.vertices), surface, pose, kept)
 
 
-def _oriented(view: View, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _oriented(view: View, pose: np.ndarray) -> Triangles:
     """A view in the world, its triangles facing the sensor."""
     vertices = placed(pose, view.vertices)
     one, two, three = vertices[view.triangles].transpose(1, 0, 2)
@@ -169,11 +165,11 @@ def _oriented(view: View, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.where(away[:, None], view.triangles[:, ::-1], view.triangles)
 
 
-def _together(views: Sequence[View], poses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _together(views: Sequence[View], poses: Sequence[np.ndarray]) -> Triangles:
     return _united([_oriented(view, pose) for view, pose in zip(views, poses, strict=True)])
 
 
-def _united(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def _united(parts: Sequence[Triangles]) -> Triangles:
     """Surfaces side by side in one list of vertices."""
     begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     triangles = [faces + begin for (_, faces), begin in zip(parts, begins, strict=False)]

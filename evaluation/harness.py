@@ -161,13 +161,14 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     return status or int(report.failed)
 
 
+Study = tuple[type[Experiment], str | None]
+"""An experiment with its text for `--help`."""
+
+
 def run_named(
-    kinds: Mapping[str, tuple[type[Experiment], str | None]],
-    arguments: Sequence[str] | None,
-    program: str,
-    documentation: str | None,
+    kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, documentation: str | None
 ) -> int:
-    """Run the one of several experiments that the first argument names, each given with its text for `--help`.
+    """Run the one of several experiments that the first argument names.
 
     Returns:
         Exit status, as of `run`.

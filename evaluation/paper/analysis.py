@@ -23,15 +23,7 @@ REGIMES = {
     NO_MOTION: "error_no_motion",
 }
 """Column of the table of frames by simulated parameters, in the order of tables."""
-GIVEN = [
-    "clip",
-    "frame",
-    "error_reference",
-    "error_predicted",
-    "next_depth_error",
-    "copy_error",
-    "theta_sensitivity",
-]
+GIVEN = ["clip", "frame", "error_reference", "error_predicted", "next_depth_error", "copy_error", "theta_sensitivity"]
 """Columns of the table of frames that come from the records."""
 DEFINITIONS = (
     f"Reference θ: k_s = {REFERENCE_STIFFNESS}, k_d = {REFERENCE_DAMPING} from the literature, F and all else "

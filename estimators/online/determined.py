@@ -15,7 +15,7 @@ simulation alone; stiffness place by place is left to the optimiser.
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
@@ -72,13 +72,7 @@ class Fit(NamedTuple):
 
 
 def fit_motion(
-    body: Body,
-    grip: Grip,
-    seen: np.ndarray,
-    shown: Answer,
-    stepping: Stepping,
-    stiffness: float,
-    bendings: Sequence[float] = BENDINGS,
+    body: Body, grip: Grip, seen: np.ndarray, shown: Answer, stepping: Stepping, stiffness: float, bendings: list[float]
 ) -> Fit | None:
     """Try every combination on the frames so far, from rest on; None where nothing moves in any.
 

@@ -82,9 +82,7 @@ QUALITY = {"matte": 18, "endoscope": 23}
 DIRECT = EstimatorOptions("direct")
 
 
-def measured_video(
-    settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, *, given: bool = False
-) -> Row:
+def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, given: bool = False) -> Row:
     """Measures of one drawn clip by an estimator: of its video alone, or with depth and masks given."""
     estimator = open_by_options(options)
     scene, truth = draw_truth(settings, seed)

@@ -70,7 +70,7 @@ from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
@@ -197,19 +197,13 @@ def estimated(candidate: Candidate, clip: TrueClip, compare: Compare) -> Row:
     start = time.perf_counter()
 
     def answered() -> Row:
-        answer = candidate if isinstance(candidate, Estimate) else answers(candidate, clip.frames, clip.info)
+        answer = candidate
+        if not isinstance(candidate, Estimate):
+            answer = list(estimates_of(opened(candidate).start(clip.info), clip.frames))
         seconds = time.perf_counter() - start
         return {"status": OK, "seconds": seconds, **compare(answer)}
 
     return attempted(answered)  # an estimator that breaks on a clip is a result, and the others go on
-
-
-def answers(
-    candidate: EstimatorOptions, frames: Sequence[PreparedFrame], clip: ClipInfo
-) -> list[FrameEstimate | InteractionEstimate]:
-    """Everything that the session that users run says of a clip."""
-    session = opened(candidate).start(clip)
-    return list(estimates_of(session, frames))
 
 
 def _pressed(onset: int, answer: Estimate | list) -> Row:

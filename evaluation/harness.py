@@ -165,9 +165,7 @@ Study = tuple[type[Experiment], str | None]
 """An experiment with its text for `--help`."""
 
 
-def run_named(
-    kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, documentation: str | None
-) -> int:
+def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, text: str | None) -> int:
     """Run the one of several experiments that the first argument names.
 
     Returns:
@@ -175,10 +173,9 @@ def run_named(
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
     if name not in kinds:
-        print(documentation if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
+        print(text if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
         return 0 if name == "--help" else 2
-    kind, text = kinds[name]
-    return run(kind, rest, f"{program} {name}", text)
+    return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 
 class Store:

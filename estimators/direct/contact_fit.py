@@ -123,7 +123,7 @@ def press_estimate(
 
 
 def _sample(
-    problem: ContactProblem, optima: Sequence[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
+    problem: ContactProblem, optima: list[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
 ) -> Draws:
     """The posterior around its optima; known points [C, D] with their motions [C, N, 3] are draws as well."""
     # The coarse step's error hardly varies over the posterior.
@@ -199,7 +199,7 @@ def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
-def sampled(problem: FieldProblem, optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+def sampled(problem: FieldProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -309,9 +309,7 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 
 
-def _sample_field(
-    problem: FieldProblem, optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float
-) -> Draws:
+def _sample_field(problem: FieldProblem, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)

@@ -323,7 +323,7 @@ class FoundationFit(ForceFit):
     """Its standard deviation."""
 
 
-def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
+def fit_foundation(grid: PointGrid, frames: list[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
     """Fit the foundation of an endless sheet to some frames of a grip, in their order in time.
 
     Args:
@@ -357,9 +357,7 @@ def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Meas
     return _with_forces(problem, frames, log_anchor, variance + error**2)
 
 
-def _with_forces(
-    problem: SheetProblem, frames: Sequence[SeenFrame], log_anchor: float, variance: float
-) -> FoundationFit:
+def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: float, variance: float) -> FoundationFit:
     """What all frames tell at a log foundation of that variance, their points as they were followed."""
     free = problem.design(log_anchor)
     solved = [problem.solve(free, frame) for frame in frames]

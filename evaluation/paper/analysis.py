@@ -1,6 +1,6 @@
 """All numbers of an evaluation, from test records to what `evaluation.paper.report` writes (Bini 2026, section 4)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,9 +87,7 @@ def analyse_depth(frames: pd.DataFrame) -> dict[str, Statistics]:
     return found | {"comparison": compare(frames["next_depth_error"], frames["copy_error"], frames["clip"])}
 
 
-def analyse(
-    records: Sequence[Record], training: Sequence[Interaction], mechanics: Mechanics, bounds: Bounds
-) -> Evaluation:
+def analyse(records: list[Record], training: list[Interaction], mechanics: Mechanics, bounds: Bounds) -> Evaluation:
     """Compute every number of the evaluation; see `evaluation.paper.report.write_evaluation` for the arguments.
 
     Raises:

@@ -65,15 +65,11 @@ class Following:
         return np.square(np.minimum(self.sizes[:, None], self.sizes)) * correlation
 
 
-def measure_following(
-    points: np.ndarray, distance: np.ndarray, spacing: int, noise: np.ndarray, errors: np.ndarray
-) -> Following:
+def measure_following(grid: PointGrid, noise: np.ndarray, errors: np.ndarray) -> Following:
     """Measure how points were followed.
 
     Args:
-        points: places at rest, on a square grid, shape [n, 2] [px].
-        distance: from the tool there, shape [n] [px].
-        spacing: of the grid [px].
+        grid: n points.
         noise: stated by axis in the last frame, shape [n] [px].
         errors: followed minus true place, shape [T, n, 2] [px]; not a number where a point is not in view, in the last
             frame none.
@@ -86,8 +82,8 @@ def measure_following(
     scaled = np.clip(errors / sizes[:, None], -OUTLYING, OUTLYING)
     always = np.isfinite(scaled).all(axis=(0, 2))
     in_time = np.einsum("tna,sna->ts", scaled[:, always], scaled[:, always])
-    near = distance < NEAR_TOOL
-    rings = ring_correlation(points[near], spacing, scaled[-1][near])
+    near, spacing = grid.distance < NEAR_TOOL, grid.spacing
+    rings = ring_correlation(grid.points[near], spacing, scaled[-1][near])
     middle = sum(RINGS) / 2 * spacing
     shared = float(np.clip(rings[slice(*RINGS)].mean() / matern(np.array(middle / FAR)), 0.0, 0.5))
     own = float(np.clip((rings[1] - shared * matern(np.array(spacing / FAR))) / (1 - shared), 0.01, 0.99))

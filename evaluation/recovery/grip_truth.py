@@ -73,10 +73,9 @@ def _grip_against_truth(
     error = moved[used - onset - 1] - true
     visible = np.isfinite(error[-1]).all(axis=1)
     size = float(np.sqrt(np.square(error[-1, visible]).mean()))
-    places = points[visible], follower.distance[visible]
-    followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
+    grid = PointGrid(points[visible], follower.distance[visible], follower.hidden, SPACING)
+    followed = measure_following(grid, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    grid = PointGrid(*places, follower.hidden, SPACING)
     bound = grip_bound(grid, true[:, visible], followed, log_anchor)
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])

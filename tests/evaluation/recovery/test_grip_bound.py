@@ -113,14 +113,15 @@ def test_drawn_errors_are_measured() -> None:
     generator, times = np.random.default_rng(2), np.linalg.cholesky(true.in_time)
     errors = np.einsum("nm,ts,sma->tna", places, times, generator.normal(size=(2, len(points), 2)), optimize=True)
     errors[0, :10] = np.nan
-    found = measure_following(points, np.zeros(len(points)), SPACING, 1.7 * sizes, errors)
+    grid = PointGrid(points, np.zeros(len(points)), np.empty((0, 2)), SPACING)
+    found = measure_following(grid, 1.7 * sizes, errors)
     # As far as errors of points are correlated, so many fewer count.
     np.testing.assert_allclose(found.sizes, sizes, rtol=0.15)
     assert 0.05 < found.shared < 0.2
     np.testing.assert_allclose(found.in_time, true.in_time, atol=0.15)
     even = Following(np.ones(len(points)), TRACKED.reach, TRACKED.shared, TRACKED.in_time)
     shared = np.linalg.cholesky(even.covariance(points)) @ generator.normal(size=(len(points), 2))
-    again = measure_following(points, np.zeros(len(points)), SPACING, np.ones(len(points)), shared[None])
+    again = measure_following(grid, np.ones(len(points)), shared[None])
     assert abs(again.reach / TRACKED.reach - 1) < 0.2
 
 

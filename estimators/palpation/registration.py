@@ -130,12 +130,12 @@ def join_views(views: Sequence[View]) -> Joined:
         raise ValueError("a view without triangles, or no view at all; give surfaces that the sensor saw.")
     poses = [np.asarray(views[0].pose, np.float64)]
     for number, view in enumerate(views[1:], start=1):
-        poses.append(_laid(view, _together(views[:number], poses), view.pose))
+        poses.append(register(thinned(view.vertices), _together(views[:number], poses), view.pose, OVERLAP))
     for _ in range(TURNS if len(views) > 2 else 0):
         for number in range(1, len(views)):
             others = [index for index in range(len(views)) if index != number]
             rest = _together([views[index] for index in others], [poses[index] for index in others])
-            poses[number] = _laid(views[number], rest, poses[number], SURROUNDED)
+            poses[number] = register(thinned(views[number].vertices), rest, poses[number], SURROUNDED)
     whole = _oriented(views[0], poses[0])
     apart = []
     for number in range(1, len(views)):
@@ -151,10 +151,6 @@ def join_views(views: Sequence[View]) -> Joined:
     off = np.concatenate(apart) if apart else np.zeros(0)
     rms = float(np.sqrt(np.mean(np.square(off)))) if len(off) else 0.0
     return Joined(whole[0][used], which.reshape(-1, 3), poses, rms)
-
-
-def _laid(view: View, surface: Triangles, pose: np.ndarray, kept: float = OVERLAP) -> np.ndarray:
-    return register(thinned(view.vertices), surface, pose, kept)
 
 
 def _oriented(view: View, pose: np.ndarray) -> Triangles:

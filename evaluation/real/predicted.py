@@ -150,10 +150,8 @@ def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
     springs = lattice_springs(follow.points[visible].astype(int), follow.spacing)
     gripped, count = frame.gripped[visible], int(visible.sum())
     found = np.full(frame.moved.shape, np.nan)
-    anchor = np.full(count, ratio)
-    found[visible] = equilibrium(
-        springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped]
-    ).displacement
+    alike = np.ones(len(springs)), np.full(count, ratio)
+    found[visible] = equilibrium(springs, *alike, gripped, frame.moved[frame.gripped]).displacement
     return found
 
 

@@ -21,12 +21,11 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import dataclasses
 import functools
 import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -221,7 +220,7 @@ class PlainVideo(Measurements):
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
-        drawn = {**dataclasses.asdict(self.settings), "seed": self.seed}
+        drawn = {**asdict(self.settings), "seed": self.seed}
         if self.observation is not None:
             drawn["observation"] = self.observation
         if self.estimator == "network":

@@ -1,8 +1,7 @@
 """A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -179,6 +178,6 @@ def half_as_stiff(rest: Equilibrium) -> Equilibrium:
         NoEquilibrium: it can't bear them.
     """
     energy = rest.energy
-    softer = dataclasses.replace(energy.material, young=energy.material.young / 2)
+    softer = replace(energy.material, young=energy.material.young / 2)
     start = 2 * rest.displacement
     return find_equilibrium(energy.solid, softer, rest.held, forces=energy.forces, start=start, near=rest.solver)

@@ -22,7 +22,7 @@ from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.lit_sheet import LitSheet, Shown
-from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.motion import Kind, PressMotion
 from palpate.physics.likelihood import LeastSquares, Linearised
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
@@ -90,12 +90,7 @@ class BrightnessProblem(LeastSquares):
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float,
-        tilt: np.ndarray,
-        kind: type[PressMotion] = PressMotion,
+        self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
     ) -> None:
         if contact.brightness is None or not len(contact.brightness.times):
             raise ValueError("the contact has no brightness sequence; gather it with frames that have light.")

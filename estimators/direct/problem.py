@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import PressMotion, between_steps
+from palpate.estimators.direct.motion import Kind, PressMotion, between_steps
 from palpate.physics.identifiability import fisher_information
 from palpate.physics.likelihood import LeastSquares, Likelihood, Linearised
 from palpate.physics.mechanics import Mechanics
@@ -45,12 +45,7 @@ class ContactProblem(Likelihood):
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        noise: float,
-        within: float = 0.0,
-        kind: type[PressMotion] = PressMotion,
+        self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0, kind: Kind = PressMotion
     ) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
         super().__init__(contact.mesh, contact.load, observation, mechanics)
@@ -194,9 +189,8 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
     places = np.array([optimum.logs for optimum in optima])
     mean = shares @ places
     apart = np.einsum("o,op,oq->pq", shares, places - mean, places - mean)
-    within = sum(
-        share * np.linalg.inv(optimum.information + prior) for share, optimum in zip(shares, optima, strict=True)
-    )
+    shared = zip(shares, optima, strict=True)
+    within = sum(share * np.linalg.inv(optimum.information + prior) for share, optimum in shared)
     return mean, within + apart, optima[int(np.argmax(shares))]
 
 

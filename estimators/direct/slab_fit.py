@@ -33,7 +33,7 @@ from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody
-from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.fem.slab import CELLS, Slab, slab_beneath
 from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import theta_of
 
@@ -70,7 +70,7 @@ def fit_slab(
     """
     try:
         under = contact.mesh, contact.vertex, contact.direction, thickness
-        slab = slab_beneath(*under)
+        slab = slab_beneath(*under, CELLS)
         fine, finer = (slab_beneath(*under, cells, order=2) for cells in (FINE, FINER))
     except NoBody as error:
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error

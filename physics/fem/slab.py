@@ -196,13 +196,7 @@ def _outside(halves: np.ndarray, cells: Cells) -> np.ndarray:
 
 
 def slab_beneath(
-    mesh: Mesh,
-    vertex: int,
-    normal: np.ndarray,
-    thickness: float,
-    cells: Cells = CELLS,
-    attached: bool = True,
-    order: int = 1,
+    mesh: Mesh, vertex: int, normal: np.ndarray, thickness: float, cells: Cells, attached: bool = True, order: int = 1
 ) -> Slab:
     """The slab under a surface around a vertex.
 

@@ -143,18 +143,12 @@ class Benchmark(Experiment):
     def estimators(self) -> dict[str, EstimatorOptions]:
         """What is compared but the constant, by name, in the order of tables."""
         models = {"network": self.model, "gan": self.gan_model, DIRECT: Path(self.direct_model)}
-        return {
-            name: EstimatorOptions(
-                name,
-                model=models[name],
-                onset=None if name == "gan" else self.onset,
-                observation=None if name == "gan" else self.observation,
-                horizon=self.seen,
-                threads=1,
-            )
-            for name in NAMES
-            if name in self.estimator and name != CONSTANT
-        }
+        found = {}
+        for name in NAMES:
+            if name in self.estimator and name != CONSTANT:
+                contact = (None, None) if name == "gan" else (self.onset, self.observation)
+                found[name] = EstimatorOptions(name, models[name], *contact, horizon=self.seen, threads=1)
+        return found
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""

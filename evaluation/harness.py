@@ -386,12 +386,8 @@ class FileMeasurements(Measurements):
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Files that can be measured."""
         below = all_below(self.data) if self.data.is_dir() else []
-        found = {path: self.measure(path) for path in below}
-        return {
-            path.relative_to(self.data).as_posix(): functools.partial(work, path)
-            for path, work in found.items()
-            if work is not None
-        }
+        found = [(path, self.measure(path)) for path in below]
+        return {path.relative_to(self.data).as_posix(): functools.partial(work, path) for path, work in found if work}
 
     def record(self) -> Mapping[str, Any]:
         """When every file was changed last."""

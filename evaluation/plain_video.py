@@ -106,10 +106,8 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
         pulls = [run.grip for run in runs if run.grip is not None]
         best = max(pulls, key=lambda grip: grip.skill, default=None)
         verdicts = [run.verdict for run in runs if run.verdict not in ("", "undetermined")]
-        return row | {
-            "verdict": ";".join(verdicts) or "undetermined",
-            "skill": math.nan if best is None else best.skill,
-        }
+        skill = math.nan if best is None else best.skill
+        return row | {"verdict": ";".join(verdicts) or "undetermined", "skill": skill}
     row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     if not right:
@@ -245,9 +243,8 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        errors, sds, bounds = (
-            np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ("error", "sd", "bound")
-        )
+        ends = "error", "sd", "bound"
+        errors, sds, bounds = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}

@@ -92,9 +92,8 @@ class _Surroundings:
         near = (apart.abs() <= CARRIED_RADIUS).all(dim=1)
         found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
         most = max(len(vertices) for vertices in found)
-        self.watched = torch.stack(
-            [torch.cat([own, contact.expand(most - len(own))]) for own, contact in zip(found, contacts, strict=True)]
-        )
+        both = zip(found, contacts, strict=True)
+        self.watched = torch.stack([torch.cat([own, contact.expand(most - len(own))]) for own, contact in both])
         """Vertices near the contacts, numbered within their own mesh, shape [B, M]; padded by repeating the contact."""
         joined = self.watched + starts[:, None]
         vertices = mesh.vertices.to(like)

@@ -232,9 +232,8 @@ class PhysicsInformedGAN(LightningModule):
         if weights.physics:
             physics = self._physics(ab, ba, batch)
         if weights.regularisation:
-            regularisation = losses.regularisation_loss(ab.theta, self.bounds) + losses.regularisation_loss(
-                ba.theta, self.bounds
-            )
+            outside_ab, outside_ba = (losses.regularisation_loss(one.theta, self.bounds) for one in (ab, ba))
+            regularisation = outside_ab + outside_ba
         return LossTerms(gan, cycle, identity, physics, regularisation), fakes, ab.theta
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:

@@ -367,10 +367,8 @@ def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: flo
     uneven = (errors.foundation_uneven, errors.force_uneven) if wider > errors.sheet_together else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
-    less, here, more = (
-        [problem.profile(design, frame) for frame in seen]
-        for design in (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
-    )
+    designs = (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
+    less, here, more = ([problem.profile(design, frame) for frame in seen] for design in designs)
     (shorter, ratios_less, _), (length, along, _), (longer, ratios_more, _) = (
         along_last(np.array([item.force for item in found])) for found in (less, here, more)
     )

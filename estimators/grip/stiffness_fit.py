@@ -68,10 +68,8 @@ class StiffnessField:
     @property
     def knots(self) -> np.ndarray:
         """Places of the knots, shape [K, 2] [px]."""
-        sides = [
-            np.linspace(start, start + far, count)
-            for start, far, count in zip(self.low, self.extent, self.shape, strict=True)
-        ]
+        axes = zip(self.low, self.extent, self.shape, strict=True)
+        sides = [np.linspace(start, start + far, count) for start, far, count in axes]
         return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -168,10 +168,8 @@ class Determined:
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
         likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
-        distance, shape = (
-            np.concatenate([best[None], field[None], field * factor])
-            for best, field, factor in zip(likeliest, fields[:2], factors, strict=True)
-        )
+        kinds = zip(likeliest, fields[:2], factors, strict=True)
+        distance, shape = (np.concatenate([best[None], field[None], field * factor]) for best, field, factor in kinds)
         fewer = len(distance)
         carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
         for other, state in zip(self._others, self._carried[fewer:], strict=True):

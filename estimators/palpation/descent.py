@@ -102,9 +102,8 @@ class _Found(NamedTuple):
 
     def upright(self, skin: Skin) -> bool:
         """Whether the bodies rest, without an element inside out."""
-        return bool(self.rests) and all(
-            np.linalg.det(skin.body.deformation(rest.displacement)).min() > 0 for rest in self.rests
-        )
+        volumes = (np.linalg.det(skin.body.deformation(rest.displacement)) for rest in self.rests)
+        return bool(self.rests) and all(volume.min() > 0 for volume in volumes)
 
 
 class _Error:

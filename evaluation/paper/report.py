@@ -138,11 +138,9 @@ def statistics_table(found: Evaluation) -> pd.DataFrame:
     regimes = [(name, "", statistics) for name, statistics in found.summaries.items()]
     regimes += [("predicted θ", name, statistics) for name, statistics in found.comparisons.items()]
     return pd.DataFrame(
-        [
-            {"regime": regime, "compared_with": baseline, "quantity": quantity, **statistic._asdict()}
-            for regime, baseline, statistics in regimes
-            for quantity, statistic in statistics.items()
-        ]
+        {"regime": regime, "compared_with": baseline, "quantity": quantity, **statistic._asdict()}
+        for regime, baseline, statistics in regimes
+        for quantity, statistic in statistics.items()
     )
 
 

@@ -81,9 +81,8 @@ def window_radii(
     horizon = int(exact.max()) + 1 if reach == ALONE else steps
     step = np.arange(steps)
     elapsed, left = np.minimum(step, horizon), np.minimum(steps - step, horizon)
-    used, checked = (
-        np.minimum(reach.narrowed(far[elapsed], far[left]), exact) for far in _decay(wider, slower, mechanics, horizon)
-    )
+    reaches = _decay(wider, slower, mechanics, horizon)
+    used, checked = (np.minimum(reach.narrowed(far[elapsed], far[left]), exact) for far in reaches)
     return used, checked
 
 

@@ -33,7 +33,7 @@ from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody
-from palpate.physics.fem.slab import CELLS, Slab, slab_beneath
+from palpate.physics.fem.slab import CELLS, Place, Slab, slab_beneath
 from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import theta_of
 
@@ -76,7 +76,7 @@ def fit_slab(
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error
 
     def problem_of(
-        place: tuple[float, float], relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
+        place: Place, relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
     ) -> SlabProblem:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             pixels = contact.mesh.pixels[vertices]
@@ -191,9 +191,7 @@ def slab_start(problem: SlabProblem) -> np.ndarray:
     return best
 
 
-def find_tip(
-    problem_of: Callable[[tuple[float, float]], SlabProblem], place: tuple[float, float]
-) -> tuple[float, float]:
+def find_tip(problem_of: Callable[[Place], SlabProblem], place: Place) -> Place:
     """Column and row of the tip's middle that explain a depth-change sequence better, from small motions [grid px].
 
     Args:
@@ -331,9 +329,11 @@ class Firm(NamedTuple):
     """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
 
-def firm_regions(
-    problem: SlabProblem, logs: np.ndarray, thickness: float, scale: float
-) -> list[tuple[FirmRegion, np.ndarray]]:
+Regional = tuple[FirmRegion, np.ndarray]
+"""A region, and the parameters where a fit with it begins [D]."""
+
+
+def firm_regions(problem: SlabProblem, logs: np.ndarray, thickness: float, scale: float) -> list[Regional]:
     """Regions beneath that may be firm, likeliest first to first order, and where the fit of each may begin [D].
 
     Args:
@@ -373,7 +373,7 @@ def firm_regions(
 def with_firm_regions(
     plain: SlabProblem,
     logs: np.ndarray,
-    regions: list[tuple[FirmRegion, np.ndarray]],
+    regions: list[Regional],
     problem_of: Callable[[FirmRegion], SlabProblem],
     scale: float,
 ) -> list[Firm]:

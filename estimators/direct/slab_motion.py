@@ -21,7 +21,7 @@ from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
 from palpate.physics.fem.dynamics import Direction
 from palpate.physics.fem.modes import Modes
-from palpate.physics.fem.slab import Slab
+from palpate.physics.fem.slab import Place, Slab
 from palpate.physics.fem.solid import Solid
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Bounds, theta_of
@@ -102,7 +102,7 @@ class SlabMotion(DelayedMotion):
         within: float = 0.0,
         relaxing: bool = False,
         fine: Slab | None = None,
-        place: tuple[float, float] | None = None,
+        place: Place | None = None,
         region: FirmRegion | None = None,
     ) -> None:
         super().__init__(contact, times, within)

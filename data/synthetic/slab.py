@@ -120,16 +120,16 @@ def draw_slab(scene: Scene, generator: Generator) -> PressedSlab | GrippedSlab:
 
 def _build(scene: Scene, tissue: SlabTissue) -> Slab:
     """The slab under the surface around the contact, its sides along the contact's normal."""
-    row, column = scene.mesh.pixels[scene.vertex].astype(np.float64)
+    row, column = scene.mesh.pixels[scene.vertex].astype(float).tolist()
     wide, camera = HALF_WIDTH * scene.settings.grid_width, scene.grid_camera
-    pixels, below, held = crowded(CELLS, np.array([column, row]), wide, tissue.thickness)
+    pixels, below, held = crowded(CELLS, (column, row), wide, tissue.thickness)
     x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
     depth = scene.sheet.depth(x, y)
     nodes = np.stack([x * depth, y * depth, depth], axis=1) - below[:, None] * scene.direction
     if scene.settings.action == "press":  # outside its outline the organ is attached
         held |= scene.outline.level(*pixels.T) <= 0
     try:
-        return layered(nodes, held, CELLS, pixels, (float(column), float(row)), order=2)
+        return layered(nodes, held, CELLS, pixels, (column, row), order=2)
     except ValueError as error:
         remedy = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
         raise SceneError(f"Below this surface a slab folds ({error}); {remedy}.") from error

@@ -133,9 +133,7 @@ def _quadratic(odd: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np
     return across, below, np.stack([*corners, 4 * none * one, 4 * none * two, 4 * one * two])
 
 
-def crowded(
-    cells: Cells, place: np.ndarray, wide: float, thickness: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def crowded(cells: Cells, place: Place, wide: float, thickness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners of a slab whose cells crowd at a place, in the order of `physics.fem.meshing.box`.
 
     Args:
@@ -148,7 +146,7 @@ def crowded(
         Columns and rows [K, 2], how deep they lie below the surface [K], and which are at a side or the bottom [K].
     """
     shares, _ = box((1.0, 1.0, 1.0), cells)
-    pixels = place + wide * np.sinh(CROWDED * (2 * shares[:, :2] - 1)) / math.sinh(CROWDED)
+    pixels = np.add(place, wide * np.sinh(CROWDED * (2 * shares[:, :2] - 1)) / math.sinh(CROWDED))
     below = thickness * (GROWTH ** np.rint(shares[:, 2] * cells[2]) - 1) / (GROWTH ** cells[2] - 1)
     return pixels, below, (shares == 1).any(axis=1) | (shares[:, :2] == 0).any(axis=1)
 
@@ -217,7 +215,7 @@ def slab_beneath(
     middle = mesh.pixels[vertex].astype(np.float64)
     row, column = middle
     wide = WIDE * mesh.grid_shape[1]
-    across, below, held = crowded(cells, middle[::-1], wide, thickness)
+    across, below, held = crowded(cells, (column, row), wide, thickness)
     pixels = across[:, ::-1]
     depth, outside = _depth(mesh, pixels, middle, wide, DEGREE if attached else LOOSE_DEGREE)
     surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -73,6 +74,12 @@ def real_number(wanted: str, least: float) -> Callable[[str], float]:
         return value
 
     return real
+
+
+def size_of(text: str) -> tuple[int, int] | None:
+    """Width and height of a text such as 854x480; None where it is no size."""
+    found = re.fullmatch("([0-9]+)x([0-9]+)", text)
+    return None if found is None else (int(found[1]), int(found[2]))
 
 
 def say(console: Console, sentence: str, style: str = "") -> None:

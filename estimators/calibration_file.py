@@ -177,14 +177,16 @@ class Physical:
         return None if self.covariance is None else np.sqrt(np.maximum(np.diag(self.covariance), 0))
 
 
-def scale_by_force(
-    runs: Sequence[PressedRun], forces: Sequence[tuple[int, float, float]], homogeneous: str, source: str
-) -> ForceScale:
+KnownPress = tuple[int, float, float]
+"""First frame of a run, its force [N] and the standard deviation of the force's logarithm."""
+
+
+def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], homogeneous: str, source: str) -> ForceScale:
     """Scale from forces that are known in some runs.
 
     Args:
         runs: the runs of a clip.
-        forces: first frame of a run, its force [N] and the standard deviation of the force's logarithm.
+        forces: those that are known.
         homogeneous: the property that contacts share, MASS or STIFFNESS.
         source: where the forces come from, in words.
 
@@ -217,9 +219,7 @@ def scale_by_force(
     return ForceScale(log, variance, homogeneous, source, weights)
 
 
-def measured_presses(
-    runs: Sequence[PressedRun], measured: KnownForce, known: tuple[float, float]
-) -> list[tuple[int, float, float]]:
+def measured_presses(runs: Sequence[PressedRun], measured: KnownForce, known: tuple[float, float]) -> list[KnownPress]:
     """Forces of the runs that were measured within some seconds, as `scale_by_force` takes them.
 
     The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.

@@ -21,7 +21,6 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import itertools
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from typing import Any, ClassVar, Literal
 
 from rich.progress import Progress
 
+from palpate.common.command_line import size_of
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import CONTACT
@@ -137,25 +137,18 @@ class Benchmark(Experiment):
     @property
     def pixels(self) -> tuple[int, int]:
         """Width and height of the pictures; 0 for what is no size."""
-        found = re.fullmatch(r"([0-9]+)x([0-9]+)", self.size, re.ASCII)
-        return (int(found[1]), int(found[2])) if found else (0, 0)
+        return size_of(self.size) or (0, 0)
 
     @property
     def estimators(self) -> dict[str, EstimatorOptions]:
         """What is compared but the constant, by name, in the order of tables."""
         models = {"network": self.model, "gan": self.gan_model, DIRECT: Path(self.direct_model)}
-        return {
-            name: EstimatorOptions(
-                name,
-                model=models[name],
-                onset=None if name == "gan" else self.onset,
-                observation=None if name == "gan" else self.observation,
-                horizon=self.seen,
-                threads=1,
-            )
-            for name in NAMES
-            if name in self.estimator and name != CONSTANT
-        }
+        found = {}
+        for name in NAMES:
+            if name in self.estimator and name != CONSTANT:
+                contact = (None, None) if name == "gan" else (self.onset, self.observation)
+                found[name] = EstimatorOptions(name, models[name], *contact, horizon=self.seen, threads=1)
+        return found
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""

@@ -161,23 +161,21 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     return status or int(report.failed)
 
 
-def run_named(
-    kinds: Mapping[str, tuple[type[Experiment], str | None]],
-    arguments: Sequence[str] | None,
-    program: str,
-    documentation: str | None,
-) -> int:
-    """Run the one of several experiments that the first argument names, each given with its text for `--help`.
+Study = tuple[type[Experiment], str | None]
+"""An experiment with its text for `--help`."""
+
+
+def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, text: str | None) -> int:
+    """Run the one of several experiments that the first argument names.
 
     Returns:
         Exit status, as of `run`.
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
     if name not in kinds:
-        print(documentation if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
+        print(text if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
         return 0 if name == "--help" else 2
-    kind, text = kinds[name]
-    return run(kind, rest, f"{program} {name}", text)
+    return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 
 class Store:
@@ -388,12 +386,8 @@ class FileMeasurements(Measurements):
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Files that can be measured."""
         below = all_below(self.data) if self.data.is_dir() else []
-        found = {path: self.measure(path) for path in below}
-        return {
-            path.relative_to(self.data).as_posix(): functools.partial(work, path)
-            for path, work in found.items()
-            if work is not None
-        }
+        found = [(path, self.measure(path)) for path in below]
+        return {path.relative_to(self.data).as_posix(): functools.partial(work, path) for path, work in found if work}
 
     def record(self) -> Mapping[str, Any]:
         """When every file was changed last."""

@@ -107,9 +107,8 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
         true, course, deviation = row["curve"][:, :-1]
         size = float(np.square(course).mean())
         stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
-        found.setdefault("pull_course", []).append(
-            (math.sqrt(float(np.square(course - true).mean()) / size), max(stated, 0.0))
-        )
+        error = math.sqrt(float(np.square(course - true).mean()) / size)
+        found.setdefault("pull_course", []).append((error, max(stated, 0.0)))
     return found
 
 

@@ -21,12 +21,11 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import dataclasses
 import functools
 import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -83,9 +82,7 @@ QUALITY = {"matte": 18, "endoscope": 23}
 DIRECT = EstimatorOptions("direct")
 
 
-def measured_video(
-    settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, *, given: bool = False
-) -> Row:
+def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, given: bool = False) -> Row:
     """Measures of one drawn clip by an estimator: of its video alone, or with depth and masks given."""
     estimator = open_by_options(options)
     scene, truth = draw_truth(settings, seed)
@@ -110,10 +107,8 @@ def measured_video(
         pulls = [run.grip for run in runs if run.grip is not None]
         best = max(pulls, key=lambda grip: grip.skill, default=None)
         verdicts = [run.verdict for run in runs if run.verdict not in ("", "undetermined")]
-        return row | {
-            "verdict": ";".join(verdicts) or "undetermined",
-            "skill": math.nan if best is None else best.skill,
-        }
+        skill = math.nan if best is None else best.skill
+        return row | {"verdict": ";".join(verdicts) or "undetermined", "skill": skill}
     row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     if not right:
@@ -229,7 +224,7 @@ class PlainVideo(Measurements):
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
-        drawn = {**dataclasses.asdict(self.settings), "seed": self.seed}
+        drawn = {**asdict(self.settings), "seed": self.seed}
         if self.observation is not None:
             drawn["observation"] = self.observation
         if self.rate == FAST:
@@ -256,9 +251,8 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        errors, sds, bounds = (
-            np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ("error", "sd", "bound")
-        )
+        ends = "error", "sd", "bound"
+        errors, sds, bounds = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}

@@ -29,13 +29,6 @@ MIN_TISSUE_SHARE = 0.999
 """The slope at rest counts where at least this share of the interpolated pixels is tissue."""
 
 
-def carried(
-    depth: Tensor, theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics
-) -> Tensor:
-    """Depth maps [B, 1, H, W] at other times, if only the press with θ moves the tissue: `shifted` by `change`."""
-    return shifted(depth, change(theta.to(depth), mesh, load, course, mechanics))
-
-
 def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
     """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
@@ -99,9 +92,8 @@ class _Surroundings:
         near = (apart.abs() <= CARRIED_RADIUS).all(dim=1)
         found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
         most = max(len(vertices) for vertices in found)
-        self.watched = torch.stack(
-            [torch.cat([own, contact.expand(most - len(own))]) for own, contact in zip(found, contacts, strict=True)]
-        )
+        both = zip(found, contacts, strict=True)
+        self.watched = torch.stack([torch.cat([own, contact.expand(most - len(own))]) for own, contact in both])
         """Vertices near the contacts, numbered within their own mesh, shape [B, M]; padded by repeating the contact."""
         joined = self.watched + starts[:, None]
         vertices = mesh.vertices.to(like)

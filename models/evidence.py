@@ -42,21 +42,14 @@ def negative_evidence(
         Scalar, the linearised bound in nats without the likelihood's constant.
     """
     misfit, gradient, information = (values.to(mean) for values in (misfit, gradient, information))
-    surrogate = preconditioned(mean, factor, gradient, information, lower, upper)
+    surrogate = preconditioned(mean, factor, gradient, information, lower, upper, whiten=True)
     prior, away = _prior(mean, lower, upper)
     bound = (misfit + _divergence(factor.detach(), away, information + prior, prior)).mean()
     return surrogate + (bound - surrogate).detach()
 
 
 def preconditioned(
-    mean: Tensor,
-    factor: Tensor,
-    gradient: Tensor,
-    information: Tensor,
-    lower: Tensor,
-    upper: Tensor,
-    *,
-    whiten: bool = True,
+    mean: Tensor, factor: Tensor, gradient: Tensor, information: Tensor, lower: Tensor, upper: Tensor, whiten: bool
 ) -> Tensor:
     """`evidence_loss` with the prior added and every mean's gradient H·move replaced by √H·move, of a limited length.
 

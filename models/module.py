@@ -16,23 +16,13 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 
 from palpate.common.settings import require_numbers
+from palpate.models import losses
 from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
 from palpate.models.evidence import bound_loss
 from palpate.models.generator import Generator, HeadOutput
-from palpate.models.losses import (
-    LossTerms,
-    LossWeights,
-    cycle_loss,
-    discriminator_loss,
-    generator_adversarial_loss,
-    identity_loss,
-    null_parameters,
-    physics_loss,
-    posterior_physics_loss,
-    regularisation_loss,
-)
+from palpate.models.losses import LossTerms, LossWeights
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
@@ -224,8 +214,8 @@ class PhysicsInformedGAN(LightningModule):
             fake_a = self.generator_ba.decode(features_b, ba.theta, shifted(real_b, change_b))
             if weights.gan:
                 fakes = fake_a, fake_b
-                gan = generator_adversarial_loss(self.discriminator_b(fake_b))
-                gan = gan + generator_adversarial_loss(self.discriminator_a(fake_a))
+                gan = losses.generator_adversarial_loss(self.discriminator_b(fake_b))
+                gan = gan + losses.generator_adversarial_loss(self.discriminator_a(fake_a))
             if weights.cycle:
                 # The fake takes the current frame's place among the *real* earlier frames of the other direction's
                 # window. The own window with the fake appended would show the cycle's target to the network that must
@@ -233,16 +223,17 @@ class PhysicsInformedGAN(LightningModule):
                 start_b, start_a = shifted(fake_b, change_b), shifted(fake_a, change_a)
                 cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta, start_b)
                 cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
-                cycle = cycle_loss(cycled_a, real_a, cycled_b, real_b)
+                cycle = losses.cycle_loss(cycled_a, real_a, cycled_b, real_b)
         if weights.identity:
             # Without a force the simulator leaves every map as it is.
-            unchanged_a = self.generator_ab.decode(features_a, null_parameters(ab.theta), real_a)
-            unchanged_b = self.generator_ba.decode(features_b, null_parameters(ba.theta), real_b)
-            identity = identity_loss(unchanged_a, real_a) + identity_loss(unchanged_b, real_b)
+            unchanged_a = self.generator_ab.decode(features_a, losses.null_parameters(ab.theta), real_a)
+            unchanged_b = self.generator_ba.decode(features_b, losses.null_parameters(ba.theta), real_b)
+            identity = losses.identity_loss(unchanged_a, real_a) + losses.identity_loss(unchanged_b, real_b)
         if weights.physics:
             physics = self._physics(ab, ba, batch)
         if weights.regularisation:
-            regularisation = regularisation_loss(ab.theta, self.bounds) + regularisation_loss(ba.theta, self.bounds)
+            outside_ab, outside_ba = (losses.regularisation_loss(one.theta, self.bounds) for one in (ab, ba))
+            regularisation = outside_ab + outside_ba
         return LossTerms(gan, cycle, identity, physics, regularisation), fakes, ab.theta
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
@@ -254,13 +245,13 @@ class PhysicsInformedGAN(LightningModule):
         self._step(optimizer_g, terms.total(self.weights), batch)
         self.untoggle_optimizer(optimizer_g)
 
-        losses = terms.items()
+        values = terms.items()
         pairs = len(theta)
-        self.log_dict(losses, prog_bar=True, logger=False, batch_size=pairs)
+        self.log_dict(values, prog_bar=True, logger=False, batch_size=pairs)
         for side, optimizer, fake in zip("ab", judging, fakes or (), strict=False):
-            losses[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
+            values[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
         self._theta["train"].append(theta.detach())
-        averages = {f"train/{name}": value for name, value in losses.items()}
+        averages = {f"train/{name}": value for name, value in values.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
 
     def validation_step(self, batch: dict[str, Any], batch_index: int) -> None:
@@ -362,11 +353,11 @@ class PhysicsInformedGAN(LightningModule):
         mesh = batch[f"mesh_{side}"]
         if output.mean is None or output.factor is None:
             load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return physics_loss(output.theta, mesh, load, observation, self.mechanics)
+            return losses.physics_loss(output.theta, mesh, load, observation, self.mechanics)
         noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
         posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
         box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
-        evidence, information = posterior_physics_loss(output.mean, output.factor, *what, box, dent)
+        evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
@@ -377,7 +368,7 @@ class PhysicsInformedGAN(LightningModule):
         """Train the discriminator of a side by one step and return its loss, detached."""
         discriminator, real = getattr(self, f"discriminator_{side}"), batch[f"window_{side}"][:, -1:]
         self.toggle_optimizer(optimizer)
-        loss = discriminator_loss(discriminator(real), discriminator(fake.detach()))
+        loss = losses.discriminator_loss(discriminator(real), discriminator(fake.detach()))
         self._step(optimizer, loss, batch)
         self.untoggle_optimizer(optimizer)
         return loss.detach()

@@ -6,8 +6,7 @@ Source: Bini 2026, section 3.3 (a force at the contact vertex, released after th
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,7 +88,7 @@ class Press:
 
     def until(self, steps: int) -> Press:
         """The same over its first steps."""
-        return dataclasses.replace(self, factor=self.factor[:steps])
+        return replace(self, factor=self.factor[:steps])
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,7 @@ class Grip:
 
     def until(self, steps: int) -> Grip:
         """The same over its first steps."""
-        return dataclasses.replace(self, displacement=self.displacement[:steps])
+        return replace(self, displacement=self.displacement[:steps])
 
 
 Load = Press | Grip

@@ -3,9 +3,8 @@
 Sources: Bini 2026, section 3.3, equation 9 and table 1 (constants), section 3.4.1 (admissible box).
 """
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -76,9 +75,7 @@ class Mechanics:
         scale = self.time_step / step
         if abs(scale - 1) < 1e-9:
             return self
-        return dataclasses.replace(
-            self, time_step=step, steps=round(self.steps * scale), load_steps=round(self.load_steps * scale)
-        )
+        return replace(self, time_step=step, steps=round(self.steps * scale), load_steps=round(self.load_steps * scale))
 
     @property
     def seconds(self) -> float:

@@ -35,12 +35,7 @@ class Mesh:
 
 
 def grid_mesh(
-    points: np.ndarray,
-    valid: np.ndarray,
-    *,
-    occluder: np.ndarray | None = None,
-    max_edge: float = 0.05,
-    keep: float = 1.0,
+    points: np.ndarray, valid: np.ndarray, occluder: np.ndarray | None = None, max_edge: float = 0.05, keep: float = 1.0
 ) -> Mesh:
     """Triangulate the valid pixels of a back-projected depth grid (Bini 2026, section 3.2.2).
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,11 +62,9 @@ class Observation:
         noise = self.noise
         if np.ndim(noise) >= 2 and np.shape(noise)[-2] == len(self.times):
             noise = noise[..., instants, :]
-        return dataclasses.replace(
-            self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise
-        )
+        return replace(self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise)
 
     def moved(self, displacement: np.ndarray, noise: float) -> Observation:
         """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""
         displacement = np.asarray(displacement, np.float32).reshape(self.displacement.shape)
-        return dataclasses.replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))
+        return replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,16 +58,12 @@ def force_along(presses: Sequence[Pressed], way: float) -> tuple[np.ndarray, np.
     return gone, force
 
 
-def draw_plan(
-    scene: PlanScene, plan: Plan, direct: Plan, presses: Sequence[Pressed], direct_presses: Sequence[Pressed]
-) -> Figure:
+def draw_plan(scene: PlanScene, ways: Mapping[str, tuple[Plan, Sequence[Pressed]]]) -> Figure:
     """A figure: the plane with both ways and the tissue pushed aside along the plan's, and the forces along both.
 
     Args:
         scene: as read.
-        plan: what was found.
-        direct: the shortest way.
-        presses, direct_presses: of either.
+        ways: what was found, planned, and the shortest, with the presses of either.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Polygon
@@ -78,16 +74,15 @@ def draw_plan(
     for piece, colour in [(piece, "mistyrose") for _, piece in scene.tissue] + [(p, "0.4") for p in scene.obstacles]:
         outline = MILLI * piece.outside_frame(corners * piece.half)
         axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="indianred"))
+    plan, presses = ways["planned"]
     for each in presses:
         moved = each.curve.skin.vertices + each.curve.displacement
         # Only what lies around the plane shows in it.
         near = np.abs(each.curve.skin.vertices[:, 2] - each.height) < 0.0015
         place = MILLI * each.piece.outside_frame(moved[near, :2])
         axes.scatter(*place.T, s=4, color="firebrick", label=f"{each.kind} pushed aside")
-    for name, found, felt, style in (
-        ("planned", plan, presses, {"color": "navy", "marker": "o", "markersize": 3}),
-        ("shortest", direct, direct_presses, {"color": "0.3", "linestyle": "--"}),
-    ):
+    styles = {"color": "navy", "marker": "o", "markersize": 3}, {"color": "0.3", "linestyle": "--"}
+    for (name, (found, felt)), style in zip(ways.items(), styles, strict=True):
         axes.plot(*(MILLI * found.places.T), label=f"{name}: cost {found.cost:.1f}", **style)
         gone, force = force_along(felt, found.way / MILLI)
         peak = f"up to {force.max():.2f} N" if felt else "touches nothing, 0 N"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from palpate.common.command_line import progress_bars, say
+from palpate.common.command_line import progress_bars, say, size_of
 from palpate.common.options import add_options, filled, require_within
 from palpate.common.output import ForeignFile
 from palpate.common.settings import LARGEST
@@ -58,12 +58,10 @@ def picture_size(text: str) -> tuple[int, int]:
     Raises:
         ValueError: neither.
     """
-    if text in SIZES:
-        return SIZES[text]
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
+    found = SIZES.get(text) or size_of(text.lower())
+    if found is None:
         raise ValueError(f"--size is '{text}'; give {', '.join(SIZES)} or WIDTHxHEIGHT such as 854x480")
-    return int(width), int(height)
+    return found
 
 
 def main(arguments: list[str] | None = None) -> int:

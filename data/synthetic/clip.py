@@ -1,12 +1,11 @@
 """Synthetic clips with known truth: drawn, observed with their errors, and written in CholecSeg8k's folder layout."""
 
-import dataclasses
 import json
 import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -184,5 +183,5 @@ def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
         recorded = json.loads(read_file(truth))
     except (OSError, ValueError, RecursionError):
         return False
-    wanted = json.loads(as_json(dataclasses.asdict(settings)))
+    wanted = json.loads(as_json(asdict(settings)))
     return isinstance(recorded, dict) and recorded.get("seed") == seed and recorded.get("settings") == wanted

@@ -181,9 +181,8 @@ class EndoscopeRenderer:
         wanted = math.log(TARGET / max(float(np.minimum(light * math.exp(gain), 1).mean()), 1e-6))
         gain += wanted if self._gain is None else STEP * round(FOLLOWED * wanted / STEP)
         self._gain = gain
-        exposed = cv2.GaussianBlur(
-            (light * math.exp(gain)).astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05
-        )
+        blur = 0.15 * self.scene.settings.cell[0] + 0.05
+        exposed = cv2.GaussianBlur((light * math.exp(gain)).astype(np.float32), (0, 0), blur)
         noise = self._noise.standard_normal(exposed.shape, dtype=np.float32)
         exposed = exposed + self.scene.settings.image_noise * np.sqrt(0.1 + np.clip(exposed, 0, 1)) * noise
         curve = np.power(np.clip(exposed, 0, 1), self._power)

@@ -10,13 +10,14 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.random import Generator
 
 from palpate.data.synthetic.grip import draw_course, draw_tip_path
 from palpate.data.synthetic.scene import Scene, SceneError, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion, draw_contact_frames, draw_shape, force_after, force_factor
-from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, box, find_equilibrium, simulate
-from palpate.physics.fem.slab import Slab, layered
+from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, find_equilibrium, simulate
+from palpate.physics.fem.slab import Slab, crowded, layered
 from palpate.physics.load import Grip, Load, Press
 
 LAW = "neo_hookean"
@@ -29,10 +30,6 @@ CELLS = (8, 8, 3)
 """Cells of quadratic elements along columns, rows and depth."""
 HALF_WIDTH = 72 / 214
 """Distance from the contact to the slab's sides, as a share of the picture's width."""
-CROWDING = 3.0
-"""Concentration of the cells around the contact: nodes lie at sinh(CROWDING s)/sinh(CROWDING), s even from -1 to 1."""
-GROWTH = 1.6
-"""Thickness of a layer, divided by that of the layer above it."""
 GRIP_RADIUS = 11.5
 """Radius of the tissue between the jaws, around the contact [grid px]."""
 BALL_RADIUS = (0.018, 0.03)
@@ -92,7 +89,7 @@ class GrippedSlab(SlabMotion):
     """Force that holds the gripped tissue, along the picture's axes, shape [F, 2]."""
 
 
-def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> SlabTissue:
+def draw_tissue(settings: SceneSettings, generator: Generator) -> SlabTissue:
     """Draw the material of a slab; ranges that begin above 0 are drawn log-uniformly, the others uniformly."""
 
     def drawn(value: float | tuple[float, float]) -> float:
@@ -104,7 +101,7 @@ def draw_tissue(settings: SceneSettings, generator: np.random.Generator) -> Slab
     return SlabTissue(**{name: drawn(getattr(settings, f"slab_{name}")) for name in names})
 
 
-def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | GrippedSlab:
+def draw_slab(scene: Scene, generator: Generator) -> PressedSlab | GrippedSlab:
     """Draw a slab and its load, and integrate.
 
     Raises:
@@ -123,31 +120,22 @@ def draw_slab(scene: Scene, generator: np.random.Generator) -> PressedSlab | Gri
 
 def _build(scene: Scene, tissue: SlabTissue) -> Slab:
     """The slab under the surface around the contact, its sides along the contact's normal."""
-    places, _ = box((1.0, 1.0, 1.0), CELLS)
-    row, column = scene.mesh.pixels[scene.vertex]
-    wide = HALF_WIDTH * scene.settings.grid_width
-    offset = [wide * np.sinh(CROWDING * (2 * share - 1)) / math.sinh(CROWDING) for share in places[:, :2].T]
-    pixel = np.stack([column + offset[0], row + offset[1]])
-    camera = scene.grid_camera
-    x, y = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy
+    row, column = scene.mesh.pixels[scene.vertex].astype(float).tolist()
+    wide, camera = HALF_WIDTH * scene.settings.grid_width, scene.grid_camera
+    pixels, below, held = crowded(CELLS, (column, row), wide, tissue.thickness)
+    x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
     depth = scene.sheet.depth(x, y)
-    layer = np.rint(places[:, 2] * CELLS[2])
-    below = tissue.thickness * (GROWTH**layer - 1) / (GROWTH ** CELLS[2] - 1)
     nodes = np.stack([x * depth, y * depth, depth], axis=1) - below[:, None] * scene.direction
-    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
-    held = side | (places[:, 2] == 1)
     if scene.settings.action == "press":  # outside its outline the organ is attached
-        held |= scene.outline.level(*pixel) <= 0
-    top = np.flatnonzero(places[:, 2] == 0).reshape(CELLS[0] + 1, CELLS[1] + 1)
-    grid = pixel[0, top[:, 0]], pixel[1, top[0]]
+        held |= scene.outline.level(*pixels.T) <= 0
     try:
-        return layered(nodes, held, CELLS, grid, (float(column), float(row)), order=2)
+        return layered(nodes, held, CELLS, pixels, (column, row), order=2)
     except ValueError as error:
         remedy = "choose a smaller scene.curvature, scene.relief or scene.slab_thickness"
         raise SceneError(f"Below this surface a slab folds ({error}); {remedy}.") from error
 
 
-def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: np.random.Generator) -> Material:
+def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: Generator) -> Material:
     """The slab's material; the settings may ask for a ball of other stiffness obliquely beneath the contact."""
     radius, angle = generator.uniform(*BALL_RADIUS), generator.uniform(0, 2 * np.pi)
     offset = generator.uniform(0.3, 1.2) * radius
@@ -187,9 +175,7 @@ def _follow(
     return {**known, "tissue": tissue}, found.reaction
 
 
-def _press(
-    scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
-) -> PressedSlab:
+def _press(scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: Generator) -> PressedSlab:
     """Press the slab with the force that would reach a drawn displacement if the slab were linear."""
     settings = scene.settings
     onset, release = draw_contact_frames(settings, generator)
@@ -213,9 +199,7 @@ def _press(
     return PressedSlab(**known, release_frame=release, force=force * force_after(shape, after, load))
 
 
-def _pull(
-    scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: np.random.Generator
-) -> GrippedSlab:
+def _pull(scene: Scene, body: Slab, material: Material, tissue: SlabTissue, generator: Generator) -> GrippedSlab:
     """Move the slab's gripped nodes along a drawn path."""
     settings = scene.settings
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)

@@ -40,9 +40,8 @@ class CameraTurning:
         turn, size = self.rotation(index), (self._camera.width, self._camera.height)
         warp = self._matrix @ turn @ np.linalg.inv(self._matrix)
         along = (depth * (self._rays @ turn[2])).astype(np.float32)
-        image, along = (
-            cv2.warpPerspective(part, warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-            for part in (image, along)
+        image, labels, along = (
+            cv2.warpPerspective(part, warp, size, flags=flags, borderMode=cv2.BORDER_REFLECT)
+            for part, flags in ((image, cv2.INTER_LINEAR), (labels, cv2.INTER_NEAREST), (along, cv2.INTER_LINEAR))
         )
-        labels = cv2.warpPerspective(labels, warp, size, flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REFLECT)
         return image, labels, along

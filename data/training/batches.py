@@ -97,19 +97,15 @@ def join_sequences(contacts: Sequence[Interaction]) -> DepthBatch:
     A contact without a sequence gives its own motion, as the middle pixel's. In a finer picture than the grid the
     middle pixels are left out: they are means of very different depths.
     """
-    parts = [_sequence_parts(contact) for contact in contacts]
-    views = [view for view, _, _ in parts]
-    steps, change = (
-        pad_sequence([torch.from_numpy(part) for part in column], batch_first=True)
-        for column in zip(*((steps, change) for _, steps, change in parts), strict=True)
-    )
+    views, *columns = zip(*map(_sequence_parts, contacts), strict=True)
+    steps, change = (pad_sequence([torch.from_numpy(part) for part in column], batch_first=True) for column in columns)
     most = max(len(view.vertices) for view in views)
     # The contact's vertex pads the list, since a far one would have to be simulated.
     vertices = [
         np.pad(view.vertices, (0, most - len(view.vertices)), constant_values=contact.vertex)
         for view, contact in zip(views, contacts, strict=True)
     ]
-    instants = torch.tensor([len(part) for _, part, _ in parts])[:, None] > torch.arange(steps.shape[1])
+    instants = torch.tensor([len(part) for part in columns[0]])[:, None] > torch.arange(steps.shape[1])
     weight = change.isfinite() & instants[..., None]
     return DepthBatch(
         views=views,

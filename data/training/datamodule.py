@@ -3,7 +3,6 @@
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,45 +17,17 @@ from torch.utils.data.distributed import DistributedSampler
 from palpate.common.settings import fits
 from palpate.data.cache import PreparedClip
 from palpate.data.contact.interaction import Interaction
-from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.data.training.batches import SampleDataset, collate, on_device
 from palpate.data.training.cholecseg8k import join_folders, list_clips
 from palpate.data.training.preparation import prepare_all
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
-from palpate.data.training.splits import FRACTIONS, SPLITS, NamedVideos, Place, split_samples
+from palpate.data.training.splits import SPLITS, LoadingSettings, Place, split_samples
 from palpate.physics.mechanics import Bounds, require_stable
 
 TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
 """Type of a record of where depth and masks came from, for `fits`."""
-LARGEST_BATCH = 2**16
-"""Largest number of samples of a batch."""
-
-
-@dataclass(frozen=True)
-class LoadingSettings:
-    """How samples are divided among the splits and joined into batches."""
-
-    batch_size: int = 2
-    """Number of samples in a batch of one process."""
-    num_workers: int = 0
-    """Processes that load samples; 0 loads in the training process."""
-    fractions: tuple[float, float, float] = FRACTIONS
-    """Share of videos for train, val and test."""
-    videos: NamedVideos = field(default_factory=NamedVideos)
-    """Videos or folders of each split by name, instead of by share."""
-    seed: int = 0
-    """Seed of the split and of the order of the samples."""
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.batch_size <= LARGEST_BATCH and 0 <= self.num_workers <= MOST_THREADS):
-            raise ValueError(
-                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give 1 to {LARGEST_BATCH} and 0 "
-                f"to {MOST_THREADS}."
-            )
-        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
-            raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")
 
 
 class ClipDataModule(LightningDataModule):
@@ -78,7 +49,7 @@ class ClipDataModule(LightningDataModule):
         layout: str | None = None,
         cache: str = "runs/cache",
         samples: SampleSettings = SampleSettings(),  # noqa: B008 (frozen)
-        loading: LoadingSettings = LoadingSettings(),
+        loading: LoadingSettings = LoadingSettings(),  # noqa: B008
         bounds: Bounds = Bounds(),  # noqa: B008
         **preparation: Any,
     ) -> None:
@@ -123,8 +94,7 @@ class ClipDataModule(LightningDataModule):
             self.left_out += reasons
         if not found:
             raise InputError(self._nothing_found())
-        shares = self.loading.fractions, self.loading.seed, self.loading.videos
-        places, warning = split_samples(self.clips, found, self.samples, *shares)
+        places, warning = split_samples(clips, found, self.samples, self.loading)
         if warning:
             rank_zero_warn(f"{self.root} {warning}")
         if not places["train"]:

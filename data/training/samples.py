@@ -3,10 +3,9 @@
 No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1). What is left out is counted by reason.
 """
 
-import dataclasses
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -124,7 +123,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     else:
         onset = int(clip.track_start[frame])
         run = builder_of(clip, onset, settings, sequence_until=frame if settings.sequence else None)
-        forward = dataclasses.replace(run.build(settings.mechanics), sequence=None)
+        forward = replace(run.build(settings.mechanics), sequence=None)
         since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)

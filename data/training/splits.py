@@ -2,7 +2,7 @@
 
 import random
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from itertools import combinations, islice
 from pathlib import Path
 from typing import TypeVar
@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from palpate.data.cache import PreparedClip
+from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
@@ -18,6 +19,8 @@ FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
 LEAST_VIDEOS = 3
 """Least number of videos of a data set that is split by video; others are split in time."""
+LARGEST_BATCH = 2**16
+"""Largest number of samples of a batch."""
 
 Item = TypeVar("Item")
 Place = tuple[int, int]
@@ -71,6 +74,31 @@ class NamedVideos:
         return not {clip.name, video_of(clip)}.isdisjoint(getattr(self, split))
 
 
+@dataclass(frozen=True)
+class LoadingSettings:
+    """How samples are divided among the splits and joined into batches."""
+
+    batch_size: int = 2
+    """Number of samples in a batch of one process."""
+    num_workers: int = 0
+    """Processes that load samples; 0 loads in the training process."""
+    fractions: tuple[float, float, float] = FRACTIONS
+    """Share of videos for train, val and test."""
+    videos: NamedVideos = field(default_factory=NamedVideos)
+    """Videos or folders of each split by name, instead of by share."""
+    seed: int = 0
+    """Seed of the split and of the order of the samples."""
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.batch_size <= LARGEST_BATCH and 0 <= self.num_workers <= MOST_THREADS):
+            raise ValueError(
+                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give 1 to {LARGEST_BATCH} and 0 "
+                f"to {MOST_THREADS}."
+            )
+        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
+            raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")
+
+
 def video_of(clip: Path) -> str:
     """The video that a clip was cut from: videoNN of videoNN/videoNN_SSSSS, else the clip itself."""
     parent = clip.resolve().parent.name
@@ -110,27 +138,22 @@ def split_in_time(items: Sequence[Item], fractions: Sequence[float]) -> dict[str
 
 
 def split_samples(
-    clips: Sequence[PreparedClip],
-    found: Sequence[Place],
-    settings: SampleSettings,
-    fractions: Sequence[float],
-    seed: int,
-    named: NamedVideos = NamedVideos(),
+    clips: Sequence[PreparedClip], found: Sequence[Place], settings: SampleSettings, loading: LoadingSettings
 ) -> tuple[dict[str, list[Place]], str]:
     """Samples of each split: as named, else by video, or in time where there are fewer than three videos with samples.
 
     Returns:
         The samples of each split, and a warning (it follows the data set's name) or an empty string.
     """
-    if named:
+    if named := loading.videos:
         return {split: [place for place in found if named.holds(split, clips[place[0]].path)] for split in SPLITS}, ""
     videos = [video_of(clips[clip].path) for clip, _ in found]
     count = len(set(videos))
     if count >= LEAST_VIDEOS:
-        chosen = split_by_video(videos, fractions, seed)
+        chosen = split_by_video(videos, loading.fractions, loading.seed)
         by_video = list(zip(found, videos, strict=True))
         return {split: [place for place, video in by_video if video in names] for split, names in chosen.items()}, ""
-    parts = split_in_time(_units(clips, found, settings), fractions)
+    parts = split_in_time(_units(clips, found, settings), loading.fractions)
     places = {split: [place for unit in part for place in unit] for split, part in parts.items()}
     counted = "1 video" if count == 1 else f"{count} videos"
     warning = (

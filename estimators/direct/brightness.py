@@ -22,7 +22,8 @@ from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.lit_sheet import LitSheet, Shown
-from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.motion import Kind, PressMotion
+from palpate.physics.likelihood import LeastSquares, Linearised
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.observation import Observation
@@ -74,7 +75,7 @@ MOVED = 4.0
 """Light that changes by more standard deviations says how well the press explains it."""
 
 
-class BrightnessProblem:
+class BrightnessProblem(LeastSquares):
     """Weighted residuals of a brightness sequence and their derivatives by all parameters.
 
     Args:
@@ -89,12 +90,7 @@ class BrightnessProblem:
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float,
-        tilt: np.ndarray,
-        kind: type[PressMotion] = PressMotion,
+        self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
     ) -> None:
         if contact.brightness is None or not len(contact.brightness.times):
             raise ValueError("the contact has no brightness sequence; gather it with frames that have light.")
@@ -127,7 +123,6 @@ class BrightnessProblem:
         """Standard deviation of a residual where the law predicts no change."""
         self.together = 1.0
         """How many residuals count as one."""
-        self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
@@ -184,13 +179,8 @@ class BrightnessProblem:
     def _coded(self, light: np.ndarray, lag: float) -> np.ndarray:
         return coded(light, self.sequence.rest.ravel(), self._followed, lag, self._level)
 
-    def linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _linearise(self, logs: np.ndarray) -> Linearised:
         """Residuals in standard deviations, the priors' behind them, and their derivatives by all parameters [K, D]."""
-        if self._known is None or not np.array_equal(self._known[0], logs):
-            self._known = np.array(logs), self._linearise(logs)
-        return self._known[1]
-
-    def _linearise(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         light, slopes = self.tangent(logs)
         residual, weight = self.compared(light)
         slopes = np.where(weight[..., None] > 0, np.nan_to_num(slopes), 0.0)
@@ -203,7 +193,7 @@ class BrightnessProblem:
         prior = np.zeros((OTHERS, len(logs)))
         prior[:, -OTHERS:] = np.diag(1 / PRIOR_SD)
         left = (logs[-OTHERS:] - PRIOR_MEAN) / PRIOR_SD
-        return np.concatenate([both[:, 0], left]), np.concatenate([both[:, 1:], prior])
+        return Linearised(np.concatenate([both[:, 0], left]), np.concatenate([both[:, 1:], prior]))
 
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
@@ -238,14 +228,6 @@ class BrightnessProblem:
         self.skill = 1 - math.sqrt(left / whole) if whole > 0 else 0.0
         """1 - error / change of the light where it changes: 0 as if nothing had moved."""
         self._known = None
-
-    def residual(self, logs: np.ndarray) -> np.ndarray:
-        """The first of `linearise`."""
-        return self.linearise(logs)[0]
-
-    def jacobian(self, logs: np.ndarray) -> np.ndarray:
-        """The second of `linearise`."""
-        return self.linearise(logs)[1]
 
 
 def coded(light: np.ndarray, rest: np.ndarray, followed: np.ndarray, lag: float, level: np.ndarray) -> np.ndarray:

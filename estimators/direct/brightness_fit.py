@@ -195,7 +195,7 @@ def _led(
     for _ in range(rounds):
         logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
         problem.look(logs)
-        logs = find_optimum(problem, logs, *box, evaluations, FALL).logs
+        logs = find_optimum(problem, logs, box, evaluations, FALL).logs
     problem.look(logs)
     return -problem.skill, logs
 
@@ -204,10 +204,9 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray)
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
     box, motion = problem.box(tissue), problem.motion
     prior = box_information(box)
-    starts = [
-        np.clip(np.concatenate([logs[:3] + step, logs[3:]]), box[0] + 1e-9, box[1] - 1e-9) for step in (0.0, *FIRMER)
-    ]
-    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, *box, FEW, FALL), starts)
+    low, high = box[0] + 1e-9, box[1] - 1e-9
+    starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
+    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     # What law and coding get wrong shows in what is left unexplained, and in how far residuals belong together.
     left = ((1 - problem.skill) / USUALLY_LEFT) ** 2

@@ -14,6 +14,7 @@ from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
     CANDIDATES,
     DELAYS,
+    Combined,
     ContactProblem,
     Optimum,
     apart,
@@ -29,6 +30,8 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.mechanics import Mechanics
 
+FieldProblem = SequenceProblem[PressMotion]
+Problem = ContactProblem | SequenceProblem
 LARGEST_MISFIT = 1.5
 """The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
@@ -55,36 +58,30 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
     candidates = problem.candidates(low, high)
     paths = problem.coarse_paths(candidates)
     starts = problem.best_starts(candidates, paths, low, high)
-    optima = distinct([find_optimum(problem, start, low, high) for start in starts])
+    optima = distinct([find_optimum(problem, start, box) for start in starts])
     draws = _sample(problem, optima, box, (candidates, paths))
     if draws.effective < TOO_FEW:
         # Most likely all starts have missed the best optimum, and some draw came near it.
-        optima = distinct([*optima, find_optimum(problem, draws.likeliest, low, high)])
+        optima = distinct([*optima, find_optimum(problem, draws.likeliest, box)])
         draws = _sample(problem, optima, box, (candidates, paths))
-    mean, spread, best = combine(optima, prior)
-    return concluded(problem, box, optima, best, (mean, spread), draws if draws.effective >= TOO_FEW else None)
+    return concluded(problem, box, optima, combine(optima, prior), draws if draws.effective >= TOO_FEW else None)
 
 
 def concluded(
-    problem: ContactProblem | SequenceProblem[PressMotion],
-    box: np.ndarray,
-    optima: Sequence[Optimum],
-    best: Optimum,
-    posterior: tuple[np.ndarray, np.ndarray],
-    draws: Draws | None,
-    **more: Any,
+    problem: Problem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None, **more: Any
 ) -> Estimate:
     """What a fit of a press comes to.
 
     Args:
         problem: that was fitted.
         box: lower and upper ends of all parameters, shape [2, D].
-        optima: all that were found, and the best of them.
-        posterior: mean [D] and covariance [D, D] of all parameters by these.
+        optima: all that were found.
+        combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
         draws: of the posterior, which say them better; None = there are too few.
         more: further fields of the estimate.
     """
-    motion, prior, (mean, spread), judges = problem.motion, box_information(box), posterior, posterior[0][None]
+    motion, prior, (mean, spread, best) = problem.motion, box_information(box), combined
+    judges = mean[None]
     if draws is not None:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
     information = problem.information(mean)
@@ -95,12 +92,7 @@ def concluded(
 
 
 def press_estimate(
-    problem: ContactProblem | SequenceProblem,
-    box: np.ndarray,
-    best: np.ndarray,
-    mean: np.ndarray,
-    information: np.ndarray,
-    **known: Any,
+    problem: Problem, box: np.ndarray, best: np.ndarray, mean: np.ndarray, information: np.ndarray, **known: Any
 ) -> Estimate:
     """The estimate of a press, with the covariance of a large noise added where the contact may hide its own bottom.
 
@@ -131,7 +123,7 @@ def press_estimate(
 
 
 def _sample(
-    problem: ContactProblem, optima: Sequence[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
+    problem: ContactProblem, optima: list[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
 ) -> Draws:
     """The posterior around its optima; known points [C, D] with their motions [C, N, 3] are draws as well."""
     # The coarse step's error hardly varies over the posterior.
@@ -184,7 +176,7 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def fit_field(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> Estimate:
+def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
     """Fit a depth-change sequence; `tissue` is the box of φ, shape [2, 3].
 
     Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
@@ -192,22 +184,22 @@ def fit_field(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> Esti
     return sampled(problem, field_optima(problem, tissue), tissue)
 
 
-def field_optima(problem: SequenceProblem[PressMotion], tissue: np.ndarray) -> list[Optimum]:
+def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
     """Optima of a sequence's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
     box = problem.motion.box(tissue)
     found = []
     for logs in raced(problem.coarser(), field_starts(problem, box), box):
         problem.look(logs)
-        found.append(find_optimum(problem, logs, *box))
+        found.append(find_optimum(problem, logs, box))
     optima = distinct(found)
     for _ in range(problem.motion.looks):
         problem.look(optima[0].logs, finer=True, outliers=True)
-        optima = distinct([find_optimum(problem, optimum.logs, *box) for optimum in optima])
+        optima = distinct([find_optimum(problem, optimum.logs, box) for optimum in optima])
         optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
     return optima
 
 
-def sampled(problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], tissue: np.ndarray) -> Estimate:
+def sampled(problem: FieldProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -217,7 +209,7 @@ def sampled(problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], ti
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
         found = _sample_field(problem, optima, best, box, scale)
         draws = found if found.effective >= TOO_FEW else None
-    return concluded(problem, box, optima, best, (mean, spread), draws, outliers=problem.outliers)
+    return concluded(problem, box, optima, (mean, spread, best), draws, outliers=problem.outliers)
 
 
 def fit_press(
@@ -246,7 +238,7 @@ def fit_press(
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
-def field_starts(problem: SequenceProblem[PressMotion], box: np.ndarray) -> np.ndarray:
+def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
     """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
@@ -280,7 +272,7 @@ def field_starts(problem: SequenceProblem[PressMotion], box: np.ndarray) -> np.n
     return apart(candidates, misfits, low, high, motion.starts)
 
 
-def raced(problem: SequenceProblem[PressMotion], starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+def raced(problem: FieldProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
@@ -295,7 +287,7 @@ def raced(problem: SequenceProblem[PressMotion], starts: np.ndarray, box: np.nda
         led = []
         for logs in starts:
             problem.look(logs)
-            found = find_optimum(problem, logs, *box, FEW)
+            found = find_optimum(problem, logs, box, FEW)
             # What comes out of sight must not seem explained.
             led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
         led.sort(key=lambda pair: pair[0])
@@ -317,9 +309,7 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 
 
-def _sample_field(
-    problem: SequenceProblem[PressMotion], optima: Sequence[Optimum], best: Optimum, box: np.ndarray, scale: float
-) -> Draws:
+def _sample_field(problem: FieldProblem, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)

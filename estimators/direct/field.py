@@ -79,11 +79,7 @@ class SequenceProblem(LeastSquares, Generic[M]):
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        motion: Callable[[np.ndarray, np.ndarray], M],
-        noise: float | None = None,
-        parts: int = 1,
+        self, contact: Interaction, motion: Callable[[np.ndarray, np.ndarray], M], noise: float | None, parts: int = 1
     ) -> None:
         if contact.sequence is None or not len(contact.sequence.times):
             raise ValueError(

@@ -26,6 +26,8 @@ DIFFERENCE = 1e-4
 """Step of differences along the grid [grid pixels], and of the rounding's logarithm."""
 SIDE = 2 * (REACH + MARGIN) + 1
 """Rows and columns of vertices around a contact."""
+Pair = tuple[np.ndarray, np.ndarray]
+"""What is known of log cos θ, and of log(1/r²)."""
 
 
 class Shown(NamedTuple):
@@ -188,7 +190,7 @@ class LitSheet:
         facing, falloff = (part.reshape(frames, -1) for part in log_brightness(surface, self._rays))
         by_law = log_brightness_slopes(surface, surface_slopes, self._rays)
         by_facing, by_falloff = (part.reshape(*facing.shape, -1) for part in by_law)
-        resting = self._rest_slopes(rays, depth, seen.normal, tilt, ray_slopes, depth_slopes)
+        resting = self._rest_slopes(seen, tilt, ray_slopes, depth_slopes)
         rest_facing, rest_falloff = np.zeros_like(by_facing), np.zeros_like(by_facing)
         for found, (by_place, by_tilt) in zip((rest_facing, rest_falloff), resting, strict=True):
             found[..., :-1] = np.einsum("npi,npid->npd", by_place, shifted)
@@ -208,9 +210,8 @@ class LitSheet:
         aside, normal, frames = others[:2], self.normal_at(others[2:4]), len(moving)
         field = np.einsum("ij,nrcjd->nrcid", _rotation(self.normal, normal), self.dense(moving))
         still, pixels = np.ascontiguousarray(field[..., 0]), self._places.reshape(-1, 2)
-        place = _rested(
-            still, pixels, aside, self._first - self.middle, self.focal, self.distance * (self.ray @ normal), normal
-        )
+        plane = self.distance * (self.ray @ normal)
+        place = _rested(still, pixels, aside, self._first - self.middle, self.focal, plane, normal)
         values = between(field.reshape(frames, SIDE, SIDE, -1), place - aside).reshape(*place.shape[:2], 3, -1)
         rays = self.rays(place + self._first)
         depth = self._depth(rays, normal)
@@ -227,15 +228,10 @@ class LitSheet:
         return np.concatenate([between(light, (place + each) * FINE + 0.5 * (FINE - 1)) for each in steps], axis=-1)
 
     def _rest_slopes(
-        self,
-        rays: np.ndarray,
-        depth: np.ndarray,
-        normal: np.ndarray,
-        tilt: np.ndarray,
-        ray_slopes: np.ndarray,
-        depth_slopes: np.ndarray,
-    ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Derivatives of log cos θ and of log(1/r²) of the plane along rays [N, P, 3], by place and tilt, [N, P, 2]."""
+        self, seen: _Seen, tilt: np.ndarray, ray_slopes: np.ndarray, depth_slopes: np.ndarray
+    ) -> list[Pair]:
+        """Derivatives of log cos θ and of log(1/r²) of the plane at the places, by place and tilt, [N, P, 2] each."""
+        rays, depth, normal = seen.rays, seen.depth, seen.normal
         square, facing = np.einsum("npi,npi->np", rays, rays), (rays @ normal)[..., None]
         stretched = (rays @ ray_slopes) / square[..., None]
         by_depth = self._depth_by_tilt(rays, depth, tilt) / depth[..., None]
@@ -246,10 +242,9 @@ class LitSheet:
 
     def _normal_slopes(self, tilt: np.ndarray) -> np.ndarray:
         """Derivatives of the normal by the tilt, shape [3, 2]."""
-        return np.stack(
-            [(self.normal_at(tilt + step) - self.normal_at(tilt - step)) / (2 * DIFFERENCE) for step in
-             DIFFERENCE * np.eye(2)], axis=-1
-        )  # fmt: skip
+        steps = DIFFERENCE * np.eye(2)
+        found = [(self.normal_at(tilt + step) - self.normal_at(tilt - step)) / (2 * DIFFERENCE) for step in steps]
+        return np.stack(found, axis=-1)
 
     def _depth_by_tilt(self, rays: np.ndarray, depth: np.ndarray, tilt: np.ndarray) -> np.ndarray:
         """Derivatives of the plane's z along rays [..., 3] by the tilt, shape [..., 2]."""
@@ -257,13 +252,7 @@ class LitSheet:
         return depth[..., None] * (self.ray @ slopes / (self.ray @ normal) - rays @ slopes / (rays @ normal)[..., None])
 
 
-def _lit(
-    now: tuple[np.ndarray, np.ndarray],
-    by_now: tuple[np.ndarray, np.ndarray],
-    seen: _Seen,
-    by_rest: tuple[np.ndarray, np.ndarray],
-    others: np.ndarray,
-) -> tuple[Shown, Shown]:
+def _lit(now: Pair, by_now: Pair, seen: _Seen, by_rest: Pair, others: np.ndarray) -> tuple[Shown, Shown]:
     """What pixels show but for the light at rest, and its derivatives by all parameters.
 
     Args:

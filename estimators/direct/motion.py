@@ -233,6 +233,10 @@ class PressMotion(DelayedMotion):
         return simulate(self.theta(logs), self.contact.mesh, load, mechanics, watch=self.vertices, dtype=dtype)
 
 
+Kind = type[PressMotion]
+"""What is fitted of a press."""
+
+
 def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What is known after every step and is 0 at first, with its rate, between the steps: cubic through four of them.
 

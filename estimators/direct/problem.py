@@ -2,15 +2,15 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import PressMotion, between_steps
+from palpate.estimators.direct.motion import Kind, PressMotion, between_steps
 from palpate.physics.identifiability import fisher_information
-from palpate.physics.likelihood import Likelihood, Linearised
+from palpate.physics.likelihood import LeastSquares, Likelihood, Linearised
 from palpate.physics.mechanics import Mechanics
 
 CANDIDATES = 128
@@ -45,12 +45,7 @@ class ContactProblem(Likelihood):
     """
 
     def __init__(
-        self,
-        contact: Interaction,
-        mechanics: Mechanics,
-        noise: float,
-        within: float = 0.0,
-        kind: type[PressMotion] = PressMotion,
+        self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0, kind: Kind = PressMotion
     ) -> None:
         observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
         super().__init__(contact.mesh, contact.load, observation, mechanics)
@@ -146,43 +141,29 @@ class Optimum(NamedTuple):
     """Fisher information of φ, shape [3, 3]."""
 
 
-class LeastSquares(Protocol):
-    """What is to be explained: a residual, in standard deviations, of all parameters [D], and its derivatives."""
-
-    def residual(self, logs: np.ndarray) -> np.ndarray:
-        """Shape [K]."""
-        ...
-
-    def jacobian(self, logs: np.ndarray) -> np.ndarray:
-        """Shape [K, D]."""
-        ...
-
-
 def find_optimum(
-    problem: LeastSquares,
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    evaluations: int | None = None,
-    fall: float = 0.0,
+    problem: LeastSquares, start: np.ndarray, box: np.ndarray, evaluations: int | None = None, fall: float = 0.0
 ) -> Optimum:
-    """The optimum that a fit from φ = `start` [3] within the box [3], [3] ends in, or how far it comes.
+    """The optimum that a fit from φ = `start` [3] within the box [2, 3] ends in, or how far it comes.
 
     Args:
         problem: what is fitted.
         start: of all parameters, shape [D].
-        low: of the box, shape [D].
-        high: likewise.
+        box: lower and upper ends of all parameters, shape [2, D].
         evaluations: after which it stops; None = MOST_EVALUATIONS.
         fall: of χ²/2 in a step, below which it stops as well.
     """
     value = 0.5 * float(np.square(problem.residual(start)).sum()) if fall else 1.0
     end = least_squares(
-        problem.residual, start, problem.jacobian, (low, high), method="trf", x_scale="jac",
+        problem.residual, start, problem.jacobian, tuple(box), method="trf", x_scale="jac",
         ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
         max_nfev=evaluations or MOST_EVALUATIONS,
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
+
+
+Combined = tuple[np.ndarray, np.ndarray, Optimum]
+"""What `combine` gives."""
 
 
 def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
@@ -192,7 +173,7 @@ def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
     return np.exp(logs - logs.max())
 
 
-def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
+def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
     """Mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
 
     Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the
@@ -208,9 +189,8 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, n
     places = np.array([optimum.logs for optimum in optima])
     mean = shares @ places
     apart = np.einsum("o,op,oq->pq", shares, places - mean, places - mean)
-    within = sum(
-        share * np.linalg.inv(optimum.information + prior) for share, optimum in zip(shares, optima, strict=True)
-    )
+    shared = zip(shares, optima, strict=True)
+    within = sum(share * np.linalg.inv(optimum.information + prior) for share, optimum in shared)
     return mean, within + apart, optima[int(np.argmax(shares))]
 
 

@@ -9,7 +9,7 @@ weights are (population Monte Carlo, Cappé et al. 2008). Points come from a Sob
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,12 +164,7 @@ def _flattened(weights: np.ndarray) -> np.ndarray:
 
 
 def _weigh(
-    points: np.ndarray,
-    values: np.ndarray,
-    evidences: np.ndarray,
-    uniform: float,
-    mixtures: Sequence[Mixture],
-    count: int,
+    points: np.ndarray, values: np.ndarray, evidences: np.ndarray, uniform: float, mixtures: list[Mixture], count: int
 ) -> Draws:
     """Points weighed by likelihood over the density of all draws, `uniform` being the log of the known ones'."""
     drawn = [np.full(len(points), uniform)]

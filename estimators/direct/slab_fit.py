@@ -33,7 +33,7 @@ from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import NoBody
-from palpate.physics.fem.slab import Slab, slab_beneath
+from palpate.physics.fem.slab import CELLS, Place, Slab, slab_beneath
 from palpate.physics.identifiability import box_information
 from palpate.physics.mechanics import theta_of
 
@@ -45,6 +45,7 @@ UNLIKE_FIRM = MODEL_ERRORS.firm_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.
 """The same where a firm region lies beneath, which is not one of those that are tried."""
 FINE, FINER = (10, 10, 3), (12, 12, 4)
 """Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
+SlabProblem = SequenceProblem[SlabMotion]
 LOWER = 1.0
 """Fall of χ²/2 along the valley from which on a better fit is looked for there."""
 
@@ -69,14 +70,14 @@ def fit_slab(
     """
     try:
         under = contact.mesh, contact.vertex, contact.direction, thickness
-        slab = slab_beneath(*under)
+        slab = slab_beneath(*under, CELLS)
         fine, finer = (slab_beneath(*under, cells, order=2) for cells in (FINE, FINER))
     except NoBody as error:
         raise NoEstimate(f"No slab fits under the tissue: {error}") from error
 
     def problem_of(
-        place: tuple[float, float], relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
-    ) -> SequenceProblem[SlabMotion]:
+        place: Place, relaxing: bool = False, body: Slab = fine, region: FirmRegion | None = None
+    ) -> SlabProblem:
         def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
             pixels = contact.mesh.pixels[vertices]
             return SlabMotion(contact, slab, pixels, times, within, relaxing, body, place, region)
@@ -117,7 +118,7 @@ class Valley(NamedTuple):
     """By so much χ²/2 is less there than where it began."""
 
 
-def settled(problem: SequenceProblem[SlabMotion]) -> tuple[np.ndarray, Valley, float]:
+def settled(problem: SlabProblem) -> tuple[np.ndarray, Valley, float]:
     """Parameters of the least χ², the valley around them, and the square of the misfit, by which χ² is scaled."""
     box, logs = problem.motion.box, slab_start(problem)
     for outliers, enough in ((False, ROUGH), (True, DONE)):
@@ -169,7 +170,7 @@ BETWEEN = 400
 """Values of log E by which the posterior is summed up."""
 
 
-def slab_start(problem: SequenceProblem[SlabMotion]) -> np.ndarray:
+def slab_start(problem: SlabProblem) -> np.ndarray:
     """Of a grid of parameters those that explain the sequence best if nothing strains much, with the force that
     suits."""
     motion = problem.motion
@@ -190,9 +191,7 @@ def slab_start(problem: SequenceProblem[SlabMotion]) -> np.ndarray:
     return best
 
 
-def find_tip(
-    problem_of: Callable[[tuple[float, float]], SequenceProblem[SlabMotion]], place: tuple[float, float]
-) -> tuple[float, float]:
+def find_tip(problem_of: Callable[[Place], SlabProblem], place: Place) -> Place:
     """Column and row of the tip's middle that explain a depth-change sequence better, from small motions [grid px].
 
     Args:
@@ -217,7 +216,7 @@ def find_tip(
     return place[0] + float(column), place[1] + float(row)
 
 
-def descend(problem: SequenceProblem[SlabMotion], start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:
+def descend(problem: SlabProblem, start: np.ndarray, box: np.ndarray, enough: float) -> np.ndarray:
     """Parameters [D] of the least χ² near a start within a box [2, D].
 
     Args:
@@ -229,10 +228,10 @@ def descend(problem: SequenceProblem[SlabMotion], start: np.ndarray, box: np.nda
 
     if not np.isfinite(problem.motion.at(start)[0]).all():
         raise NoEstimate("The slab can't be followed where the fit begins; the dent may be too deep for it.")
-    return find_optimum(problem, start, *box, EVALUATIONS, enough).logs
+    return find_optimum(problem, start, box, EVALUATIONS, enough).logs
 
 
-def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: np.ndarray, scale: float) -> Valley:
+def follow_valley(problem: SlabProblem, logs: np.ndarray, box: np.ndarray, scale: float) -> Valley:
     """Follow χ² along the common scale from a fit.
 
     Args:
@@ -290,7 +289,7 @@ def follow_valley(problem: SequenceProblem[SlabMotion], logs: np.ndarray, box: n
     return Valley(mean, covariance, best[0], scale * (value - best[1]))
 
 
-def moved_by_mesh(problem: SequenceProblem[SlabMotion], finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
+def moved_by_mesh(problem: SlabProblem, finer: SlabMotion, logs: np.ndarray) -> np.ndarray:
     """By how much (log E, log d, log |F|) of a fit would be other by a finer mesh, to first order, shape [3]."""
     change = shown_change(problem, finer.by_modes(logs) - problem.motion.by_modes(logs))
     prior = box_information(problem.motion.box)
@@ -298,7 +297,7 @@ def moved_by_mesh(problem: SequenceProblem[SlabMotion], finer: SlabMotion, logs:
     return -np.linalg.solve(jacobian.T @ jacobian + prior, jacobian.T @ change)[:3]
 
 
-def shown_change(problem: SequenceProblem[SlabMotion], moved: np.ndarray) -> np.ndarray:
+def shown_change(problem: SlabProblem, moved: np.ndarray) -> np.ndarray:
     """What a small difference in the places' motion [N, V, 3] makes of the whitened residual."""
     return problem.whitened(np.nan_to_num(problem.patches.shown(problem.patches.sunk(moved), problem.covering)))
 
@@ -330,9 +329,11 @@ class Firm(NamedTuple):
     """Of (log E, log d, log |F|) away from that fit, shape [3]."""
 
 
-def firm_regions(
-    problem: SequenceProblem[SlabMotion], logs: np.ndarray, thickness: float, scale: float
-) -> list[tuple[FirmRegion, np.ndarray]]:
+Regional = tuple[FirmRegion, np.ndarray]
+"""A region, and the parameters where a fit with it begins [D]."""
+
+
+def firm_regions(problem: SlabProblem, logs: np.ndarray, thickness: float, scale: float) -> list[Regional]:
     """Regions beneath that may be firm, likeliest first to first order, and where the fit of each may begin [D].
 
     Args:
@@ -370,10 +371,10 @@ def firm_regions(
 
 
 def with_firm_regions(
-    plain: SequenceProblem[SlabMotion],
+    plain: SlabProblem,
     logs: np.ndarray,
-    regions: list[tuple[FirmRegion, np.ndarray]],
-    problem_of: Callable[[FirmRegion], SequenceProblem[SlabMotion]],
+    regions: list[Regional],
+    problem_of: Callable[[FirmRegion], SlabProblem],
     scale: float,
 ) -> list[Firm]:
     """Fits of the likeliest firm regions, firmer by each of FIRMER; those that can't be followed are left out.
@@ -412,13 +413,7 @@ def averaged(fits: list[Firm]) -> tuple[float, np.ndarray, np.ndarray]:
     return float(weights[:-1].sum()), mean, np.einsum("w,wi,wj->ij", weights, shifts - mean, shifts - mean)
 
 
-def relaxation(
-    plain: SequenceProblem[SlabMotion],
-    logs: np.ndarray,
-    other: SequenceProblem[SlabMotion],
-    fits: list[Firm],
-    scale: float,
-) -> str:
+def relaxation(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, fits: list[Firm], scale: float) -> str:
     """A sentence where a standard linear solid explains a sequence better than the best fit of a slab damped by mass.
 
     Args:
@@ -445,9 +440,7 @@ def relaxation(
     )
 
 
-def fall(
-    plain: SequenceProblem[SlabMotion], logs: np.ndarray, other: SequenceProblem[SlabMotion], others: np.ndarray
-) -> float:
+def fall(plain: SlabProblem, logs: np.ndarray, other: SlabProblem, others: np.ndarray) -> float:
     """Of χ²/2, as a fit weights it, from that fit to another, by the pixels that show tissue in both."""
     after = other.change(other.motion.at(others)[0], others)
     before = plain.change(plain.motion.at(logs)[0], logs)

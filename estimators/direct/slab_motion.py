@@ -21,7 +21,7 @@ from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.fem import Inertia, Material, NoEquilibrium, Relaxation, simulate
 from palpate.physics.fem.dynamics import Direction
 from palpate.physics.fem.modes import Modes
-from palpate.physics.fem.slab import Slab
+from palpate.physics.fem.slab import Place, Slab
 from palpate.physics.fem.solid import Solid
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Bounds, theta_of
@@ -102,7 +102,7 @@ class SlabMotion(DelayedMotion):
         within: float = 0.0,
         relaxing: bool = False,
         fine: Slab | None = None,
-        place: tuple[float, float] | None = None,
+        place: Place | None = None,
         region: FirmRegion | None = None,
     ) -> None:
         super().__init__(contact, times, within)
@@ -192,7 +192,8 @@ class SlabMotion(DelayedMotion):
         """Of a body, and how the places move in each, shape [V, 3, M]."""
         pattern = slab.patch(PATCH, self._place)[:, None] * np.asarray(self.contact.direction, np.float64)
         shift = 4 / (self.step**2 * USUAL_YOUNG)
-        modes = Modes(slab.solid, POISSON, slab.held, DENSITY, pattern, shift, _stiffer(slab, self.region))
+        tissue = Material("linear", _stiffer(slab, self.region), POISSON)
+        modes = Modes(slab.solid, tissue, slab.held, DENSITY, pattern, shift)
         shown = slab.between(self._pixels) @ modes.shapes.reshape(len(pattern), -1)
         return modes, shown.reshape(len(self._pixels), 3, -1)
 

@@ -8,7 +8,3 @@ stiffness_fit where it is stiffer, with the grip's motion unknown, and how well 
 pull_fit     force over E by a slab of finite elements, where its thickness is given
 whitening    neighbours' errors made independent, and how many of them are correlated
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -1,8 +1,7 @@
 """What the motion around an instrument tells that holds tissue, and what of it is determined."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,9 +47,9 @@ class GripEstimate:
     """Upper end."""
     stiffness: StiffnessField | None = None
     """Where the tissue is stiffer, if it is attached homogeneous; None where that could not be fitted."""
-    points: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    points: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
-    moved: np.ndarray = dataclasses.field(default_factory=lambda: np.empty((0, 0, 2)))
+    moved: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 2)))
     """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
     reaction_over_young: float = math.nan
     """What holds the tissue in the last frame over E, if a slab of given thickness lies beneath; nan where none was

@@ -6,9 +6,8 @@ A sheet is not tissue, and its error is hundreds of times that of following poin
 those that are fitted tell, which the other ones predict.
 """
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -111,7 +110,7 @@ class SheetFit:
 
     def at(self, log_anchor: float) -> Self:
         """The sheet on another foundation."""
-        return dataclasses.replace(self, log_anchor=log_anchor)
+        return replace(self, log_anchor=log_anchor)
 
     def held(self, frame: GripFrame) -> Held:
         """The sheet at rest under a frame's grip.
@@ -129,7 +128,7 @@ class SheetFit:
         pulled, tied = found.displacement[:, :2], found.displacement[:, 2:]
         follows = (terms - tied[: self.count])[around]
         affine = np.linalg.lstsq(follows, (frame.moved - pulled[: self.count])[around], rcond=None)[0]
-        return Held(dataclasses.replace(found, displacement=pulled - tied @ affine), terms @ affine, follows)
+        return Held(replace(found, displacement=pulled - tied @ affine), terms @ affine, follows)
 
     def relative_force(self, frames: Sequence[GripFrame]) -> tuple[np.ndarray, np.ndarray]:
         """What holds the gripped tissue in every frame over what holds it in the last, and its standard deviation.
@@ -141,7 +140,7 @@ class SheetFit:
         same = np.logical_and.reduce([frame.gripped for frame in frames])
         if same.sum() < LEAST_GRIPPED:
             return np.full(len(frames), np.nan), np.full(len(frames), np.nan)
-        frames = [dataclasses.replace(frame, gripped=same) for frame in frames]
+        frames = [replace(frame, gripped=same) for frame in frames]
         _, ratio, across = along_last(self._forces(frames))
         either = [along_last(sheet._forces(frames))[1] for sheet in self._either()]
         return ratio, np.hypot(np.std(either, axis=0), self.error * np.hypot(ratio * (1 - ratio), across))
@@ -197,7 +196,7 @@ def fit_sheet(points: np.ndarray, spacing: int, frames: Sequence[GripFrame], bac
     squares = [_squares(early, frame) for frame in moving[half:]]
     error = error_shares(*np.concatenate(squares, axis=1))[1]
     found = _likeliest(early, used)
-    return dataclasses.replace(found, log_anchor_sd=_deviation(found, used), error=error)
+    return replace(found, log_anchor_sd=_deviation(found, used), error=error)
 
 
 def skill(fit: SheetFit, frame: GripFrame) -> float:

@@ -3,10 +3,9 @@
 Rest is the run's first frame: what the tissue was stretched by before is not known, and counts as none.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -103,9 +102,7 @@ class GripRecorder:
         # Whether the tissue moves with the instrument is judged by what moves against far tissue; how, with the
         # background's motion found together with the sheet's, because far tissue is pulled along, too.
         distance = self._follower.distance
-        against = [
-            dataclasses.replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames
-        ]
+        against = [replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames]
         judged = fit_sheet(points, spacing, against[:half])
         fit = self._determined(frames)
         known = _interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd)
@@ -117,7 +114,7 @@ class GripRecorder:
             return found
         moved = np.stack([frame.moved for frame in frames])
         pulled = {} if self._slab is None else self._pulled(*self._slab)
-        return dataclasses.replace(found, stiffness=self._stiffness(), points=points, moved=moved, **pulled)
+        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, **pulled)
 
     @property
     def _grid(self) -> PointGrid:
@@ -195,7 +192,7 @@ def _rival_skill(points: np.ndarray, spacing: int, distance: np.ndarray, frames:
     away = np.where(seen, np.linalg.norm(points - points[np.argmax(moved)], axis=1), np.inf)
     gripped = np.zeros(len(points), bool)
     gripped[np.argsort(away)[: min(int(frames[-1].gripped.sum()), int(seen.sum()))]] = True
-    found = [dataclasses.replace(frame, gripped=gripped) for frame in frames]
+    found = [replace(frame, gripped=gripped) for frame in frames]
     found = [frame for frame in found if frame.tells]
     half = len(found) // 2
     if half < LEAST_FRAMES:

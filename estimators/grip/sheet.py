@@ -148,13 +148,14 @@ class Profile(NamedTuple):
     """Of that, by axis."""
 
 
-def loaded_cells(points: np.ndarray, distance: np.ndarray, hidden: np.ndarray, spacing: int) -> np.ndarray:
+def loaded_cells(grid: PointGrid) -> np.ndarray:
     """Places of the grid on which forces may act, as numbers of its columns and rows, shape [M, 2].
 
     Every other one of those near the tool, as on a chessboard: the field around them is as free, at an eighth of the
-    work. Under a long shaft half of these. Arguments as of `PointGrid`.
+    work. Under a long shaft half of these.
     """
-    loaded = np.rint(np.concatenate([points[distance < LOADED], hidden]) / spacing).astype(np.int64)
+    places = np.concatenate([grid.points[grid.distance < LOADED], grid.hidden])
+    loaded = np.rint(places / grid.spacing).astype(np.int64)
     half = loaded[loaded.sum(axis=1) % 2 == 0]
     return half if len(half) <= MOST_LOADED else half[half[:, 0] % 2 == 0]
 
@@ -183,12 +184,12 @@ class SheetProblem:
     """
 
     def __init__(self, grid: PointGrid, reach: float = REACH) -> None:
-        points, distance, hidden, spacing = grid
+        points, distance, _, spacing = grid
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
         self._points, self._spacing = points, spacing
-        self._loaded_cells = loaded_cells(points, distance, hidden, spacing)
+        self._loaded_cells = loaded_cells(grid)
         self._middle, self._size = points.mean(axis=0), points.std(axis=0)
         self.loaded = len(self._loaded_cells)
         self._whitening = Whitening(points[self.counted], reach)
@@ -322,7 +323,7 @@ class FoundationFit(ForceFit):
     """Its standard deviation."""
 
 
-def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
+def fit_foundation(grid: PointGrid, frames: list[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
     """Fit the foundation of an endless sheet to some frames of a grip, in their order in time.
 
     Args:
@@ -356,9 +357,7 @@ def fit_foundation(grid: PointGrid, frames: Sequence[SeenFrame], measuring: Meas
     return _with_forces(problem, frames, log_anchor, variance + error**2)
 
 
-def _with_forces(
-    problem: SheetProblem, frames: Sequence[SeenFrame], log_anchor: float, variance: float
-) -> FoundationFit:
+def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: float, variance: float) -> FoundationFit:
     """What all frames tell at a log foundation of that variance, their points as they were followed."""
     free = problem.design(log_anchor)
     solved = [problem.solve(free, frame) for frame in frames]
@@ -368,10 +367,8 @@ def _with_forces(
     uneven = (errors.foundation_uneven, errors.force_uneven) if wider > errors.sheet_together else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
-    less, here, more = (
-        [problem.profile(design, frame) for frame in seen]
-        for design in (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
-    )
+    designs = (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
+    less, here, more = ([problem.profile(design, frame) for frame in seen] for design in designs)
     (shorter, ratios_less, _), (length, along, _), (longer, ratios_more, _) = (
         along_last(np.array([item.force for item in found])) for found in (less, here, more)
     )

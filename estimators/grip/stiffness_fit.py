@@ -11,10 +11,9 @@ The numbers are found by least squares, with the loaded tissue's motion at its l
 `estimators.grip.sheet`.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -69,10 +68,8 @@ class StiffnessField:
     @property
     def knots(self) -> np.ndarray:
         """Places of the knots, shape [K, 2] [px]."""
-        sides = [
-            np.linspace(start, start + far, count)
-            for start, far, count in zip(self.low, self.extent, self.shape, strict=True)
-        ]
+        axes = zip(self.low, self.extent, self.shape, strict=True)
+        sides = [np.linspace(start, start + far, count) for start, far, count in axes]
         return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -247,7 +244,7 @@ class _Problem:
         by_anchor[:, -1] = anchor
         stiffness = np.exp(self._ends @ numbers[:-1])
         by_stiffness = np.column_stack([self._ends * stiffness[:, None], np.zeros(len(stiffness))])
-        moved = dataclasses.replace(here.unit, displacement=here.unit.displacement @ here.found[: len(here.loads) - 3])
+        moved = replace(here.unit, displacement=here.unit.displacement @ here.found[: len(here.loads) - 3])
         slopes = moved.slopes(by_stiffness, by_anchor)[: self.count][self.seen]
         points, priors = [], []
         for axis in (0, 1):

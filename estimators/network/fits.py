@@ -114,10 +114,10 @@ def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
 
 def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, float]:
     """Parameters that explain a motion, from a start [3] or, where that fails, from several; and the RMS residual."""
-    low, high = problem.motion.box(BOUNDS.log_box)
+    low, high = box = problem.motion.box(BOUNDS.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
-        end = find_optimum(problem, begin, low, high)
+        end = find_optimum(problem, begin, box)
         return NOMINAL_NOISE * math.sqrt(2 * end.cost / len(problem.moved)), end.logs
 
     begin = np.concatenate([start, np.zeros(len(low) - len(start))])

@@ -207,7 +207,7 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     information, logs = torch.from_numpy(drawn.information), torch.from_numpy(drawn.logs)
     pull, offset = torch.from_numpy(drawn.pull), mean.detach() - logs
     gradient = torch.einsum("bpq,bq->bp", information, offset) - pull
-    moved = preconditioned(mean, factor.detach(), gradient.to(mean), information.to(mean), *box)
+    moved = preconditioned(mean, factor.detach(), gradient.to(mean), information.to(mean), *box, whiten=True)
     prior, middle = (values.double() for values in box_prior(*box))
     whole = information + prior
     best = logs + torch.linalg.solve(whole, pull - (logs - middle) @ prior)

@@ -10,7 +10,3 @@ determined what the instrument alone explains of the motion, by one number each 
 particle_field what is said of the field in a frame and over a run
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -15,7 +15,7 @@ simulation alone; stiffness place by place is left to the optimiser.
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
@@ -38,6 +38,8 @@ FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
 BENDINGS = (0.02, 0.3, 1.0)
 """Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
 tried."""
+Answer = Callable[[np.ndarray], np.ndarray]
+"""From values of the particles to values of points."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -70,13 +72,7 @@ class Fit(NamedTuple):
 
 
 def fit_motion(
-    body: Body,
-    grip: Grip,
-    seen: np.ndarray,
-    shown: Callable[[np.ndarray], np.ndarray],
-    stepping: Stepping,
-    stiffness: float,
-    bendings: Sequence[float] = BENDINGS,
+    body: Body, grip: Grip, seen: np.ndarray, shown: Answer, stepping: Stepping, stiffness: float, bendings: list[float]
 ) -> Fit | None:
     """Try every combination on the frames so far, from rest on; None where nothing moves in any.
 
@@ -123,13 +119,7 @@ NOISE = 0.3
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
 
-    def __init__(
-        self,
-        objective: Objective,
-        begun: Stiffness,
-        cells: Callable[[np.ndarray], np.ndarray],
-        shown: Callable[[np.ndarray], np.ndarray],
-    ) -> None:
+    def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
         """Begin at rest.
 
         Args:
@@ -178,10 +168,8 @@ class Determined:
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
         likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
-        distance, shape = (
-            np.concatenate([best[None], field[None], field * factor])
-            for best, field, factor in zip(likeliest, fields[:2], factors, strict=True)
-        )
+        kinds = zip(likeliest, fields[:2], factors, strict=True)
+        distance, shape = (np.concatenate([best[None], field[None], field * factor]) for best, field, factor in kinds)
         fewer = len(distance)
         carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
         for other, state in zip(self._others, self._carried[fewer:], strict=True):

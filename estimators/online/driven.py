@@ -14,6 +14,8 @@ from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Star
 from palpate.estimators.online.surface import Surface
 from palpate.physics.load import Grip
 
+Cloud = tuple[np.ndarray, np.ndarray]
+"""Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
 NEIGHBOURS = 6
@@ -37,7 +39,7 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: list[tuple[np.ndarray, *tuple[np.ndarray | None, ...]]] = []
+        self._first: list[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = []
         """What the first frames tell, as `step` takes it."""
         self._awaited = settings.fitted
         inside, shares = surface.places(points)
@@ -119,13 +121,7 @@ class DrivenTissue:
         surface, gripped = self.surface, self.surface.gripped
         return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2] - nearer)
 
-    def step(
-        self,
-        moved: np.ndarray,
-        cloud: np.ndarray | None = None,
-        seen: np.ndarray | None = None,
-        led: np.ndarray | None = None,
-    ) -> Frame:
+    def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
         With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
@@ -133,12 +129,11 @@ class DrivenTissue:
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
-            cloud: points of the tissue, shape [m, 3] [scene units], where clouds are compared.
-            seen: particles that no tool hides, shape [n]; with the cloud.
+            cloud: of the frame, where clouds are compared.
             led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
                 where it doesn't tell.
         """
-        frame = moved, cloud, seen, led
+        frame = moved, cloud, led
         found = self._taken(*frame)
         if self._awaited > 0:
             self._awaited -= 1
@@ -169,18 +164,16 @@ class DrivenTissue:
         self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
         return True
 
-    def _taken(
-        self, moved: np.ndarray, cloud: np.ndarray | None, seen: np.ndarray | None, places: np.ndarray | None
-    ) -> Frame:
+    def _taken(self, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
         if self.settings.path is None:
-            places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud))
+            places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud[0]))
         matches: list[Match] = []
         if places is not None:
             self._places = places
             if self.settings.match != "chamfer":
                 matches += self._tracks(moved)
-            if cloud is not None and seen is not None and len(cloud) and len(seen):
-                matches.append(Chamfer(cloud, seen))
+            if cloud is not None and all(map(len, cloud)):
+                matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)

@@ -27,7 +27,7 @@ from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.online.driven import DrivenTissue
+from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
@@ -119,8 +119,8 @@ class _Followed:
             if known.any():
                 self._background = affine_motion(follower.points, motion, known, places)
             moved = still
-        cloud, seen = (None, None) if self._settings.match == "tracks" else self._cloud(frame)
-        self._gap = self._driven.step(moved, cloud, seen, self._led(frame.frame.time_s)).gap
+        cloud = None if self._settings.match == "tracks" else self._cloud(frame)
+        self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
         self._times.append(frame.frame.time_s)
 
     def _led(self, time: float) -> np.ndarray | None:
@@ -179,7 +179,7 @@ class _Followed:
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
         return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
 
-    def _cloud(self, frame: PreparedFrame) -> tuple[np.ndarray, np.ndarray]:
+    def _cloud(self, frame: PreparedFrame) -> Cloud:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
         height, width = frame.depth.shape
         tissue = (frame.labels == TISSUE) & (frame.depth > 0)

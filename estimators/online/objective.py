@@ -97,6 +97,7 @@ class Tracks:
 
 
 Match = Chamfer | Tracks
+Matches = Sequence[Match]
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ class Residual:
 
 
 def map_residual(
-    points: np.ndarray, matches: Sequence[Match], energy: Potential, held: np.ndarray, mapping: Mapping
+    points: np.ndarray, matches: Matches, energy: Potential, held: np.ndarray, mapping: Mapping
 ) -> Residual:
     """Descend F(y) = Σ matches(y) + U⁰(y)/N from a simulated state (Liang 2024, equations 4 to 6).
 
@@ -352,19 +353,14 @@ class Objective:
         with ThreadPoolExecutor(2) as both:
             return np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
 
-    def mapped(self, points: np.ndarray, matches: Sequence[Match]) -> Residual:
+    def mapped(self, points: np.ndarray, matches: Matches) -> Residual:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
         weights[self.body.kinds[1]] = 0.0
         return map_residual(points, matches, Potential(self.body, weights), self._held, self.mapping)
 
     def evaluate(
-        self,
-        fields: Stiffness,
-        start: np.ndarray,
-        places: np.ndarray,
-        matches: Sequence[Match],
-        snapshots: Sequence[np.ndarray],
+        self, fields: Stiffness, start: np.ndarray, places: np.ndarray, matches: Matches, snapshots: list[np.ndarray]
     ) -> Evaluation:
         """Step on and map; and so the snapshots, whose grip stays where it was: they should stay as they are.
 
@@ -394,7 +390,7 @@ class Objective:
         slopes = Stiffness(by_distance, by_shape, 0.0)
         return Evaluation(simulated, residual, Terms(gap, history, smoothness), slopes)
 
-    def _history(self, fields: Stiffness, snapshots: Sequence[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
+    def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
         """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""
         if not snapshots:
             return 0.0, (np.zeros(self.body.count), np.zeros(self.body.count))

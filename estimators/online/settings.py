@@ -1,7 +1,6 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Literal, get_type_hints
 
@@ -114,8 +113,8 @@ def load_settings(path: Path) -> OnlineSettings:
     """
     values = read_mapping(path, "a file of settings")
     for name, kind in get_type_hints(OnlineSettings).items():
-        if dataclasses.is_dataclass(kind):
+        if is_dataclass(kind):
             values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
     settings = from_mapping(OnlineSettings, values, str(path))
     files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
-    return dataclasses.replace(settings, **files)
+    return replace(settings, **files)

@@ -1,7 +1,6 @@
 """Tissue in a frame as a sheet or a volume of particles: where they are, which an instrument moves, which stay."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,7 +158,7 @@ def make_surface(
     else:
         body = _volume(mesh, pinned, thickness, layers)
     surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
-    return surface if thickness is None else dataclasses.replace(surface, pixels=surface.project(body.rest))
+    return surface if thickness is None else replace(surface, pixels=surface.project(body.rest))
 
 
 def _led(path: GripperPath, apart: np.ndarray, reach: float, larger: float, number: int) -> np.ndarray:

@@ -1,8 +1,7 @@
 """A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,14 +67,13 @@ class Bench:
         self.near: LinearSystem | None = None
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
-        self.poses = [
-            register(thinned(each.points), skin.vertices, skin.triangles, each.pose, shown=SHOWN) for each in palpations
-        ]
+        surface = skin.vertices, skin.triangles
+        self.poses = [register(thinned(each.points), surface, each.pose, shown=SHOWN) for each in palpations]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []
         for pose, each in zip(self.poses, palpations, strict=True):
-            match = Match.of(placed(pose, each.points), skin.vertices, skin.triangles)
+            match = Match.of(placed(pose, each.points), *surface)
             normals = match.normal @ pose[:3, :3]
             back = -each.points / np.maximum(np.linalg.norm(each.points, axis=1, keepdims=True), 1e-300)
             self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))
@@ -180,6 +178,6 @@ def half_as_stiff(rest: Equilibrium) -> Equilibrium:
         NoEquilibrium: it can't bear them.
     """
     energy = rest.energy
-    softer = dataclasses.replace(energy.material, young=energy.material.young / 2)
+    softer = replace(energy.material, young=energy.material.young / 2)
     start = 2 * rest.displacement
     return find_equilibrium(energy.solid, softer, rest.held, forces=energy.forces, start=start, near=rest.solver)

@@ -102,9 +102,8 @@ class _Found(NamedTuple):
 
     def upright(self, skin: Skin) -> bool:
         """Whether the bodies rest, without an element inside out."""
-        return bool(self.rests) and all(
-            np.linalg.det(skin.body.deformation(rest.displacement)).min() > 0 for rest in self.rests
-        )
+        volumes = (np.linalg.det(skin.body.deformation(rest.displacement)) for rest in self.rests)
+        return bool(self.rests) and all(volume.min() > 0 for volume in volumes)
 
 
 class _Error:
@@ -133,7 +132,7 @@ class _Error:
         total, poses = 0.0, []
         for rest, cloud, pose in zip(rests, self._clouds, self._poses, strict=True):
             vertices = skin.moved(rest.displacement)
-            poses.append(register(cloud, vertices, skin.triangles, pose, 1.0, SHOWN) if aligned else pose)
+            poses.append(register(cloud, (vertices, skin.triangles), pose, 1.0, SHOWN) if aligned else pose)
             apart = Match.of(placed(poses[-1], cloud), vertices, skin.triangles).apart
             total += float(np.square(apart).mean())
         return _Found(total, list(rests), poses)

@@ -77,10 +77,9 @@ class Region:
             depth: shape [D] [mm]; beyond what was probed the curve goes on as a straight line.
         """
         found = [field.at(place[None]) for field in self.fields]
-        force = sum(mean[0] * curve for (mean, _), curve in zip(found, self.curves, strict=True))
-        variance = self.rest + sum(
-            value[0] * np.square(curve) for (_, value), curve in zip(found, self.curves, strict=True)
-        )
+        shares = list(zip(found, self.curves, strict=True))
+        force = sum(mean[0] * curve for (mean, _), curve in shares)
+        variance = self.rest + sum(value[0] * np.square(curve) for (_, value), curve in shares)
         spread = np.interp(depth, self.depths, np.sqrt(variance))
         return _along(self.depths, force, depth), self.widening * spread
 

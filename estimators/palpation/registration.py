@@ -33,6 +33,8 @@ TURNS = 3
 """In which every view is laid onto all others."""
 OVER = 0.7
 """Cosine of the angle to the normal beyond which a place lies aside of a surface."""
+Triangles = tuple[np.ndarray, np.ndarray]
+"""A surface: vertices [V, 3] [m], and triangles [F, 3]."""
 SEAM = 0.6
 """Of the median edge: what lies closer to an earlier view is the same surface."""
 
@@ -56,19 +58,13 @@ def thinned(points: np.ndarray) -> np.ndarray:
 
 
 def register(
-    points: np.ndarray,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    pose: np.ndarray,
-    kept: float = KEPT,
-    shown: float = SHOWN,
+    points: np.ndarray, surface: Triangles, pose: np.ndarray, kept: float = KEPT, shown: float = SHOWN
 ) -> np.ndarray:
     """Pose that lays points onto a surface.
 
     Args:
         points: in the sensor's frame, shape [P, 3] [m].
-        vertices: of the surface, shape [V, 3] [m].
-        triangles: shape [F, 3].
+        surface: vertices, shape [V, 3] [m], and triangles, shape [F, 3].
         pose: to begin at: where the sensor was, as the tool that carries it says, shape [4, 4].
         kept: share of the pairs that align.
         shown: as SHOWN; facets alone show a ball's turns by a hundredth.
@@ -80,7 +76,7 @@ def register(
     size = float(np.ptp(points, axis=0).max())
     for _ in range(ROUNDS):
         seen = placed(found, points)
-        match = Match.of(seen, vertices, triangles)
+        match = Match.of(seen, *surface)
         near = match.apart <= np.quantile(match.apart, kept)
         centre = seen[near].mean(axis=0)
         # Turned about the middle, and in units of the cloud's size, the six unknowns weigh equally.
@@ -134,12 +130,12 @@ def join_views(views: Sequence[View]) -> Joined:
         raise ValueError("a view without triangles, or no view at all; give surfaces that the sensor saw.")
     poses = [np.asarray(views[0].pose, np.float64)]
     for number, view in enumerate(views[1:], start=1):
-        poses.append(_laid(view, _together(views[:number], poses), view.pose))
+        poses.append(register(thinned(view.vertices), _together(views[:number], poses), view.pose, OVERLAP))
     for _ in range(TURNS if len(views) > 2 else 0):
         for number in range(1, len(views)):
             others = [index for index in range(len(views)) if index != number]
             rest = _together([views[index] for index in others], [poses[index] for index in others])
-            poses[number] = _laid(views[number], rest, poses[number], SURROUNDED)
+            poses[number] = register(thinned(views[number].vertices), rest, poses[number], SURROUNDED)
     whole = _oriented(views[0], poses[0])
     apart = []
     for number in range(1, len(views)):
@@ -157,11 +153,7 @@ def join_views(views: Sequence[View]) -> Joined:
     return Joined(whole[0][used], which.reshape(-1, 3), poses, rms)
 
 
-def _laid(view: View, surface: tuple[np.ndarray, np.ndarray], pose: np.ndarray, kept: float = OVERLAP) -> np.ndarray:
-    return register(thinned(view.vertices), *surface, pose, kept)
-
-
-def _oriented(view: View, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _oriented(view: View, pose: np.ndarray) -> Triangles:
     """A view in the world, its triangles facing the sensor."""
     vertices = placed(pose, view.vertices)
     one, two, three = vertices[view.triangles].transpose(1, 0, 2)
@@ -169,11 +161,11 @@ def _oriented(view: View, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.where(away[:, None], view.triangles[:, ::-1], view.triangles)
 
 
-def _together(views: Sequence[View], poses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _together(views: Sequence[View], poses: Sequence[np.ndarray]) -> Triangles:
     return _united([_oriented(view, pose) for view, pose in zip(views, poses, strict=True)])
 
 
-def _united(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def _united(parts: Sequence[Triangles]) -> Triangles:
     """Surfaces side by side in one list of vertices."""
     begins = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     triangles = [faces + begin for (_, faces), begin in zip(parts, begins, strict=False)]

@@ -111,10 +111,8 @@ def _fit(hold: Hold, until: float | None, branches: int | None) -> tuple[Viscoel
     else:
         bounds = [(low, high), (np.log(shortest / 10), np.log(longest))]
         starts = [[(low + high) / 2, np.log(longest / part)] for part in (3, 30)]
-        fits = [
-            minimize(lambda x: solve(np.exp(x[0]), np.exp(x[1:]))[1], start, method="Nelder-Mead", bounds=bounds)
-            for start in starts
-        ]
+        how = {"method": "Nelder-Mead", "bounds": bounds}
+        fits = [minimize(lambda x: solve(np.exp(x[0]), np.exp(x[1:]))[1], start, **how) for start in starts]
         log, time = min(fits, key=lambda fit: fit.fun).x
         times = np.exp([time])
     stiffening = float(np.exp(log))

@@ -9,7 +9,7 @@ from palpate.data.contact.features import FEATURES, contact_features
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features
 from palpate.data.windows import window_indices
 from palpate.evaluation.ablation.watched import WatchedClip
-from palpate.models.carried_depth import carried
+from palpate.models.carried_depth import change, shifted
 from palpate.models.checkpoint import load_generator
 from palpate.models.generator import ContactHead
 from palpate.physics.mechanics import Mechanics
@@ -63,8 +63,9 @@ class TrainedGenerator:
 def carried_ahead(clip: WatchedClip, now: int, horizon: int, theta: np.ndarray, mechanics: Mechanics) -> np.ndarray:
     """A frame's depth as θ [3] alone makes it so many frames later, shape [h, w]."""
     contact = clip.run.build(mechanics)
-    course = np.array([[clip.since(now), clip.since(now + horizon)]]) / mechanics.time_step
-    given = torch.from_numpy(clip.frames[now].depth)[None, None], torch.tensor(theta[None], dtype=torch.float32)
+    course = np.rint([[clip.since(now) / mechanics.time_step, clip.since(now + horizon) / mechanics.time_step]])
     sheet = MeshBatch.from_meshes([contact.mesh]), PressBatch.of([contact.load])
+    given = torch.tensor(theta[None], dtype=torch.float32), *sheet, torch.tensor(course, dtype=torch.int64)
     with torch.no_grad():
-        return carried(*given, *sheet, torch.from_numpy(np.rint(course).astype(np.int64)), mechanics)[0, 0].numpy()
+        by = change(*given, mechanics)
+    return shifted(torch.from_numpy(clip.frames[now].depth)[None, None], by)[0, 0].numpy()

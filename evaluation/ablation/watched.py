@@ -1,7 +1,6 @@
 """A synthetic clip as it is observed, frame by frame, and what truly happens."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,7 +67,7 @@ def watch(suite: str, index: int, seed: int) -> WatchedClip | None:
         scene, motion = draw_press(chosen.truth_settings(index), seed)
     except SceneError:
         return None
-    scene = dataclasses.replace(scene, settings=chosen.settings(index))
+    scene = replace(scene, settings=chosen.settings(index))
     frames, info = _observed(scene, motion, seed)
     runs = RunTracker(info, MECHANICS.seconds)
     ended = [*(runs.push(frame) for frame in frames), runs.finish()]
@@ -78,8 +77,8 @@ def watch(suite: str, index: int, seed: int) -> WatchedClip | None:
     contact = run.builder.build(MECHANICS)
     if not len(contact.observation):
         return None
-    quiet = dataclasses.replace(scene.settings, depth_noise=0.0, scale_flicker=0.0, depth_bits=16)
-    truth, _ = _observed(dataclasses.replace(scene, settings=quiet), motion, seed)
+    quiet = replace(scene.settings, depth_noise=0.0, scale_flicker=0.0, depth_bits=16)
+    truth, _ = _observed(replace(scene, settings=quiet), motion, seed)
     return WatchedClip(motion, info, frames, truth, run.builder, contact)
 
 

@@ -27,17 +27,7 @@ import pandas as pd
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.evaluation.harness import Experiment, Report, Row, run
-from palpate.evaluation.online.compare import (
-    BATCH,
-    HORIZON,
-    METHODS,
-    STARTS,
-    Key,
-    Optimizer,
-    run_case,
-    summary,
-    table,
-)
+from palpate.evaluation.online.compare import BATCH, HORIZON, METHODS, STARTS, Key, Optimizer, run_case, summary, table
 from palpate.evaluation.online.sequences import SEQUENCES, Pull
 
 DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}

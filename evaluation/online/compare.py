@@ -7,7 +7,7 @@ and by the same optimiser as the online estimator's; followed points count where
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
@@ -35,13 +35,7 @@ FRAMES, EPOCHS = 30, 25
 
 
 def run_case(
-    pull: Pull,
-    start: tuple[float, float],
-    name: str,
-    match: str,
-    every: int,
-    optimizer: Optimizer = "gauss-newton",
-    epochs: int = EPOCHS,
+    pull: Pull, start: tuple[float, float], name: str, match: str, every: int, optimizer: Optimizer = "gauss-newton"
 ) -> Row:
     """Follow a pull, and predict from every so many frames.
 
@@ -55,7 +49,6 @@ def run_case(
             tissue that slides within its surface.
         every: frames from one prediction to the next.
         optimizer: of PBD-RM-ON.
-        epochs: of the batch fit.
 
     Returns:
         What is measured by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the
@@ -72,7 +65,7 @@ def run_case(
     if name == BATCH:
         first = range(min(FRAMES, frames))
         matches = [pull.matches(frame, match) for frame in first]
-        fields, _ = fit_batch(objective, fields, pull.places[: len(first)], matches, method.rate, epochs)
+        fields, _ = fit_batch(objective, fields, pull.places[: len(first)], matches, method.rate)
     session = Session(objective, fields, method)
     nearest = KDTree(body.rest).query(pull.points[0, pull.keypoints])[1]
     chamfer, spent, ahead, rows = [], [], [], []
@@ -96,14 +89,9 @@ def run_case(
 
 
 def fit_batch(
-    objective: Objective,
-    begun: Stiffness,
-    places: np.ndarray,
-    matches: Sequence[Sequence[Match]],
-    rate: float,
-    epochs: int = EPOCHS,
+    objective: Objective, begun: Stiffness, places: np.ndarray, matches: list[list[Match]], rate: float
 ) -> tuple[Stiffness, np.ndarray]:
-    """Fields after so many epochs.
+    """Fields after EPOCHS epochs.
 
     Args:
         objective: how the body is stepped; its other terms don't count.
@@ -111,16 +99,15 @@ def fit_batch(
         places: where gripped particles are in T frames, from rest on, shape [T, G, 3] [m].
         matches: what was observed in each of them.
         rate: Adam's, on logits.
-        epochs: how often.
 
     Returns:
-        the fields, and the mean over frames of what was left before every epoch, shape [epochs] [mean edges²]: Adam's
+        the fields, and the mean over frames of what was left before every epoch, shape [EPOCHS] [mean edges²]: Adam's
         guard knows no unit.
     """
     body, bounds, adam, fields = objective.body, objective.bounds, Adam(rate), begun
     logits, left = bounds.logits(begun), []
     share = 1 / (len(matches) * float(body.layout.rest[body.kinds[0]].mean()) ** 2)
-    for _ in range(epochs):
+    for _ in range(EPOCHS):
         motion = objective.stepped(fields, body.rest, places)
         pulls, total = np.zeros_like(motion.positions), 0.0
         states, slopes_at = motion.positions[0], pulls[0]

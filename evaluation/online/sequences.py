@@ -274,10 +274,7 @@ def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:
 SEQUENCES = {
     # Away from the pins and up; the half next to the pins is stiff.
     "thin-shell-1": Sequence(
-        False,
-        60,
-        lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)),
-        lambda rest: rest[:, 0] < SIDE / 2,
+        False, 60, lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
     ),
     # To one side, to the other and back, lifted on the way; a spot is stiff.
     "thin-shell-2": Sequence(

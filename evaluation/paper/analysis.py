@@ -1,6 +1,6 @@
 """All numbers of an evaluation, from test records to what `evaluation.paper.report` writes (Bini 2026, section 4)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,15 +23,7 @@ REGIMES = {
     NO_MOTION: "error_no_motion",
 }
 """Column of the table of frames by simulated parameters, in the order of tables."""
-GIVEN = [
-    "clip",
-    "frame",
-    "error_reference",
-    "error_predicted",
-    "next_depth_error",
-    "copy_error",
-    "theta_sensitivity",
-]
+GIVEN = ["clip", "frame", "error_reference", "error_predicted", "next_depth_error", "copy_error", "theta_sensitivity"]
 """Columns of the table of frames that come from the records."""
 DEFINITIONS = (
     f"Reference θ: k_s = {REFERENCE_STIFFNESS}, k_d = {REFERENCE_DAMPING} from the literature, F and all else "
@@ -95,9 +87,7 @@ def analyse_depth(frames: pd.DataFrame) -> dict[str, Statistics]:
     return found | {"comparison": compare(frames["next_depth_error"], frames["copy_error"], frames["clip"])}
 
 
-def analyse(
-    records: Sequence[Record], training: Sequence[Interaction], mechanics: Mechanics, bounds: Bounds
-) -> Evaluation:
+def analyse(records: list[Record], training: list[Interaction], mechanics: Mechanics, bounds: Bounds) -> Evaluation:
     """Compute every number of the evaluation; see `evaluation.paper.report.write_evaluation` for the arguments.
 
     Raises:

@@ -1,7 +1,7 @@
 """Writes an evaluation as files: tables (Markdown, CSV), figures (PNG), all numbers (JSON) and one HTML page."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,7 +37,7 @@ TITLE = "Evaluation of the estimated tissue parameters"
 
 
 def write_evaluation(
-    records: Sequence[Record], training: Sequence[Interaction], mechanics: Mechanics, bounds: Bounds, output: Path
+    records: list[Record], training: list[Interaction], mechanics: Mechanics, bounds: Bounds, output: Path
 ) -> dict[str, Path]:
     """Evaluate the test records and write the results into a folder.
 
@@ -138,11 +138,9 @@ def statistics_table(found: Evaluation) -> pd.DataFrame:
     regimes = [(name, "", statistics) for name, statistics in found.summaries.items()]
     regimes += [("predicted θ", name, statistics) for name, statistics in found.comparisons.items()]
     return pd.DataFrame(
-        [
-            {"regime": regime, "compared_with": baseline, "quantity": quantity, **statistic._asdict()}
-            for regime, baseline, statistics in regimes
-            for quantity, statistic in statistics.items()
-        ]
+        {"regime": regime, "compared_with": baseline, "quantity": quantity, **statistic._asdict()}
+        for regime, baseline, statistics in regimes
+        for quantity, statistic in statistics.items()
     )
 
 

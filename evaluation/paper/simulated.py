@@ -102,9 +102,7 @@ def to_unit(theta: Tensor, bounds: Bounds) -> Tensor:
     return (torch.asinh(theta / scale) - low) / (high - low)
 
 
-def fit_constant_theta(
-    contacts: Sequence[Interaction], bounds: Bounds, mechanics: Mechanics
-) -> tuple[np.ndarray, float]:
+def fit_constant_theta(contacts: list[Interaction], bounds: Bounds, mechanics: Mechanics) -> tuple[np.ndarray, float]:
     """Find the constant θ in the admissible box with the lowest mean displacement error over the training contacts.
 
     θ₀ and Sobol points over the box are tried, and the best of them refined with L-BFGS-B through the rollout's

@@ -151,11 +151,9 @@ class Real(Experiment):
         """A row a clip and measure, and figures a clip: what the session says, and what brightness adds."""
         found = [dict(rows[key]) for key in self.wanted if key in rows]
         drawn = [row.pop("figures") for row in found if "figures" in row]
-        figures = {
-            f"{number}{name}.png": base64.b64decode(content)
-            for number, each in enumerate(drawn, 1)
-            for name, content in each.items()
-        }
+        figures: dict[str, bytes] = {}
+        for number, each in enumerate(drawn, 1):
+            figures |= {f"{number}{name}.png": base64.b64decode(content) for name, content in each.items()}
         frame = by_measure(found, "clip")
         failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
         lines = [[to_cell(cell, ".3g") for cell in line] for line in frame.itertuples(index=False)]

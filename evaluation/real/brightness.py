@@ -215,17 +215,12 @@ def evaluate_light(pull: LitPull) -> tuple[Row, Figure]:
         CORRECTED: corrected,
         f"{CORRECTED}, brightness": corrected + by_place(brightness(corrected), left + sheet - corrected, half),
     }
-    courses = {
-        f"skill of motion: {name}": [
-            skill(one[shown], other[shown]) for one, other, shown in zip(moved, followed, around, strict=True)
-        ]
-        for name, moved in expected.items()
-    }
-    seen = np.where(np.isfinite(followed), followed, sheet)
-    carriers = {STILL: 0 * nodes, SHEET: nodes}
-    carriers |= {
-        name: np.concatenate([moved, hidden], axis=1) for name, moved in {CORRECTED: corrected, FOLLOWED: seen}.items()
-    }
+    courses: dict[str, list[float]] = {}
+    for name, moved in expected.items():
+        compared = zip(moved, followed, around, strict=True)
+        courses[f"skill of motion: {name}"] = [skill(one[shown], other[shown]) for one, other, shown in compared]
+    carriers = {STILL: 0 * nodes, SHEET: nodes, CORRECTED: np.concatenate([corrected, hidden], axis=1)}
+    carriers[FOLLOWED] = np.concatenate([np.where(np.isfinite(followed), followed, sheet), hidden], axis=1)
     images, of_light = _images(pull, carriers, grip)
     courses |= of_light
     return {name: float(np.mean(course[half:])) for name, course in courses.items()}, _draw(pull, images, courses)
@@ -284,9 +279,8 @@ def _images(
 def _draw(pull: LitPull, images: dict[str, np.ndarray], courses: dict[str, list[float]]) -> Figure:
     """Changes of light in the last frame, observed and predicted, and skill over the frames."""
     figure, shown = Figure(figsize=(13, 10), layout="constrained"), (OBSERVED, CORRECTED, f"{CORRECTED}, brightness")
-    axes = figure.subplot_mosaic(
-        [np.repeat(shown, 2).tolist(), np.repeat([*SCALES], 3).tolist()], height_ratios=(1.1, 1)
-    )
+    rows = [np.repeat(shown, 2).tolist(), np.repeat([*SCALES], 3).tolist()]
+    axes = figure.subplot_mosaic(rows, height_ratios=(1.1, 1))
     numbers, half = pull.numbers, len(pull.numbers) // 2
     visible = pull.places[np.isfinite(images[OBSERVED])]
     (left, top), (right, bottom) = visible.min(axis=0) - EDGE, visible.max(axis=0) + EDGE
@@ -303,9 +297,8 @@ def _draw(pull: LitPull, images: dict[str, np.ndarray], courses: dict[str, list[
         below = axes[kind]
         for color, name in enumerate((STILL, SHEET, CORRECTED, FOLLOWED)):
             for style, each in (("--", name), ("-", f"{name}, brightness")):
-                below.plot(
-                    numbers, courses[f"skill of {kind}: {each}"], style, color=f"C{color}", marker=".", label=each
-                )
+                course = courses[f"skill of {kind}: {each}"]
+                below.plot(numbers, course, style, color=f"C{color}", marker=".", label=each)
         below.axvspan(numbers[0] - 0.5, sum(numbers[half - 1 : half + 1]) / 2, color="0.93", zorder=0)
         below.text(numbers[0] - 0.4, 1.0, "frames that are fitted", va="top")
         below.set(xlabel="frame", ylabel=f"skill of {kind} [1]", ylim=(-1, 1.05), xlim=(numbers[0] - 0.5, None))

@@ -5,9 +5,8 @@ since that frame, root mean squares over the points that are followed in both an
 0 = as good as saying that nothing moves on, 1 = exact.
 """
 
-import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,7 +70,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
         if index + AHEAD > len(follow.frames):
             continue
         # Anew each time: what is fitted may see the frames up to this one.
-        fitted = dataclasses.replace(settings, fitted=min(settings.fitted, index))
+        fitted = replace(settings, fitted=min(settings.fitted, index))
         tissue = DrivenTissue(surface, follow.points, follow.distance, fitted)
         for frame in follow.frames[:index]:
             tissue.step(frame.moved)
@@ -150,10 +149,8 @@ def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
     springs = lattice_springs(follow.points[visible].astype(int), follow.spacing)
     gripped, count = frame.gripped[visible], int(visible.sum())
     found = np.full(frame.moved.shape, np.nan)
-    anchor = np.full(count, ratio)
-    found[visible] = equilibrium(
-        springs, np.ones(len(springs)), anchor, gripped, frame.moved[frame.gripped]
-    ).displacement
+    alike = np.ones(len(springs)), np.full(count, ratio)
+    found[visible] = equilibrium(springs, *alike, gripped, frame.moved[frame.gripped]).displacement
     return found
 
 
@@ -167,7 +164,7 @@ def nearby_frame(frame: GripFrame, distance: np.ndarray) -> GripFrame:
     around = frame.around
     nearby = around & (distance < np.percentile(distance[around | frame.gripped], NEARBY))
     shown = frame.gripped | (nearby if nearby.any() else around)
-    return dataclasses.replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
+    return replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 
 
 def follow_clip(clip: PulledClip) -> Follow:

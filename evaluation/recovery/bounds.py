@@ -15,6 +15,7 @@ from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.brightness_fit import WITHIN
+from palpate.estimators.direct.contact_fit import Problem
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
@@ -101,15 +102,13 @@ def _kind(motion: PressedMotion) -> type[PressMotion]:
     return PressMotion if motion.shape == PressShape() else PatchMotion
 
 
-def _all(problem: ContactProblem | SequenceProblem[PressMotion], logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _all(problem: Problem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """True parameters of a problem, from φ and the delays."""
     press = problem.motion
     return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
 
 
-def _of_tissue(
-    problem: ContactProblem | SequenceProblem[PressMotion], logs: np.ndarray, motion: PressedMotion, unit: float = 1.0
-) -> np.ndarray:
+def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: float = 1.0) -> np.ndarray:
     """Information of log θ and the delays at the truth, shape [5, 5] ([4, 4]), the press's shape being unknown.
 
     Args:

@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 from scipy.spatial.distance import cdist
 
 from palpate.common.robust import affine_terms, median_sd
-from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
+from palpate.estimators.grip.sheet import SIZE, PointGrid, load_precision, loaded_cells
 from palpate.estimators.grip.whitening import matern, pair_products
 from palpate.physics.sheet import response
 
@@ -65,15 +65,11 @@ class Following:
         return np.square(np.minimum(self.sizes[:, None], self.sizes)) * correlation
 
 
-def measure_following(
-    points: np.ndarray, distance: np.ndarray, spacing: int, noise: np.ndarray, errors: np.ndarray
-) -> Following:
+def measure_following(grid: PointGrid, noise: np.ndarray, errors: np.ndarray) -> Following:
     """Measure how points were followed.
 
     Args:
-        points: places at rest, on a square grid, shape [n, 2] [px].
-        distance: from the tool there, shape [n] [px].
-        spacing: of the grid [px].
+        grid: n points.
         noise: stated by axis in the last frame, shape [n] [px].
         errors: followed minus true place, shape [T, n, 2] [px]; not a number where a point is not in view, in the last
             frame none.
@@ -86,8 +82,8 @@ def measure_following(
     scaled = np.clip(errors / sizes[:, None], -OUTLYING, OUTLYING)
     always = np.isfinite(scaled).all(axis=(0, 2))
     in_time = np.einsum("tna,sna->ts", scaled[:, always], scaled[:, always])
-    near = distance < NEAR_TOOL
-    rings = ring_correlation(points[near], spacing, scaled[-1][near])
+    near, spacing = grid.distance < NEAR_TOOL, grid.spacing
+    rings = ring_correlation(grid.points[near], spacing, scaled[-1][near])
     middle = sum(RINGS) / 2 * spacing
     shared = float(np.clip(rings[slice(*RINGS)].mean() / matern(np.array(middle / FAR)), 0.0, 0.5))
     own = float(np.clip((rings[1] - shared * matern(np.array(spacing / FAR))) / (1 - shared), 0.01, 0.99))
@@ -144,28 +140,17 @@ class GripBound(NamedTuple):
     """Of what holds the tissue in the last frame over stiffness."""
 
 
-def grip_bound(
-    points: np.ndarray,
-    distance: np.ndarray,
-    hidden: np.ndarray,
-    spacing: int,
-    moved: np.ndarray,
-    following: Following,
-    log_anchor: float,
-) -> GripBound:
+def grip_bound(grid: PointGrid, moved: np.ndarray, following: Following, log_anchor: float) -> GripBound:
     """Bounds of a grip in a clip.
 
     Args:
-        points: places at rest of the points in view in the last frame, on a square grid, shape [n, 2] [px].
-        distance: from the tool there, shape [n] [px].
-        hidden: places of the grid that the tool hides there, shape [H, 2] [px].
-        spacing: of the grid [px].
+        grid: of the points in view in the last frame, n of them.
         moved: where they truly are since rest, shape [T, n, 2] [px].
         following: of these points.
         log_anchor: true log of foundation over stiffness.
     """
-    cells = np.rint(points / spacing).astype(np.int64)
-    loaded = loaded_cells(points, distance, hidden, spacing)
+    points, loaded = grid.points, loaded_cells(grid)
+    cells = np.rint(points / grid.spacing).astype(np.int64)
     apart = tuple(np.moveaxis(cells[:, None] - loaded, -1, 0) % SIZE)
     terms = affine_terms(points)
     answer = response(math.exp(log_anchor), SIZE)

@@ -16,6 +16,7 @@ from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.sheet import PointGrid
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.evaluation.harness import Row
@@ -72,10 +73,10 @@ def _grip_against_truth(
     error = moved[used - onset - 1] - true
     visible = np.isfinite(error[-1]).all(axis=1)
     size = float(np.sqrt(np.square(error[-1, visible]).mean()))
-    places = points[visible], follower.distance[visible]
-    followed = measure_following(*places, SPACING, noise[visible], error[:, visible])
+    grid = PointGrid(points[visible], follower.distance[visible], follower.hidden, SPACING)
+    followed = measure_following(grid, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    bound = grip_bound(*places, follower.hidden, SPACING, true[:, visible], followed, log_anchor)
+    bound = grip_bound(grid, true[:, visible], followed, log_anchor)
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
     found: Row = {

@@ -166,11 +166,6 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.square(values).mean())) if len(values) else math.nan
 
 
-def constant_error(truth: np.ndarray) -> float:
-    """Error of the best constant for true values [n]: the root mean square about their own mean."""
-    return float(np.std(truth)) if len(truth) else math.nan
-
-
 def coverage(errors: np.ndarray, sd: np.ndarray, width: float = NINETY) -> float:
     """Share of errors [n] within `width` standard deviations [n], of those whose deviations are given."""
     known = np.isfinite(sd)
@@ -184,7 +179,7 @@ def table(judged: Sequence[Scores]) -> pd.DataFrame:
         for column, parameter in enumerate(QUANTITIES):
             for regime, used in scores.groups(column).items():
                 error, bound = rms(scores.errors[used, column]), rms(scores.bounds[used, column])
-                constant = constant_error(scores.truth[used, column])
+                constant = float(np.std(scores.truth[used, column])) if used.any() else math.nan
                 held = coverage(scores.errors[used, column], scores.sd[used, column])
                 named = scores.estimator, scores.suite, regime, parameter
                 cells = (*named, int(used.sum()), error, bound, error / bound, constant, held)

@@ -73,10 +73,8 @@ def _read() -> Iterator[Suite]:
 
 EVERY = {suite.name: suite for suite in _read()}
 """All suites by name, in the order of tables."""
-SUITES, GRIP_SUITES, SLAB_SUITES = (
-    {name: suite for name, suite in EVERY.items() if suite.of == of} for of in ("press", "grip", "slab")
-)
-"""Those of presses and of grips on a sheet, and of slabs."""
+SUITES = {name: suite for name, suite in EVERY.items() if suite.of == "press"}
+"""Those of presses on a sheet."""
 
 
 def suite_clip_seed(split: str, seed: int, index: int) -> int:

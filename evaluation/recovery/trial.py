@@ -45,12 +45,11 @@ reaction                        of a pull: F/k_s, of finite elements F/E, and th
 curve                           as of a grip
 """
 
-import dataclasses
 import functools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,7 +69,7 @@ from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.open import FEM, EstimatorOptions
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
@@ -137,8 +136,8 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -
         scene, motion = _truth(EVERY[suite].truth_settings(trial.index, trial.size), trial.seed)
     except SceneError as error:
         return failed("no scene", str(error))
-    scene = dataclasses.replace(scene, settings=dataclasses.replace(settings, tool_in_view=trial.contact != MOTION))
-    prepare = dataclasses.replace(PREPARE, geometry=dataclasses.replace(PREPARE.geometry, contact=trial.contact))
+    scene = replace(scene, settings=replace(settings, tool_in_view=trial.contact != MOTION))
+    prepare = replace(PREPARE, geometry=replace(PREPARE.geometry, contact=trial.contact))
     if isinstance(motion, PressedMotion):
         known["theta"] = motion.theta
     try:
@@ -155,7 +154,7 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -
     for name, candidate in candidates.items():
         named = known | {"estimator": name}
         if isinstance(motion, SlabMotion) and isinstance(candidate, EstimatorOptions) and candidate.model == Path(FEM):
-            candidate = dataclasses.replace(candidate, thickness=motion.tissue.thickness)
+            candidate = replace(candidate, thickness=motion.tissue.thickness)
             named["fitted"] = FEM
         rows.append(named | estimated(candidate, clip, compare))
     return rows
@@ -167,7 +166,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(gripped, clip.frames, clip.scene, motion)
     if isinstance(motion, SlabMotion):
-        known: Row = {"tissue": np.array(dataclasses.astuple(motion.tissue))}
+        known: Row = {"tissue": np.array(astuple(motion.tissue))}
         if isinstance(motion, PressedSlab):
             force = float(np.abs(motion.force).max())
             return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
@@ -197,19 +196,13 @@ def estimated(candidate: Candidate, clip: TrueClip, compare: Compare) -> Row:
     start = time.perf_counter()
 
     def answered() -> Row:
-        answer = candidate if isinstance(candidate, Estimate) else answers(candidate, clip.frames, clip.info)
+        answer = candidate
+        if not isinstance(candidate, Estimate):
+            answer = list(estimates_of(opened(candidate).start(clip.info), clip.frames))
         seconds = time.perf_counter() - start
         return {"status": OK, "seconds": seconds, **compare(answer)}
 
     return attempted(answered)  # an estimator that breaks on a clip is a result, and the others go on
-
-
-def answers(
-    candidate: EstimatorOptions, frames: Sequence[PreparedFrame], clip: ClipInfo
-) -> list[FrameEstimate | InteractionEstimate]:
-    """Everything that the session that users run says of a clip."""
-    session = opened(candidate).start(clip)
-    return list(estimates_of(session, frames))
 
 
 def _pressed(onset: int, answer: Estimate | list) -> Row:
@@ -250,7 +243,7 @@ def as_stamped(motion: PressedMotion, onset: int) -> PressedMotion:
     """The same motion with its delay counted from another frame that is taken for the onset."""
     interval = motion.times[1] - motion.times[0]
     delay = motion.delay - (onset - motion.onset_frame) * interval
-    return dataclasses.replace(motion, onset_frame=onset, delay=delay)
+    return replace(motion, onset_frame=onset, delay=delay)
 
 
 def observed_contacts(

@@ -13,7 +13,6 @@ estimated by the network alone (--rate fast of `palpate infer`). Research softwa
 import argparse
 import dataclasses
 import math
-import re
 import signal
 import socket
 import sys
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.common.command_line import path_option, real_number, whole_number
+from palpate.common.command_line import path_option, real_number, size_of, whole_number
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.data.clip import ClipStream
@@ -199,10 +198,10 @@ def _known(values: dict[str, Any], columns: dict[str, str]) -> dict[str, Any]:
 
 def _size(text: str) -> tuple[int, int]:
     """Width and height [px]."""
-    if not re.fullmatch(r"\d{1,5}x\d{1,5}", text):
+    found = size_of(text)
+    if found is None or max(found) >= 100_000:
         raise argparse.ArgumentTypeError(f"{text} is no size; give width and height, such as 854x480.")
-    width, height = map(int, text.split("x"))
-    return width, height
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -88,7 +88,7 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
         with replacing_own(output / NAMES[0]) as partial:
             partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")
         with replacing_own(output / NAMES[1]) as partial:
-            draw_plan(scene, plan, direct, ways["planned"][1], ways["shortest"][1]).savefig(partial, dpi=110)
+            draw_plan(scene, ways).savefig(partial, dpi=110)
     for name, found in numbers.items():
         print(
             f"{name}: cost {found['cost']:.2f} (deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm), "

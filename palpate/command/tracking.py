@@ -9,7 +9,7 @@ import os
 import re
 import sqlite3
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -169,12 +169,7 @@ def log_network(logger: MLFlowLogger, path: Path, checkpoint: Path) -> None:
 
 
 def model_card(
-    name: str,
-    network: ExportedModel,
-    outputs: Sequence[str],
-    checkpoint: Path,
-    data: Sequence[str],
-    metrics: Mapping[str, float],
+    name: str, network: ExportedModel, outputs: list[str], checkpoint: Path, data: list[str], metrics: dict[str, float]
 ) -> str:
     """What an exported network is, from what, and how well it did, in Markdown.
 

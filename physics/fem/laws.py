@@ -24,9 +24,7 @@ from palpate.physics.fem.polar import rotations, spins
 _IDENTITY = np.eye(9)
 _TRANSPOSED = np.eye(9)[np.arange(9).reshape(3, 3).T.ravel()]
 _TRACE = np.eye(3).ravel()
-_LEVI_CIVITA = np.array(
-    [[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for j in range(3)] for i in range(3)], dtype=np.float64
-)
+_LEVI_CIVITA = np.cross(np.eye(3)[:, None], np.eye(3))
 _COFACTOR_SLOPE = np.einsum("ikm,jln->ijklmn", _LEVI_CIVITA, _LEVI_CIVITA).reshape(81, 9)
 """∂(cof F)_ij/∂F_kl = ε_ikm ε_jln F_mn."""
 

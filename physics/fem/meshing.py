@@ -21,6 +21,8 @@ from scipy.spatial import KDTree
 from palpate.physics.fem.solid import EDGES, FACES, outer_faces, qualities
 from palpate.physics.fem.surface import areas, nearest, rows_needed
 
+Floor = tuple[int, float] | None
+"""Axis across a plane that a body stands on, and where along it [m]."""
 Longest = Callable[[np.ndarray], np.ndarray]
 """How long edges may be at most around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
@@ -161,7 +163,7 @@ def mesh_surface(
     *,
     cells: int = 16,
     thickness: float | None = None,
-    floor: tuple[int, float] | None = None,
+    floor: Floor = None,
     longest: Longest | None = None,
 ) -> Meshed:
     """Fill a surface.
@@ -336,12 +338,7 @@ def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 
 def _drawn(
-    nodes: np.ndarray,
-    tetrahedra: np.ndarray,
-    corners: np.ndarray,
-    samples: int,
-    away: float,
-    floor: tuple[int, float] | None,
+    nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, away: float, floor: Floor
 ) -> tuple[np.ndarray, float]:
     """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
     bare = outer_faces(tetrahedra)

@@ -20,30 +20,22 @@ NOTHING_NEW = 1e-10
 
 
 class Modes:
-    """Of a body of law `linear` with damping proportional to mass or a standard linear solid, from rest; M modes.
+    """Of a linear body with damping proportional to mass or a standard linear solid, from rest; M modes.
 
     Args:
         solid: the body, N nodes.
-        poisson: ν.
+        material: of law `linear`; its E is a factor of what `follow` takes.
         held: components that don't move, shape [N, 3], bool.
         density: [kg/m³].
         pattern: forces on the nodes, in proportion to which all loads are, shape [N, 3] [N].
         shift: s; they are best where the time steps' rule has its pole, 4/(E·step²) [1/(Pa s²)].
-        stiffer: factor of E in every element, shape [E].
     """
 
     def __init__(
-        self,
-        solid: Solid,
-        poisson: float,
-        held: np.ndarray,
-        density: float,
-        pattern: np.ndarray,
-        shift: float,
-        stiffer: np.ndarray | float = 1.0,
+        self, solid: Solid, material: Material, held: np.ndarray, density: float, pattern: np.ndarray, shift: float
     ) -> None:
         free, none = ~held.ravel(), np.zeros_like(solid.rest)
-        energy = Energy(solid, Material("linear", stiffer, poisson), none)
+        energy = Energy(solid, material, none)
         stiffness = energy.matrix(energy.response(none, tangent=True))[free][:, free].tocsr()
         mass = (density * solid.mass[free][:, free]).tocsr()
         shifted = LinearSystem((stiffness + shift * mass).tocsr())

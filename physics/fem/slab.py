@@ -16,6 +16,10 @@ from palpate.physics.fem.meshing import NoBody, box
 from palpate.physics.fem.solid import EDGES, Solid, make_solid
 from palpate.physics.mesh import Mesh
 
+Cells = tuple[int, int, int]
+"""Number along columns, rows and depth."""
+Place = tuple[float, float]
+"""Column and row [grid px]."""
 CELLS = (10, 10, 3)
 """Along columns, rows and depth: 1,500 tetrahedra."""
 WIDE = 0.28
@@ -52,7 +56,7 @@ class Slab:
     """Where their columns are, shape [C] [grid px]."""
     rows: np.ndarray
     """Where their rows are, shape [R] [grid px]."""
-    place: tuple[float, float]
+    place: Place
     """Column and row of the contact [grid px]."""
     order: int = 1
     """Of the elements' shape functions, 1 or 2."""
@@ -65,7 +69,7 @@ class Slab:
         seen = np.array([np.ptp(self.columns), np.ptp(self.rows)])
         return seen / np.array([rays[-1, 0, 0] - rays[0, 0, 0], rays[0, -1, 1] - rays[0, 0, 1]])
 
-    def patch(self, radius: float, place: tuple[float, float] | None = None) -> np.ndarray:
+    def patch(self, radius: float, place: Place | None = None) -> np.ndarray:
         """Share of every node in a force that is spread as 1 - (r/R)² around a place, shape [N], sum 1.
 
         Args:
@@ -129,22 +133,33 @@ def _quadratic(odd: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np
     return across, below, np.stack([*corners, 4 * none * one, 4 * none * two, 4 * one * two])
 
 
-def layered(
-    corners: np.ndarray,
-    held: np.ndarray,
-    cells: tuple[int, int, int],
-    grid: tuple[np.ndarray, np.ndarray],
-    place: tuple[float, float],
-    order: int,
-) -> Slab:
-    """A slab of layers, its corners as those of `physics.fem.meshing.box`.
+def crowded(cells: Cells, place: Place, wide: float, thickness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners of a slab whose cells crowd at a place, in the order of `physics.fem.meshing.box`.
+
+    Args:
+        cells: along columns, rows and depth.
+        place: column and row of the contact [grid px].
+        wide: from there to the sides [grid px].
+        thickness: in any unit of length.
+
+    Returns:
+        Columns and rows [K, 2], how deep they lie below the surface [K], and which are at a side or the bottom [K].
+    """
+    shares, _ = box((1.0, 1.0, 1.0), cells)
+    pixels = np.add(place, wide * np.sinh(CROWDED * (2 * shares[:, :2] - 1)) / math.sinh(CROWDED))
+    below = thickness * (GROWTH ** np.rint(shares[:, 2] * cells[2]) - 1) / (GROWTH ** cells[2] - 1)
+    return pixels, below, (shares == 1).any(axis=1) | (shares[:, :2] == 0).any(axis=1)
+
+
+def layered(corners: np.ndarray, held: np.ndarray, cells: Cells, pixels: np.ndarray, place: Place, order: int) -> Slab:
+    """A slab of layers, its corners as `crowded` gives them.
 
     Args:
         corners: where they are at rest, shape [K, 3].
         held: which of them don't move, shape [K], bool; of other nodes those between two that are held, but for one
             between two sides, which lies inside.
         cells: along columns, rows and depth.
-        grid: columns and rows of the corners on top, shape [C] and [R] [grid px].
+        pixels: columns and rows of the corners, shape [K, 2] [grid px].
         place: column and row of the contact [grid px].
         order: of the elements' shape functions, 1 or 2.
 
@@ -152,6 +167,8 @@ def layered(
         ValueError: it folds.
     """
     places, tetrahedra = box((1.0, 1.0, 1.0), cells)
+    upper = pixels[places[:, 2] == 0].reshape(cells[0] + 1, cells[1] + 1, 2)
+    grid = upper[:, 0, 0], upper[0, :, 1]
     solid = make_solid(corners, tetrahedra, order=order)
     halves = np.rint(2 * places * cells).astype(np.int64)
     if order == 2:
@@ -170,20 +187,14 @@ def layered(
     return Slab(solid, np.repeat(held[:, None], 3, axis=1), top, *grid, place, order)
 
 
-def _outside(halves: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
+def _outside(halves: np.ndarray, cells: Cells) -> np.ndarray:
     """Which places, in halves of cells [P, 3], lie on a side or at the bottom, shape [P], bool."""
     ends = 2 * np.array(cells)
     return (halves == ends).any(axis=1) | (halves[:, :2] == 0).any(axis=1)
 
 
 def slab_beneath(
-    mesh: Mesh,
-    vertex: int,
-    normal: np.ndarray,
-    thickness: float,
-    cells: tuple[int, int, int] = CELLS,
-    attached: bool = True,
-    order: int = 1,
+    mesh: Mesh, vertex: int, normal: np.ndarray, thickness: float, cells: Cells, attached: bool = True, order: int = 1
 ) -> Slab:
     """The slab under a surface around a vertex.
 
@@ -201,23 +212,16 @@ def slab_beneath(
     """
     if not (math.isfinite(thickness) and thickness > 0):
         raise NoBody(f"a thickness of {thickness:g}; give a positive one.")
-    places, _ = box((1.0, 1.0, 1.0), cells)
-    row, column = mesh.pixels[vertex].astype(np.float64)
+    middle = mesh.pixels[vertex].astype(np.float64)
+    row, column = middle
     wide = WIDE * mesh.grid_shape[1]
-    middle = np.array([row, column])
-    pixels = middle + wide * np.sinh(CROWDED * (2 * places[:, 1::-1] - 1)) / math.sinh(CROWDED)
+    across, below, held = crowded(cells, (column, row), wide, thickness)
+    pixels = across[:, ::-1]
     depth, outside = _depth(mesh, pixels, middle, wide, DEGREE if attached else LOOSE_DEGREE)
     surface = np.column_stack([_rays(mesh, pixels) * depth[:, None], depth])
-    layer = np.rint(places[:, 2] * cells[2])
-    below = thickness * (GROWTH**layer - 1) / (GROWTH ** cells[2] - 1)
-    side = (places[:, :2] == 0).any(axis=1) | (places[:, :2] == 1).any(axis=1)
-    held = side | (places[:, 2] == 1) | (outside & attached)
-    top = np.flatnonzero(places[:, 2] == 0).reshape(cells[0] + 1, cells[1] + 1)
-    grid = pixels[top[:, 0], 1], pixels[top[0], 0]
+    corners = surface - below[:, None] * np.asarray(normal, np.float64)
     try:
-        return layered(
-            surface - below[:, None] * np.asarray(normal, np.float64), held, cells, grid, (column, row), order
-        )
+        return layered(corners, held | (outside & attached), cells, across, (column, row), order)
     except ValueError as error:
         raise NoBody(f"below this surface a slab of {thickness:g} folds ({error}); give a smaller one.") from error
 

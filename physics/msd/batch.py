@@ -135,9 +135,7 @@ class ObservationBatch:
         """Join observations of one point each, for trajectories with this time step [s]; what was not observed weighs
         0."""
         steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]
-        moved = [
-            torch.from_numpy(point.astype(np.float32)) for (point,) in (item.displacement for item in observations)
-        ]
+        moved = [torch.from_numpy(item.displacement.squeeze(0).astype(np.float32)) for item in observations]
         weight = [points.isfinite().all(dim=1).float() for points in moved]
         return cls(*(pad_sequence(values, batch_first=True) for values in (steps, moved, weight)))
 

@@ -41,7 +41,11 @@ class Reach(NamedTuple):
         return np.minimum(from_load + self.loaded, to_watched + self.watched)
 
 
-def exact_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008 (immutable)
+ALONE = Reach()
+"""Where one vertex is loaded and watched."""
+
+
+def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
     """Radius within which each step must be computed, shape [T], int64; exact for the watched vertices' trajectories.
 
     A step carries influence one spring further. From rest, step t can only move vertices within t of the load, and
@@ -52,25 +56,19 @@ def exact_radii(steps: int, reach: Reach = Reach()) -> np.ndarray:  # noqa: B008
 
 
 def window_radii(
-    stiffness: float,
-    damping: float,
-    mechanics: Mechanics,
-    eigenvalue: float,
-    steps: int,
-    reach: Reach = Reach(),  # noqa: B008
+    stiffness: float, damping: float, mechanics: Mechanics, steps: int, reach: Reach = ALONE
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii of two windows inside the exact cone, shapes [T], int64: the one to use and a smaller one to check it with.
 
     A response after τ steps is a polynomial in the elastic operator K. Written in Chebyshev polynomials on K's spectrum
-    [0, k_s·λ], whatever lies n springs away only gets the terms of degree n and more, so the sum of their coefficients
-    bounds what a window of radius n neglects. That holds for small deformation; the comparison of both windows'
-    trajectories is what shows that it holds for the case at hand.
+    [0, k_s·λ], λ being GRID_EIGENVALUE, whatever lies n springs away only gets the terms of degree n and more, so the
+    sum of their coefficients bounds what a window of radius n neglects. That holds for small deformation; the
+    comparison of both windows' trajectories is what shows that it holds for the case at hand.
 
     Args:
         stiffness: k_s.
         damping: k_d.
         mechanics: constants; ``window_error`` is what the smaller window may neglect, ``INSIDE`` of it the larger.
-        eigenvalue: upper bound λ on the eigenvalues of the springs' graph Laplacian.
         steps: T.
         reach: of what acts and what is watched.
     """
@@ -80,25 +78,21 @@ def window_radii(
     wider = 2 ** (math.ceil(LEVELS_PER_OCTAVE * math.log2(stiffness)) / LEVELS_PER_OCTAVE)
     slower = 2 ** (math.floor(LEVELS_PER_OCTAVE * math.log2(damping)) / LEVELS_PER_OCTAVE) if damping > 1e-6 else 0.0
     # Only the smaller of both radii counts, so that responses are needed over half of the time, or over all of it.
-    horizon = int(exact.max()) + 1 if reach == Reach() else steps
+    horizon = int(exact.max()) + 1 if reach == ALONE else steps
     step = np.arange(steps)
     elapsed, left = np.minimum(step, horizon), np.minimum(steps - step, horizon)
-    used, checked = (
-        np.minimum(reach.narrowed(far[elapsed], far[left]), exact)
-        for far in _decay(wider, slower, mechanics, eigenvalue, horizon)
-    )
+    reaches = _decay(wider, slower, mechanics, horizon)
+    used, checked = (np.minimum(reach.narrowed(far[elapsed], far[left]), exact) for far in reaches)
     return used, checked
 
 
 @functools.lru_cache(maxsize=4096)
-def _decay(
-    stiffness: float, damping: float, mechanics: Mechanics, eigenvalue: float, horizon: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _decay(stiffness: float, damping: float, mechanics: Mechanics, horizon: int) -> tuple[np.ndarray, np.ndarray]:
     """How far a response reaches after 0, 1, … steps, shapes [horizon + 1]: of it all but what each window neglects."""
     # The response after τ steps has degree τ: as many nodes give its coefficients exactly.
     nodes = np.cos(np.pi * (np.arange(horizon + 1) + 0.5) / (horizon + 1))
     step = integrator(damping, mechanics)
-    pull = mechanics.time_step * step.kick * stiffness * eigenvalue * (1 - nodes) / 2
+    pull = mechanics.time_step * step.kick * stiffness * GRID_EIGENVALUE * (1 - nodes) / 2
     now, before = np.full_like(nodes, mechanics.time_step), np.zeros_like(nodes)
     responses = [before, now]
     with np.errstate(all="ignore"):

@@ -39,9 +39,11 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
     return (weight * squared).sum(dim=1) / torch.where(total > 0, total, 1.0)
 
 
-def linearise(
-    path: Tensor, slopes: Tensor, theta: Tensor, observation: ObservationBatch, noise: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
+Expanded = tuple[Tensor, Tensor, Tensor]
+"""A misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3], by φ."""
+
+
+def linearise(path: Tensor, slopes: Tensor, theta: Tensor, observation: ObservationBatch, noise: Tensor) -> Expanded:
     """The torch side of `physics.likelihood`: -log p(d|φ) = ½ Σ r² around every sample's φ, in double precision.
 
     Args:
@@ -64,9 +66,7 @@ def linearise(
     return 0.5 * residual.square().sum((1, 2)), gradient, torch.einsum("bmcp,bmcq->bpq", jacobian, jacobian)
 
 
-def linearise_depth(
-    path: Tensor, slopes: Tensor, theta: Tensor, observation: DepthBatch
-) -> tuple[Tensor, Tensor, Tensor]:
+def linearise_depth(path: Tensor, slopes: Tensor, theta: Tensor, observation: DepthBatch) -> Expanded:
     """The same of observed depth, the errors that all instants share marginalised (Woodbury's identity).
 
     What the pixels show is decided at every sample's own motion; that it changes with φ is in the derivatives as far as

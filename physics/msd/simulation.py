@@ -13,16 +13,9 @@ from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
-from palpate.physics.msd import reference
-from palpate.physics.msd.cone import GRID_EIGENVALUE, Reach, exact_radii, window_radii
-from palpate.physics.msd.grid_kernel import (
-    FORWARD_PLANES,
-    SENSITIVITY_PLANES,
-    GridLayout,
-    grid_layout,
-    places,
-    specialised,
-)
+from palpate.physics.msd import grid_kernel, reference
+from palpate.physics.msd.cone import Reach, exact_radii, window_radii
+from palpate.physics.msd.grid_kernel import GridLayout
 
 SENSITIVITY_LIMIT = {np.dtype(np.float32): 100.0, np.dtype(np.float64): 1e8}
 """Relative change of the trajectory for a relative change of θ from which on rounding spoils the derivatives.
@@ -31,14 +24,12 @@ Measured in single precision on a 14,800-vertex mesh: below 20 they agree with d
 """
 
 
+Watch = np.ndarray | None
+"""Vertices whose displacement is wanted, or the load's first one."""
+
+
 def simulate(
-    theta: ArrayLike,
-    mesh: Mesh,
-    load: Load,
-    mechanics: Mechanics,
-    *,
-    watch: np.ndarray | None = None,
-    dtype: type = np.float32,
+    theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechanics, *, watch: Watch = None, dtype: type = np.float32
 ) -> np.ndarray:
     """Displacement of a few vertices after each step.
 
@@ -61,13 +52,7 @@ def simulate(
 
 
 def simulate_sensitivities(
-    theta: ArrayLike,
-    mesh: Mesh,
-    load: Load,
-    mechanics: Mechanics,
-    *,
-    watch: np.ndarray | None = None,
-    dtype: type = np.float32,
+    theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechanics, *, watch: Watch = None, dtype: type = np.float32
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement [T, M, 3] and its exact derivatives by k_s, k_d and F [T, M, 3, 3], in one pass.
 
@@ -149,7 +134,7 @@ def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.
     reach = Reach(_farthest(case, press.vertices), _farthest(case, case.watch))
     whole = exact_radii(press.steps, reach)
     if mechanics.window_error > 0:
-        used, checked = window_radii(stiffness, damping, mechanics, GRID_EIGENVALUE, press.steps, reach)
+        used, checked = window_radii(stiffness, damping, mechanics, press.steps, reach)
         if (used < whole).any():
             layout = _layout(case, reach, used)
             if layout is None:
@@ -173,7 +158,7 @@ def _layout(case: Case, reach: Reach, radii: np.ndarray) -> GridLayout | None:
     """What lies within reach; None where the mesh is no grid."""
     far = max(int(radii.max()) + 1, *reach)
     mobile = reference.free_vertices(case.mesh, case.load)
-    return grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)
+    return grid_kernel.grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)
 
 
 def _within(
@@ -182,10 +167,10 @@ def _within(
     """Motion of the watched vertices, and its derivatives where wanted, computing each step within a radius, [T]."""
     dtype, (steps, watched) = case.theta.dtype, (press.steps, len(case.watch))
     path, slopes = np.zeros((steps, watched, 3), dtype), np.zeros((steps if sensitive else 0, watched, 3, 3), dtype)
-    planes = SENSITIVITY_PLANES if sensitive else FORWARD_PLANES
-    pressed, shown = (places(layout, case.mesh, vertices, planes) for vertices in (press.vertices, case.watch))
+    planes = grid_kernel.SENSITIVITY_PLANES if sensitive else grid_kernel.FORWARD_PLANES
+    pressed, shown = (grid_kernel.places(layout, case.mesh, each, planes) for each in (press.vertices, case.watch))
     load = press.factor.astype(dtype), pressed, reference.push_of(press, dtype)
-    rollout = specialised(layout.pitch, sensitive)
+    rollout = grid_kernel.specialised(layout.pitch, sensitive)
     rollout(layout, radii, load, shown, case.theta[2], _numbers(case, press), path, slopes)
     return path, slopes
 

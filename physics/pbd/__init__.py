@@ -8,7 +8,3 @@ potential          elastic energy, its gradient, and its second derivatives alon
 constraint_kernel  compiled values, gradients and second derivatives of one constraint
 sweep_kernel       compiled time steps, and back through them
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

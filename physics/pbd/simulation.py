@@ -14,6 +14,9 @@ from palpate.physics.pbd.potential import unturned
 from palpate.physics.pbd.stiffness import Stiffness, gather, spread
 from palpate.physics.pbd.sweep_kernel import sweep_adjoint, sweep_forward
 
+Grips = Grip | Sequence[Grip] | int
+"""One for all bodies, one for each, or how many steps nothing is gripped."""
+
 
 @dataclass(frozen=True)
 class Stepping:
@@ -69,12 +72,7 @@ class Motion:
 
 
 def simulate(
-    body: Body,
-    fields: Stiffness,
-    grips: Grip | Sequence[Grip] | int,
-    stepping: Stepping,
-    *,
-    start: np.ndarray | None = None,
+    body: Body, fields: Stiffness, grips: Grips, stepping: Stepping, *, start: np.ndarray | None = None
 ) -> Motion:
     """Step bodies on, one step for each of the grip's (Liang 2024, equation 3, by sweeps of Gauss–Seidel).
 
@@ -115,7 +113,7 @@ def simulate(
     return Motion(body, positions, arguments, stepping.time_step)
 
 
-def _paths(grips: Grip | Sequence[Grip] | int, body: Body) -> tuple[np.ndarray, np.ndarray]:
+def _paths(grips: Grips, body: Body) -> tuple[np.ndarray, np.ndarray]:
     """Gripped particles [G], and where they are after each step, shape [B, T, G, 3] [m]."""
     if isinstance(grips, int):
         return np.empty(0, np.int64), np.empty((1, grips, 0, 3))

@@ -128,11 +128,6 @@ def _directed(pull, particle, inverse_mass, step, twice, normal):
 
 
 @inlined
-def _less(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
 def _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes):
     """From s: Δλ and -w s/g; the derivatives by λ and w are written."""
     step = _stepped(weight[index], value, multiplier, mobility)
@@ -155,11 +150,9 @@ def _distances_back(layout, weight, inverse_mass, kept, pull, pulled, slopes):
         by_step += inverse_mass[other] * dot(back, row(pull, other))
         step, by_value = _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes)
         twice = 2 * by_value * step
-        apart = _less(
-            _directed(pull, one, inverse_mass, step, twice, normal),
-            _directed(pull, other, inverse_mass, step, twice, back),
-        )
-        bent = stretched_bent(normal, value + rest[index], apart)
+        a = _directed(pull, one, inverse_mass, step, twice, normal)
+        b = _directed(pull, other, inverse_mass, step, twice, back)
+        bent = stretched_bent(normal, value + rest[index], (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
         for particle, sign in ((one, 1.0), (other, -1.0)):
             add(pull, particle, sign * by_value, normal)
             add(pull, particle, sign, bent)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from palpate.common.command_line import path_option, progress_bars, real_number, say, whole_number
+from palpate.common.command_line import path_option, progress_bars, real_number, say, size_of, whole_number
 
 
 def test_an_empty_path_is_refused() -> None:
@@ -62,3 +62,8 @@ def test_what_one_step_does_not_tell_is_left_out(monkeypatch: pytest.MonkeyPatch
         clock[0] += 40
         bars.update(job, completed=4)
     assert text.getvalue().splitlines()[0] == "a slow clip: 4 of 6"
+
+
+def test_sizes() -> None:
+    assert size_of("854x480") == (854, 480)
+    assert [size_of(text) for text in ("854", "854x", "854x480x3", "-854x480", "８５４x480", "854x4.8e2")] == [None] * 6

@@ -9,7 +9,7 @@ import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
-from palpate.models.carried_depth import carried
+from palpate.models.carried_depth import change, shifted
 from palpate.models.evidence import bound_loss
 from palpate.models.losses import LossWeights, posterior_physics_loss
 from palpate.models.module import AugmentationSettings, PhysicsInformedGAN, TrainingDiverged, with_current
@@ -117,8 +117,8 @@ def test_a_decoder_of_physics_starts_from_what_theta_makes_of_the_map(make_batch
     for generator in (module.generator_ab, module.generator_ba):
         torch.nn.init.zeros_(generator.decoder.output.weight)
     _, (_, fake_b), theta = module.generator_losses(batch)
-    carry = batch["mesh_a"], batch["load_a"], batch["course_a"], module.mechanics
-    expected = carried(batch["window_a"][:, -1:], theta, *carry)
+    by = change(theta, batch["mesh_a"], batch["load_a"], batch["course_a"], module.mechanics)
+    expected = shifted(batch["window_a"][:, -1:], by)
     torch.testing.assert_close(fake_b, expected, atol=1e-4, rtol=0)
     assert (fake_b - batch["window_a"][:, -1:]).abs().max() > 1e-3
     (fake_b - batch["window_b"][:, -1:]).square().sum().backward()
@@ -221,7 +221,7 @@ def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, se
         "regularisation": ("regularisation_loss",),
     }
     for name in functions[term]:
-        monkeypatch.setattr(f"palpate.models.module.{name}", None)  # calling it would fail
+        monkeypatch.setattr(f"palpate.models.losses.{name}", None)  # calling it would fail
     module = build(Watched, **settings | {"weights": LossWeights(**{"physics": 1.0, term: 0.0})})
     found = module.generator_losses(batch)[0].items()
     assert full[term] != 0 or term == "regularisation"  # bounded heads never leave the box

@@ -40,7 +40,8 @@ def test_presses_at_one_time_add_up() -> None:
 def test_the_straight_way_s_force_is_drawn_where_the_planned_one_touches_nothing() -> None:
     straight = Plan(np.array([SCENE.start, SCENE.goal]), 1.0, 80.0, 8.9)
     around = dataclasses.replace(straight, places=np.array([SCENE.start, [0, 0], SCENE.goal]), deformation=0, way=94.0)
-    panel = draw_plan(SCENE, around, straight, [], [pressed(0.0325, 0.02)]).axes[1]
+    ways = {"planned": (around, []), "shortest": (straight, [pressed(0.0325, 0.02)])}
+    panel = draw_plan(SCENE, ways).axes[1]
     lines = {line.get_label(): np.array(line.get_data()) for line in panel.lines}
     assert list(lines) == ["planned: touches nothing, 0 N", "shortest: up to 0.02 N"]
     planned, shortest = lines.values()

@@ -11,8 +11,9 @@ import torch
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.source.layout import InputError
-from palpate.data.training.datamodule import ClipDataModule, LoadingSettings
+from palpate.data.training.datamodule import ClipDataModule
 from palpate.data.training.samples import SampleSettings
+from palpate.data.training.splits import LoadingSettings
 from palpate.physics.mechanics import Bounds, UnstableConfiguration
 from palpate.physics.msd import rollout
 from palpate.physics.msd.likelihoods import displacement_error

@@ -54,7 +54,7 @@ def problem_of(contact: Interaction, slab: Slab, **options) -> SequenceProblem[S
     def motion(vertices: np.ndarray, times: np.ndarray) -> SlabMotion:
         return SlabMotion(contact, slab, MESH.pixels[vertices], times, **options)
 
-    return SequenceProblem(contact, motion)
+    return SequenceProblem(contact, motion, None)
 
 
 def seen(logs: np.ndarray, seed: int, cells: tuple[int, int, int], relaxing: bool = False) -> Interaction:

@@ -334,7 +334,7 @@ def test_an_outlier_does_not_move_the_fit(place: str) -> None:
     def fitted(errors: np.ndarray, outliers: bool = True) -> Optimum:
         problem = problem_of(noisy(contact_of(), errors), outliers=outliers)
         assert problem.outliers == pytest.approx((errors is spoiled and outliers) / problem.seen.sum(), abs=2e-3)
-        return find_optimum(problem, logs_of(), *ENDS)
+        return find_optimum(problem, logs_of(), np.array(ENDS))
 
     found = fitted(spoiled)
     sd = np.sqrt(np.diag(np.linalg.inv(found.information)))
@@ -355,7 +355,7 @@ def test_fits_are_off_as_their_information_says() -> None:
             errors = errors_of(100 + seed)
             if blur:
                 errors = gaussian_filter(errors, (0, blur, blur), mode="wrap") * np.sqrt(4 * np.pi) * blur
-            optimum = find_optimum(problem_of(noisy(contact, errors)), logs_of(), *ENDS)
+            optimum = find_optimum(problem_of(noisy(contact, errors)), logs_of(), np.array(ENDS))
             apart = optimum.logs - logs_of()
             found.append(apart @ optimum.information @ apart / 3)
         assert low < np.mean(found) < high

@@ -205,7 +205,7 @@ def test_a_cloud_tells_how_far_gripped_tissue_has_come_nearer(surface: Surface) 
     tissue = driven(surface, match="both", background="keep")
     nearer = 0.02
     flat = surface.lift(surface.pixels, np.full(len(surface.pixels), DEPTH - nearer))
-    told = tissue.step(np.zeros_like(POINTS), flat, np.arange(len(flat)))
+    told = tissue.step(np.zeros_like(POINTS), (flat, np.arange(len(flat))))
     np.testing.assert_allclose(told.positions[surface.gripped, 2], DEPTH - nearer, atol=1e-6)
     free = ~surface.body.pinned
     free[surface.gripped] = False

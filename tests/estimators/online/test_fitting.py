@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.estimators.online.determined import FOUNDATIONS, Fit, fit_motion, uniform
+from palpate.estimators.online.determined import BENDINGS, FOUNDATIONS, Fit, fit_motion, uniform
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
@@ -34,7 +34,7 @@ def test_what_made_the_motion_is_found(time_step: float, foundation: float, bend
     made = Fit(time_step, foundation, bending, np.nan)
     seen = motion_of(made)
     seen[1, 3] = np.nan
-    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS)
+    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS, BENDINGS)
     assert found[:3] == made[:3]
     assert found.error < 1e-9
 
@@ -42,7 +42,7 @@ def test_what_made_the_motion_is_found(time_step: float, foundation: float, bend
 def test_the_error_is_a_share_of_the_motion() -> None:
     """Points that run ahead of their grip: no sheet makes them, and none is closer than this."""
     seen = np.tile([300.0, 0.0], (4, 15, 1))
-    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS)
+    found = fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS, BENDINGS)
     off = np.sqrt(np.square(motion_of(found) - seen).sum(axis=2).mean(axis=1)) / 300
     assert found.error == pytest.approx(off.mean())
     assert found.foundation == FOUNDATIONS[0]
@@ -50,7 +50,7 @@ def test_the_error_is_a_share_of_the_motion() -> None:
 
 def test_nothing_is_fitted_where_nothing_moves() -> None:
     for seen in (np.zeros((4, 15, 2)), np.full((4, 15, 2), np.nan)):
-        assert fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS) is None
+        assert fit_motion(BODY, GRIP, seen, shown, STEPPING, STIFFNESS, BENDINGS) is None
 
 
 def test_a_volume_moves_alike_in_any_unit() -> None:

@@ -104,5 +104,5 @@ def test_a_pose_is_found_though_a_part_is_dented() -> None:
     true = pose_of(Rotation.from_rotvec([0.3, -0.2, 0.5]), [0.1, 0.2, -0.1])
     off = pose_of(Rotation.from_rotvec([0.05, 0.04, -0.03]), [0.02, -0.02, 0.03])
     seen = placed(np.linalg.inv(true), points) + chance.normal(0, 1e-4, points.shape)
-    found = register(seen, vertices, triangles, off @ true)
+    found = register(seen, (vertices, triangles), off @ true)
     np.testing.assert_allclose(found, true, atol=2e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from palpate.estimators.grip.sheet import SIZE, load_precision, loaded_cells
+from palpate.estimators.grip.sheet import SIZE, PointGrid, load_precision, loaded_cells
 from palpate.evaluation.recovery.grip_bound import Following, GripBound, grip_bound, measure_following, ring_correlation
 from palpate.physics.sheet import response
 
@@ -27,7 +27,7 @@ def grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def problem() -> tuple[np.ndarray, np.ndarray, Following]:
     """Cells from loaded ones to points [n, M, 2], all nuisances [T, M + 3, 2], and how points are followed."""
     points, distance, hidden = grid()
-    cells, loaded = np.rint(points / SPACING).astype(int), loaded_cells(points, distance, hidden, SPACING)
+    cells, loaded = np.rint(points / SPACING).astype(int), loaded_cells(PointGrid(points, distance, hidden, SPACING))
     assert 3 < len(loaded) < 15
     generator = np.random.default_rng(0)
     loads = generator.normal(3.0, 1.0, (len(loaded), 2)) * [2.0, 1.0]
@@ -48,7 +48,7 @@ def bound() -> GripBound:
     answer = response(float(np.exp(LOG)), SIZE)[tuple(np.moveaxis(apart, -1, 0) % SIZE)]
     moved = np.einsum("nm,tma->tna", answer, nuisances[:, :-3])
     points, distance, hidden = grid()
-    return grip_bound(points, distance, hidden, SPACING, moved, following, LOG)
+    return grip_bound(PointGrid(points, distance, hidden, SPACING), moved, following, LOG)
 
 
 @pytest.fixture(autouse=True)
@@ -113,14 +113,15 @@ def test_drawn_errors_are_measured() -> None:
     generator, times = np.random.default_rng(2), np.linalg.cholesky(true.in_time)
     errors = np.einsum("nm,ts,sma->tna", places, times, generator.normal(size=(2, len(points), 2)), optimize=True)
     errors[0, :10] = np.nan
-    found = measure_following(points, np.zeros(len(points)), SPACING, 1.7 * sizes, errors)
+    grid = PointGrid(points, np.zeros(len(points)), np.empty((0, 2)), SPACING)
+    found = measure_following(grid, 1.7 * sizes, errors)
     # As far as errors of points are correlated, so many fewer count.
     np.testing.assert_allclose(found.sizes, sizes, rtol=0.15)
     assert 0.05 < found.shared < 0.2
     np.testing.assert_allclose(found.in_time, true.in_time, atol=0.15)
     even = Following(np.ones(len(points)), TRACKED.reach, TRACKED.shared, TRACKED.in_time)
     shared = np.linalg.cholesky(even.covariance(points)) @ generator.normal(size=(len(points), 2))
-    again = measure_following(points, np.zeros(len(points)), SPACING, np.ones(len(points)), shared[None])
+    again = measure_following(grid, np.ones(len(points)), shared[None])
     assert abs(again.reach / TRACKED.reach - 1) < 0.2
 
 

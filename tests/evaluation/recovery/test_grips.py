@@ -20,7 +20,7 @@ from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial
 from palpate.evaluation.recovery.grip_truth import compare_fields, moving_frames, picture_motion, true_log
 from palpate.evaluation.recovery.grips import grip_table
-from palpate.evaluation.recovery.suites import GRIP_SUITES
+from palpate.evaluation.recovery.suites import EVERY
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
 SMALL = {
@@ -111,13 +111,15 @@ def test_contact_is_judged_where_tool_or_tissue_moves() -> None:
 
 
 def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
-    for name, suite in GRIP_SUITES.items():
+    for name, suite in EVERY.items():
+        if suite.of != "grip":
+            continue
         settings = suite.settings(0)
         assert settings.action == "grip"
         assert (settings.width, settings.height) == (854, 480)
         assert settings == suite.settings(5) == suite.truth_settings(2, (214, 120))
         assert suite.name == name
-    assert GRIP_SUITES["hover"].settings(0).onset_fraction == (1.0, 1.0)
+    assert EVERY["hover"].settings(0).onset_fraction == (1.0, 1.0)
 
 
 def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,7 +139,7 @@ def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_retraction_is_told_by_the_session_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
     """In fewer pictures, of half the suite's size; in smaller ones the tissue moves by too few pixels."""
     for name, size in (("width", 640), ("height", 360), ("frames", 12)):
-        monkeypatch.setitem(GRIP_SUITES["retraction"].truth, name, size)
+        monkeypatch.setitem(EVERY["retraction"].truth, name, size)
     [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": EstimatorOptions("direct", threads=1)}}))
     assert row["status"] == "ok"
     assert row["contact_right"] > 0.9

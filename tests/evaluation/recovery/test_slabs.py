@@ -17,7 +17,7 @@ from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial
 from palpate.evaluation.recovery.grip_truth import pull_against_truth
 from palpate.evaluation.recovery.slabs import slab_table
-from palpate.evaluation.recovery.suites import SLAB_SUITES, suite_clip_seed
+from palpate.evaluation.recovery.suites import EVERY, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 
 YOUNG = np.array([80.0, 120.0, 200.0, 300.0, 500.0, 550.0])
@@ -43,7 +43,7 @@ def table(rows: list[Row]) -> dict[tuple[str, str], dict[str, object]]:
 
 
 def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> None:
-    settings = [SLAB_SUITES["fem"].settings(index) for index in range(12)]
+    settings = [EVERY["fem"].settings(index) for index in range(12)]
     assert [item.action for item in settings] == ["press", "press", "grip"] * 4
     assert [item.slab_damping == (0.0, 0.0) for item in settings] == [False] * 3 + [True] * 3 + [False] * 3 + [True] * 3
     assert all((item.slab_branch[0] > 0) == (item.slab_damping == (0.0, 0.0)) for item in settings)
@@ -175,7 +175,7 @@ def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
 @pytest.mark.slow
 def test_a_press_and_a_pull_from_pictures_to_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A short press, a shorter pull in a quarter of the pixels, and the truth of both by fewer elements."""
-    suite = SLAB_SUITES["fem"]
+    suite = EVERY["fem"]
     monkeypatch.setattr(slab, "CELLS", (6, 6, 3))
     for name, value in (("frames", 14), ("press_seconds", (0.16, 0.16))):
         monkeypatch.setitem(suite.turns[0][0], name, value)

@@ -20,7 +20,8 @@ def test_modes_move_as_the_simulated_body(young: float, damping: float, relaxati
     pattern = np.zeros_like(body.rest)
     pattern[end] = share[:, None] * direction
     stiffer = np.linspace(1.0, 3.0, len(body.elements))
-    modes = Modes(body, 0.3, clamped(body), DENSITY, pattern, 4 / (1e5 * step**2), stiffer)
+    material = Material("linear", stiffer, 0.3)
+    modes = Modes(body, material, clamped(body), DENSITY, pattern, 4 / (1e5 * step**2))
     found = modes.follow(young, damping, 0.3 * course, step, relaxation) @ modes.shapes.T
     expected = simulate(
         body, Material("linear", young * stiffer, 0.3), clamped(body), Press(end, share, direction, course), step,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.fem import NoBody
-from palpate.physics.fem.slab import slab_beneath
+from palpate.physics.fem.slab import CELLS, slab_beneath
 from palpate.physics.mesh import Mesh, grid_mesh
 
 SIDE, FOCAL = 81, 100.0
@@ -32,7 +32,7 @@ def bowl(rows: np.ndarray = PIXELS[..., 0], columns: np.ndarray = PIXELS[..., 1]
 def test_a_slab_lies_under_its_surface_with_the_contact_in_the_middle() -> None:
     mesh = surface(bowl())
     vertex = middle(mesh)
-    slab = slab_beneath(mesh, vertex, NORMAL, THICKNESS)
+    slab = slab_beneath(mesh, vertex, NORMAL, THICKNESS, CELLS)
     rest, top = slab.solid.rest, slab.top
     np.testing.assert_allclose(rest[top[5, 5]], mesh.vertices[vertex], atol=1e-7)
     np.testing.assert_allclose(slab.focal_lengths, FOCAL, rtol=1e-5)
@@ -53,12 +53,12 @@ def test_a_slab_lies_under_its_surface_with_the_contact_in_the_middle() -> None:
 def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not() -> None:
     seen = PIXELS[..., 1] < SIDE // 2 + 8
     edge = surface(bowl(), seen)
-    slab = slab_beneath(edge, middle(edge), NORMAL, THICKNESS)
+    slab = slab_beneath(edge, middle(edge), NORMAL, THICKNESS, CELLS)
     inner = slab.held.all(axis=1)[slab.top][1:-1, 1:-1]
     beyond = slab.columns[1:-1] > SIDE // 2 + 9
     assert beyond.any()
     np.testing.assert_array_equal(inner, np.broadcast_to(beyond[:, None], inner.shape))
-    loose = slab_beneath(edge, middle(edge), NORMAL, THICKNESS, attached=False)
+    loose = slab_beneath(edge, middle(edge), NORMAL, THICKNESS, CELLS, attached=False)
     assert not loose.held[loose.top[1:-1, 1:-1]].any()
     np.testing.assert_array_equal(loose.held[loose.top[0]], slab.held[slab.top[0]])
     # Where tissue is visible, the surface is the mesh's.
@@ -66,7 +66,7 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
     expected = bowl(loose.rows, loose.columns[:-1][inside, None])
     np.testing.assert_allclose(loose.solid.rest[loose.top[:-1][inside], 2], expected, atol=3e-5)
     hidden = surface(bowl(), seen, occluder=~seen)
-    slab = slab_beneath(hidden, middle(hidden), NORMAL, THICKNESS)
+    slab = slab_beneath(hidden, middle(hidden), NORMAL, THICKNESS, CELLS)
     assert not slab.held.all(axis=1)[slab.top][1:-1, 1:-1].any()
     # Its surface goes on smoothly.
     np.testing.assert_allclose(slab.solid.rest[slab.top[-3], 2], bowl(slab.rows, slab.columns[-3]), atol=5e-4)
@@ -74,7 +74,7 @@ def test_what_lies_beyond_the_tissues_edge_is_held_and_what_a_tool_hides_is_not(
 
 def test_a_force_is_shared_out_whole_and_without_a_moment() -> None:
     mesh = surface(np.full((SIDE, SIDE), 0.5))
-    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS, CELLS)
     shares = slab.patch(5.0)
     assert shares.sum() == pytest.approx(1)
     assert (shares >= 0).all()
@@ -88,7 +88,7 @@ def test_a_force_is_shared_out_whole_and_without_a_moment() -> None:
 
 def test_places_between_nodes_move_as_linear_elements_do() -> None:
     mesh = surface(bowl())
-    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS)
+    slab = slab_beneath(mesh, middle(mesh), NORMAL, THICKNESS, CELLS)
     pixels = np.array([[40.0, 40.0], [37.3, 45.1], [50.9, 33.2]])
     weights = slab.between(pixels)
     field = np.zeros(len(slab.solid.rest))
@@ -100,9 +100,9 @@ def test_a_slab_that_is_no_body_is_refused_in_a_sentence() -> None:
     mesh = surface(bowl())
     for thickness in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(NoBody, match="give a positive one"):
-            slab_beneath(mesh, middle(mesh), NORMAL, thickness)
+            slab_beneath(mesh, middle(mesh), NORMAL, thickness, CELLS)
     with pytest.raises(NoBody, match=r"a slab of 0\.06 folds"):
-        slab_beneath(mesh, middle(mesh), np.array([1.0, 0.0, 0.0]), THICKNESS)
+        slab_beneath(mesh, middle(mesh), np.array([1.0, 0.0, 0.0]), THICKNESS, CELLS)
 
 
 def test_quadratic_elements_have_nodes_between_corners_and_show_quadratic_motions_exactly() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd.cone import INSIDE, Reach, exact_radii, window_radii
+from palpate.physics.msd.cone import GRID_EIGENVALUE, INSIDE, Reach, exact_radii, window_radii
 
 
 def test_exact_radii_are_what_a_walk_there_and_back_allows():
@@ -21,8 +21,8 @@ def test_exact_radii_are_what_a_walk_there_and_back_allows():
 def test_windows_of_wide_loads_lie_inside_the_cone_and_around_the_narrow_one(reach):
     mechanics = Mechanics(window_error=1e-4)
     exact = exact_radii(200, reach)
-    used, checked = window_radii(0.5, 0.1, mechanics, 9.0, 200, reach)
-    narrow, _ = window_radii(0.5, 0.1, mechanics, 9.0, 200)
+    used, checked = window_radii(0.5, 0.1, mechanics, 200, reach)
+    narrow, _ = window_radii(0.5, 0.1, mechanics, 200)
     assert (checked <= used).all()
     assert (used <= exact).all()
     assert (used >= np.minimum(narrow, exact)).all()
@@ -32,9 +32,7 @@ def test_windows_of_wide_loads_lie_inside_the_cone_and_around_the_narrow_one(rea
 @pytest.mark.parametrize("scheme", ["euler", "dkd"])
 @pytest.mark.parametrize("theta", [(1.0, 0.0), (0.5, 0.1), (0.05, 0.6)])
 def test_windows_lie_inside_the_cone_and_grow_with_accuracy(theta, scheme):
-    radii = [
-        window_radii(*theta, Mechanics(window_error=error, scheme=scheme), 9.0, 200) for error in (1e-2, 1e-4, 1e-6)
-    ]
+    radii = [window_radii(*theta, Mechanics(window_error=error, scheme=scheme), 200) for error in (1e-2, 1e-4, 1e-6)]
     exact = exact_radii(200)
     for used, checked in radii:
         assert (checked <= used).all()
@@ -66,7 +64,7 @@ def test_the_bound_holds_on_a_chain(stiffness, damping):
             trajectory.append(displacement[count // 2])
         return np.array(trajectory)
 
-    used, checked = window_radii(stiffness, damping, mechanics, 4.0, steps)
+    used, checked = window_radii(stiffness * 4 / GRID_EIGENVALUE, damping, mechanics, steps)
     full = contact(np.full(steps, count))
     peak = np.abs(full).max()
     assert np.abs(contact(exact_radii(steps)) - full).max() < 1e-13 * peak
@@ -79,6 +77,6 @@ def test_the_bound_holds_on_a_chain(stiffness, damping):
     "theta", [(0.0, 0.1), (float("nan"), 0.1), (0.5, float("nan")), (float("inf"), 0.0), (1e9, 0.0)]
 )
 def test_what_cannot_be_bounded_gets_the_exact_cone(theta):
-    used, checked = window_radii(*theta, Mechanics(window_error=1e-3), 9.0, 200)
+    used, checked = window_radii(*theta, Mechanics(window_error=1e-3), 200)
     np.testing.assert_array_equal(used, exact_radii(200))
     np.testing.assert_array_equal(checked, exact_radii(200))

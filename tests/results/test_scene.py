@@ -1,0 +1,135 @@
+"""Scenes: the motion comes back from every format, in our simulator and by SOFA's rules; other files are refused."""
+
+import dataclasses
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from palpate.estimators.direct.estimator import simulated_motion
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.records import InteractionEstimate
+from palpate.physics.load import PressShape
+from palpate.physics.mechanics import Mechanics
+from palpate.results.scene import FORMATS, PARTS, Scene, read_scene, write_scene
+from tests.estimators.estimates import CONTACT, COVARIANCE, GOOD, MECHANICS, NONE, THETA
+from tests.physics.sheets import whole_field
+
+RUN = dataclasses.replace(GOOD, mechanics=MECHANICS)
+SHAPE = PressShape(radius=2.0, offset=(0.3, -0.2), rise=0.02, fall=0.03, lean=(0.2, -0.1))
+
+
+def shaped(mechanics: Mechanics = MECHANICS) -> InteractionEstimate:
+    """A run whose press was fitted with its patch, direction, course and delays."""
+    found = dataclasses.replace(GOOD.estimate, shape=SHAPE, delays=(0.004, -0.003))
+    return dataclasses.replace(RUN, estimate=found, mechanics=mechanics)
+
+
+def written(folder: Path, run: InteractionEstimate, kind: str) -> Path:
+    path = folder / f"scene_7.{FORMATS[kind]}"
+    write_scene(path, Scene.of(run))
+    return path
+
+
+def moved(scene: Scene) -> np.ndarray:
+    return whole_field(scene.theta, scene.mesh, scene.press, scene.mechanics, dtype=np.float64)
+
+
+@pytest.mark.parametrize("run", [RUN, shaped(), shaped(Mechanics(steps=120))], ids=["step", "patch", "euler"])
+@pytest.mark.parametrize("kind", FORMATS)
+def test_the_motion_comes_back_from_every_format(kind: str, run: InteractionEstimate, tmp_path: Path) -> None:
+    given, found = Scene.of(run), read_scene(written(tmp_path, run, kind))
+    expected = moved(given)
+    np.testing.assert_allclose(moved(found), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+    for name in ("time_step", "mass", "scheme"):
+        assert getattr(found.mechanics, name) == getattr(given.mechanics, name)
+    np.testing.assert_allclose(found.theta, THETA, rtol=1e-12)
+    spread = NINETY * np.sqrt(np.diag(COVARIANCE))
+    np.testing.assert_allclose(found.interval[0], 0.5 * np.exp([-spread[0], spread[0]]), rtol=1e-12)
+    np.testing.assert_allclose(found.interval[2], -0.1 * np.exp([spread[2], -spread[2]]), rtol=1e-12)
+    np.testing.assert_array_equal(found.mesh.triangles, given.mesh.triangles)
+    np.testing.assert_array_equal(found.mesh.pixels, given.mesh.pixels)
+    assert found.mesh.grid_shape == given.mesh.grid_shape
+
+
+def test_a_scene_moves_as_the_estimate_says() -> None:
+    run = shaped()
+    times, along = simulated_motion(CONTACT, run.estimate, MECHANICS)
+    path = moved(Scene.of(run))[:, CONTACT.vertex] @ CONTACT.direction
+    began = 0.004 + MECHANICS.time_step * np.arange(len(path) + 1)
+    shown = np.interp(times, began, np.concatenate([[0.0], path]))
+    np.testing.assert_allclose(shown, along, rtol=0, atol=1e-4 * np.abs(along).max())
+
+
+@pytest.mark.parametrize("mechanics", [Mechanics(steps=120), MECHANICS], ids=["euler", "dkd"])
+def test_sofa_s_own_components_move_it_alike(mechanics: Mechanics, tmp_path: Path) -> None:
+    """Explicit symplectic Euler, as `EulerExplicitSolver` and the force fields of SOFA's sources have it."""
+    run = shaped(mechanics)
+    root = ElementTree.parse(written(tmp_path, run, "sofa")).getroot()
+    part = {element.tag: element.attrib for element in root.iter()}
+
+    def numbers(tag: str, name: str) -> np.ndarray:
+        return np.array(part[tag][name].split(), float)
+
+    springs = numbers("SpringForceField", "spring").reshape(-1, 5)
+    (first, second), stiffness, damping, length = springs[:, :2].astype(int).T, *springs[:, 2:].T
+    assert not damping.any()
+    step, place = float(root.get("dt")), numbers("TriangleSetTopologyContainer", "position").reshape(-1, 3)
+    speed, rest, path = np.zeros_like(place), place, []
+    for index in range(mechanics.steps):
+        force = -float(part["UniformVelocityDampingForceField"]["dampingCoefficient"]) * speed
+        apart = place[second] - place[first]
+        now = np.linalg.norm(apart, axis=1)
+        pull = (stiffness * (now - length) / now)[:, None] * apart
+        np.add.at(force, first, pull)
+        np.add.at(force, second, -pull)
+        for load in root.iter("LinearForceField"):
+            keys, forces = np.array(load.get("times").split(), float), np.array(load.get("forces").split(), float)
+            force[int(load.get("points"))] += [np.interp(index * step, keys, axis) for axis in forces.reshape(-1, 3).T]
+        rate = force / float(part["UniformMass"]["vertexMass"])
+        rate[numbers("FixedProjectiveConstraint", "indices").astype(int)] = 0.0
+        speed = speed + step * rate
+        place = place + step * speed
+        path.append(place - rest - (step / 2 * speed if mechanics.scheme == "dkd" else 0.0))
+    expected = moved(Scene.of(run))
+    np.testing.assert_allclose(np.array(path), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_usd_itself_reads_the_scene(tmp_path: Path) -> None:
+    pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    stage = pxr.Stage.Open(str(written(tmp_path, shaped(), "usd")))
+    prim = stage.GetDefaultPrim()
+    assert prim.GetTypeName() == "Mesh"
+    points = np.array(prim.GetAttribute("points").Get())
+    np.testing.assert_array_equal(points, CONTACT.mesh.vertices)
+    assert len(prim.GetAttribute("faceVertexCounts").Get()) == len(CONTACT.mesh.triangles)
+    stiffness = prim.GetAttribute("palpate:stiffness")
+    assert stiffness.Get()[0] == 0.5
+    assert stiffness.GetCustomDataByKey("unit") == PARTS["stiffness"].unit
+    assert not stage.HasAuthoredMetadata("metersPerUnit")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.vtp", "<VTKFile/>"),
+        ("a.scn", "<Node><Node/></Node>"),
+        ("a.usda", "#usda 1.0\n"),
+        ("a.vtp", "no"),
+        ("a.obj", "v"),
+    ],
+)
+def test_a_file_of_another_program_is_refused_in_one_sentence(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=r"a\.\w+: is no scene that palpate wrote .*; give one of `palpate infer --ex"):
+        read_scene(tmp_path / name)
+
+
+@pytest.mark.parametrize("run", [NONE, GOOD, dataclasses.replace(RUN, interaction=None)])
+def test_what_is_not_determined_or_no_sheet_has_no_scene(run: InteractionEstimate) -> None:
+    with pytest.raises(NoEstimate, match="not all determined"):
+        Scene.of(run)
+    loose = dataclasses.replace(GOOD.estimate, covariance=np.eye(3))
+    with pytest.raises(NoEstimate):
+        Scene.of(dataclasses.replace(RUN, estimate=loose))

@@ -186,7 +186,7 @@ class ClipResults:
             self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export is not None:
-                self._write_scene(run, FORMATS[self._export])
+                self._write_scene(run, FORMATS[self._export]["ending"])
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 

@@ -27,7 +27,7 @@ def shaped(mechanics: Mechanics = MECHANICS) -> InteractionEstimate:
 
 
 def written(folder: Path, run: InteractionEstimate, kind: str) -> Path:
-    path = folder / f"scene_7.{FORMATS[kind]}"
+    path = folder / f"scene_7.{FORMATS[kind]['ending']}"
     write_scene(path, Scene.of(run))
     return path
 
@@ -93,7 +93,7 @@ def test_sofa_s_own_components_move_it_alike(mechanics: Mechanics, tmp_path: Pat
         place = place + step * speed
         path.append(place - rest - (step / 2 * speed if mechanics.scheme == "dkd" else 0.0))
     expected = moved(Scene.of(run))
-    np.testing.assert_allclose(np.array(path), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(np.array(path), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_usd_itself_reads_the_scene(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_usd_itself_reads_the_scene(tmp_path: Path) -> None:
     assert len(prim.GetAttribute("faceVertexCounts").Get()) == len(CONTACT.mesh.triangles)
     stiffness = prim.GetAttribute("palpate:stiffness")
     assert stiffness.Get()[0] == 0.5
-    assert stiffness.GetCustomDataByKey("unit") == PARTS["stiffness"].unit
+    assert stiffness.GetCustomDataByKey("unit") == PARTS["stiffness"][3]
     assert not stage.HasAuthoredMetadata("metersPerUnit")
 
 

@@ -20,7 +20,9 @@ from palpate.data.contact.motion import FRAYED
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
+from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
+from palpate.results.scene import read_scene
 from palpate.results.writer import ClipResults
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
@@ -333,6 +335,28 @@ def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
     assert onsets == ["stamp", "between"]
 
 
+def test_a_determined_press_has_a_scene_and_others_are_counted(synthetic, inputs, tmp_path, capsys):
+    options = ["--onset", "stamp", "--no-overlay"]
+    arguments, folder = [str(synthetic), "--output", str(tmp_path), *options, "--export"], tmp_path / "video01_00000"
+    assert infer.main([*arguments, "vtk"]) == 0
+    (run,), scene = runs(folder), folder / "scene_4.vtp"
+    found = read_scene(scene)
+    np.testing.assert_allclose(np.abs(found.theta), [float(run[name]) for name in PARAMETERS], rtol=1e-5)
+    assert found.press.factor.sum() * found.mechanics.time_step == pytest.approx(0.2)
+    scene.unlink()
+    capsys.readouterr()
+    assert infer.main([*arguments, "vtk"]) == 0  # complete again
+    assert record(folder)["files"].keys() > {"scene_4.vtp"}
+    assert infer.main([*arguments, "vtk"]) == 0
+    assert "up to date" in capsys.readouterr().err
+    assert infer.main([*arguments, "sofa"]) == 1
+    assert infer.main([*arguments, "sofa", "--overwrite"]) == 0
+    assert [path.name for path in folder.glob("scene*")] == ["scene_4.scn"]
+    clip = [str(inputs / "clips" / "folder"), "--output", str(tmp_path / "other"), "--export", "usd"]
+    assert infer.main(clip) == 0
+    assert "1 of 1 runs of contact have no scene, which takes" in flat(capsys.readouterr().err)
+
+
 def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tmp_path, capsys):
     assert direct(synthetic, tmp_path, "--no-overlay", "--smoothing", "0") == 0
     (row,) = runs(tmp_path / "video01_00000")
@@ -466,6 +490,10 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (
             ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
             "measured.yaml tells none; give known_s there, or leave --calibration out.",
+        ),
+        (
+            ["--estimator", "online", "--export", "usd"],
+            "which --estimator online does not give; take network or direct",
         ),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
         (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from palpate.estimators.direct.estimator import simulated_motion
 from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.load import PressShape
@@ -53,45 +52,34 @@ def test_the_motion_comes_back_from_every_format(kind: str, run: InteractionEsti
     assert found.mesh.grid_shape == given.mesh.grid_shape
 
 
-def test_a_scene_moves_as_the_estimate_says() -> None:
-    run = shaped()
-    times, along = simulated_motion(CONTACT, run.estimate, MECHANICS)
-    path = moved(Scene.of(run))[:, CONTACT.vertex] @ CONTACT.direction
-    began = 0.004 + MECHANICS.time_step * np.arange(len(path) + 1)
-    shown = np.interp(times, began, np.concatenate([[0.0], path]))
-    np.testing.assert_allclose(shown, along, rtol=0, atol=1e-4 * np.abs(along).max())
-
-
 @pytest.mark.parametrize("mechanics", [Mechanics(steps=120), MECHANICS], ids=["euler", "dkd"])
 def test_sofa_s_own_components_move_it_alike(mechanics: Mechanics, tmp_path: Path) -> None:
     """Explicit symplectic Euler, as `EulerExplicitSolver` and the force fields of SOFA's sources have it."""
     run = shaped(mechanics)
     root = ElementTree.parse(written(tmp_path, run, "sofa")).getroot()
-    part = {element.tag: element.attrib for element in root.iter()}
 
     def numbers(tag: str, name: str) -> np.ndarray:
-        return np.array(part[tag][name].split(), float)
+        return np.array([element.get(name).split() for element in root.iter(tag)], float)
 
-    springs = numbers("SpringForceField", "spring").reshape(-1, 5)
-    (first, second), stiffness, damping, length = springs[:, :2].astype(int).T, *springs[:, 2:].T
-    assert not damping.any()
-    step, place = float(root.get("dt")), numbers("TriangleSetTopologyContainer", "position").reshape(-1, 3)
-    speed, rest, path = np.zeros_like(place), place, []
+    first, second, stiffness, damping, length = numbers("SpringForceField", "spring").reshape(-1, 5).T
+    ends, step = np.array([first, second], int), float(root.get("dt"))
+    place = rest = numbers("TriangleSetTopologyContainer", "position").reshape(-1, 3)
+    (keys, *_), pushed = numbers("LinearForceField", "times"), numbers("LinearForceField", "points")[:, 0].astype(int)
+    forces = numbers("LinearForceField", "forces").reshape(len(pushed), len(keys), 3)
+    speed, path = np.zeros_like(place), []
     for index in range(mechanics.steps):
-        force = -float(part["UniformVelocityDampingForceField"]["dampingCoefficient"]) * speed
-        apart = place[second] - place[first]
+        apart = place[ends[1]] - place[ends[0]]
         now = np.linalg.norm(apart, axis=1)
         pull = (stiffness * (now - length) / now)[:, None] * apart
-        np.add.at(force, first, pull)
-        np.add.at(force, second, -pull)
-        for load in root.iter("LinearForceField"):
-            keys, forces = np.array(load.get("times").split(), float), np.array(load.get("forces").split(), float)
-            force[int(load.get("points"))] += [np.interp(index * step, keys, axis) for axis in forces.reshape(-1, 3).T]
-        rate = force / float(part["UniformMass"]["vertexMass"])
-        rate[numbers("FixedProjectiveConstraint", "indices").astype(int)] = 0.0
-        speed = speed + step * rate
+        force = -numbers("UniformVelocityDampingForceField", "dampingCoefficient") * speed
+        np.add.at(force, ends, np.array([pull, -pull]))
+        for vertex, push in zip(pushed, forces, strict=True):
+            force[vertex] += [np.interp(index * step, keys, axis) for axis in push.T]
+        force[numbers("FixedProjectiveConstraint", "indices").astype(int)] = 0.0
+        speed = speed + step * force / numbers("UniformMass", "vertexMass")
         place = place + step * speed
         path.append(place - rest - (step / 2 * speed if mechanics.scheme == "dkd" else 0.0))
+    assert not damping.any()
     expected = moved(Scene.of(run))
     np.testing.assert_allclose(np.array(path), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 

@@ -5,6 +5,7 @@ writer    one clip's folder, complete or not there; store: whose folder is whose
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--calibration), and compared with measured forces
 alarm     whether the force has reached a limit (--force-limit)
+scene     a press to simulate further (--export), for USD, SOFA and VTK: scene.yaml has the files' texts
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py

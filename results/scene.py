@@ -47,6 +47,8 @@ class Scene:
     """k_s, k_d and signed F, shape [3] [scene units]."""
     interval: np.ndarray
     """Lower and upper end of each one's 90 % interval, shape [3, 2]."""
+    by_light: bool
+    """Whether the light told them, so that lengths and forces are relative to the tissue's distance."""
 
     @classmethod
     def of(cls, run: InteractionEstimate) -> Scene:
@@ -61,7 +63,8 @@ class Scene:
         numbers = found.numbers()
         ends = np.array([[numbers[f"{name}_{end}"] for end in ("low", "high")] for name in PARAMETERS])
         press = fitted_press(contact, found, mechanics.time_step, mechanics.steps)
-        return cls(contact.mesh, press, mechanics, found.theta, np.sort(np.sign(found.theta)[:, None] * ends))
+        theta = np.asarray(found.theta, np.float64)
+        return cls(contact.mesh, press, mechanics, theta, np.sort(np.sign(theta)[:, None] * ends), found.by_light)
 
 
 def write_scene(path: Path, scene: Scene) -> None:
@@ -74,7 +77,7 @@ def write_scene(path: Path, scene: Scene) -> None:
     held, pushes = ~free_vertices(mesh, press), scene.theta[2] * np.outer(press.weights, press.direction)
     load = np.zeros(mesh.vertices.shape)
     np.add.at(load, press.vertices, pushes)
-    values: dict[str, Any] = {"points": mesh.vertices, "load": load, "held": held}
+    values: dict[str, Any] = {"points": mesh.vertices, "load": load, "held": held, "by_light": scene.by_light}
     values |= {name: getattr(mesh, name) for name in ("triangles", "springs", "pixels", "grid_shape")}
     values |= {f"load_{name}": getattr(press, name) for name in ("vertices", "weights", "direction", "factor")}
     values |= {"mass": mechanics.mass, "time_step": mechanics.time_step, "scheme": SCHEMES.index(mechanics.scheme)}
@@ -139,4 +142,4 @@ def read_scene(path: Path) -> Scene:
             f"{path}: is no scene that palpate wrote ({error}); give one of `palpate infer --export`."
         ) from error
     spread = np.concatenate([parts[name] for name in PARAMETERS])
-    return Scene(mesh, press, mechanics, spread[:, 0], spread[:, 1:])
+    return Scene(mesh, press, mechanics, spread[:, 0], spread[:, 1:], bool(parts["by_light"].item()))

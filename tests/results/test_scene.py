@@ -21,7 +21,7 @@ SHAPE = PressShape(radius=2.0, offset=(0.3, -0.2), rise=0.02, fall=0.03, lean=(0
 
 def shaped(mechanics: Mechanics = MECHANICS) -> InteractionEstimate:
     """A run whose press was fitted with its patch, direction, course and delays."""
-    found = dataclasses.replace(GOOD.estimate, shape=SHAPE, delays=(0.004, -0.003))
+    found = dataclasses.replace(GOOD.estimate, shape=SHAPE, delays=(0.004, -0.003), by_light=True)
     return dataclasses.replace(RUN, estimate=found, mechanics=mechanics)
 
 
@@ -49,7 +49,7 @@ def test_the_motion_comes_back_from_every_format(kind: str, run: InteractionEsti
     np.testing.assert_allclose(found.interval[2], -0.1 * np.exp([spread[2], -spread[2]]), rtol=1e-12)
     np.testing.assert_array_equal(found.mesh.triangles, given.mesh.triangles)
     np.testing.assert_array_equal(found.mesh.pixels, given.mesh.pixels)
-    assert found.mesh.grid_shape == given.mesh.grid_shape
+    assert (found.mesh.grid_shape, found.by_light) == (given.mesh.grid_shape, run.estimate.by_light)
 
 
 @pytest.mark.parametrize("mechanics", [Mechanics(steps=120), MECHANICS], ids=["euler", "dkd"])

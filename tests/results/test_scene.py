@@ -38,7 +38,9 @@ def moved(scene: Scene) -> np.ndarray:
 @pytest.mark.parametrize("run", [RUN, shaped(), shaped(Mechanics(steps=120))], ids=["step", "patch", "euler"])
 @pytest.mark.parametrize("kind", FORMATS)
 def test_the_motion_comes_back_from_every_format(kind: str, run: InteractionEstimate, tmp_path: Path) -> None:
-    given, found = Scene.of(run), read_scene(written(tmp_path, run, kind))
+    path = written(tmp_path, run, kind)
+    given, found = Scene.of(run), read_scene(path)
+    assert kind == "usd" or ElementTree.parse(path).getroot().tag in ("Node", "VTKFile")
     expected = moved(given)
     np.testing.assert_allclose(moved(found), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     for name in ("time_step", "mass", "scheme"):

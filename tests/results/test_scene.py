@@ -43,15 +43,12 @@ def test_the_motion_comes_back_from_every_format(kind: str, run: InteractionEsti
     assert kind == "usd" or ElementTree.parse(path).getroot().tag in ("Node", "VTKFile")
     expected = moved(given)
     np.testing.assert_allclose(moved(found), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
-    for name in ("time_step", "mass", "scheme"):
-        assert getattr(found.mechanics, name) == getattr(given.mechanics, name)
+    assert (found.mechanics.time_step, found.mechanics.scheme) == (run.mechanics.time_step, run.mechanics.scheme)
     np.testing.assert_allclose(found.theta, THETA, rtol=1e-12)
-    spread = NINETY * np.sqrt(np.diag(COVARIANCE))
-    np.testing.assert_allclose(found.interval[0], 0.5 * np.exp([-spread[0], spread[0]]), rtol=1e-12)
-    np.testing.assert_allclose(found.interval[2], -0.1 * np.exp([spread[2], -spread[2]]), rtol=1e-12)
+    ends = THETA[:, None] * np.exp(NINETY * np.sqrt(np.diag(COVARIANCE))[:, None] * [[-1, 1], [-1, 1], [1, -1]])
+    np.testing.assert_allclose(found.interval, ends, rtol=1e-12)
     np.testing.assert_array_equal(found.mesh.triangles, given.mesh.triangles)
-    np.testing.assert_array_equal(found.mesh.pixels, given.mesh.pixels)
-    assert (found.mesh.grid_shape, found.by_light) == (given.mesh.grid_shape, run.estimate.by_light)
+    assert found.by_light == run.estimate.by_light
 
 
 @pytest.mark.parametrize("mechanics", [Mechanics(steps=120), MECHANICS], ids=["euler", "dkd"])
@@ -90,36 +87,23 @@ def test_usd_itself_reads_the_scene(tmp_path: Path) -> None:
     pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     stage = pxr.Stage.Open(str(written(tmp_path, shaped(), "usd")))
     prim = stage.GetDefaultPrim()
-    assert prim.GetTypeName() == "Mesh"
-    points = np.array(prim.GetAttribute("points").Get())
-    np.testing.assert_array_equal(points, CONTACT.mesh.vertices)
-    assert len(prim.GetAttribute("faceVertexCounts").Get()) == len(CONTACT.mesh.triangles)
+    np.testing.assert_array_equal(prim.GetAttribute("points").Get(), CONTACT.mesh.vertices)
     stiffness = prim.GetAttribute("palpate:stiffness")
-    assert stiffness.Get()[0] == 0.5
-    assert stiffness.GetCustomDataByKey("unit") == PARTS["stiffness"][3]
+    assert (stiffness.Get()[0], stiffness.GetCustomDataByKey("unit")) == (0.5, PARTS["stiffness"][3])
     assert not stage.HasAuthoredMetadata("metersPerUnit")
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("a.vtp", "<VTKFile/>"),
-        ("a.scn", "<Node><Node/></Node>"),
-        ("a.usda", "#usda 1.0\n"),
-        ("a.vtp", "no"),
-        ("a.obj", "v"),
-    ],
-)
-def test_a_file_of_another_program_is_refused_in_one_sentence(name: str, text: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_text(text)
+@pytest.mark.parametrize("name", ["a.vtp", "a.scn", "a.usda", "a.obj"])
+def test_a_file_of_another_program_is_refused_in_one_sentence(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('<Node name="root"/>')
     with pytest.raises(ValueError, match=r"a\.\w+: is no scene that palpate wrote .*; give one of `palpate infer --ex"):
         read_scene(tmp_path / name)
 
 
-@pytest.mark.parametrize("run", [NONE, GOOD, dataclasses.replace(RUN, interaction=None)])
+LOOSE = dataclasses.replace(GOOD.estimate, covariance=np.eye(3))
+
+
+@pytest.mark.parametrize("run", [NONE, GOOD, dataclasses.replace(RUN, estimate=LOOSE)])
 def test_what_is_not_determined_or_no_sheet_has_no_scene(run: InteractionEstimate) -> None:
     with pytest.raises(NoEstimate, match="not all determined"):
         Scene.of(run)
-    loose = dataclasses.replace(GOOD.estimate, covariance=np.eye(3))
-    with pytest.raises(NoEstimate):
-        Scene.of(dataclasses.replace(RUN, estimate=loose))

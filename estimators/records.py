@@ -10,6 +10,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
+from palpate.physics.mechanics import Mechanics
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,8 @@ class InteractionEstimate:
     """Its parameters."""
     simulated: tuple[np.ndarray, np.ndarray] | None = None
     """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
+    mechanics: Mechanics | None = None
+    """Constants of the sheet of springs that was simulated; None where it was another model."""
     grip: GripEstimate | None = None
     """What the motion around tells, where nothing is determined by the contact's own."""
     field: FieldEstimate | None = None

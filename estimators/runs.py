@@ -16,7 +16,7 @@ from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction,
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.direct.brightness_fit import fit_brightness
+from palpate.estimators.direct.brightness_fit import MECHANICS, fit_brightness
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.grip.grip_estimate import LARGEST_SLAB_ERROR
 from palpate.estimators.grip.recorder import GripRecorder
@@ -166,6 +166,8 @@ class RunSession:
         self.clip, self.horizon, self._thickness = clip, horizon, thickness
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
+        self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
+        """That of estimates by light."""
         self.by_light = False
         """Whether a press is estimated by the light of the tissue, where it is known."""
         self.needs_light = False
@@ -219,8 +221,10 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
+        mechanics = self.mechanics if self._thickness is None else None
         try:
             if self.by_light and contact.shows_light:
+                mechanics = self.lit_mechanics
                 start = time.perf_counter()
                 contact, found, simulated = self._lit(contact)
                 self.seconds["fit"] += time.perf_counter() - start
@@ -230,7 +234,8 @@ class RunSession:
         except NoEstimate as reason:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
-        return run.estimate(interaction=contact, estimate=found, simulated=simulated, detail=detail)
+        told = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
+        return run.estimate(**told, detail=detail)
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         """As of `fit_brightness`: the estimate of a whole contact by its light.

@@ -24,7 +24,7 @@ from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
 from palpate.results.page.own import is_own
-from palpate.results.store import INTERACTIONS, PROGRAM, TABLE, WRITTEN, own_files
+from palpate.results.store import INTERACTIONS, PROGRAM, SCENE, TABLE, WRITTEN, own_files
 from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
@@ -37,6 +37,10 @@ UNCALIBRATED = (
 UNDRIVEN = (
     "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; "
     "the online estimator needs a clip whose tool drives the tissue"
+)
+UNEXPORTED = (
+    "{} of {} runs of contact have no scene, which takes a sheet of springs whose k_s, k_d and F are all determined: "
+    "see verdict in interactions.csv"
 )
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""
@@ -125,6 +129,7 @@ def build_record(
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
+            *([UNEXPORTED.format(results.unexported, results.counts.total())] if results.unexported else []),
             *results.doubts[:1],
             *(
                 [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]
@@ -219,7 +224,8 @@ def sha256_of(path: Path) -> str:
     digest = hashlib.sha256()
     for file in all_below(path):
         relative = file.relative_to(path)
-        own = (file.name in WRITTEN and file.name in own_files(file.parent)) or is_own(file)
+        written = file.name in WRITTEN or SCENE.fullmatch(file.name)
+        own = (written and file.name in own_files(file.parent)) or is_own(file)
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
             state = file.stat()
             content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)

@@ -116,6 +116,12 @@ class Batch:
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
                 "there, or leave --calibration out."
             )
+        if options.export is not None and (self.estimator.name not in MAPPING or options.thickness is not None):
+            raise ValueError(
+                "--export writes sheets of springs whose k_s, k_d and F have intervals, which --estimator "
+                f"{self.estimator.name}{' --model fem' if options.thickness else ''} does not give; take network or "
+                "direct, without --thickness."
+            )
         if options.scheduler is not None and options.jobs > 1:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         if options.shard and self.calibration is not None and self.calibration.of_one_clip:
@@ -134,6 +140,8 @@ class Batch:
             causes["known_force"] = file_sha256(self.options.known_force)
         if self.options.force_limit is not None:
             causes["force_limit"] = self.options.force_limit
+        if self.options.export is not None:
+            causes["export"] = self.options.export
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
@@ -144,7 +152,7 @@ class Batch:
         try:
             known = self.known if newtons is None else newtons.known
             options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
-            options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING}
+            options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = told_seconds(self.estimator)
             written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)

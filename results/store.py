@@ -21,10 +21,13 @@ INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv",
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
+SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
+"""Names of the scenes that --export writes there."""
 WRITTEN = (
     TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
 )  # fmt: skip
-"""All that is ever written into a clip's folder, in the order in which it gets there; any other file is a user's."""
+"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
+a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
@@ -156,7 +159,8 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
     """
     record = read_record(folder)
     same = record.get("fingerprint") == fingerprint
-    if same and not overwrite and all(_is_as_recorded(folder / name) for name in files):
+    scenes = filter(SCENE.fullmatch, own_files(folder))
+    if same and not overwrite and all(_is_as_recorded(folder / name) for name in (*files, *scenes)):
         return True
     if record and not same and not overwrite:
         raise OutputError(
@@ -180,7 +184,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Store a run record, and the hashes of the files that lie next to it, as JSON."""
-    files = {name: file_sha256(folder / name) for name in WRITTEN if name != RECORD and (folder / name).is_file()}
+    files = {name: file_sha256(folder / name) for name in _names(folder) if (folder / name).is_file()}
     document = as_json({**record, "files": files}, indent=2, ensure_ascii=False)
     # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
     (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
@@ -189,7 +193,12 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 def own_files(folder: Path) -> list[str]:
     """Names of the files that the folder's record says this program wrote, its own last; none without a record."""
     files = read_record(folder).get("files")
-    return [name for name in WRITTEN if name in (*files, RECORD)] if files else []
+    return [name for name in (*filter(SCENE.fullmatch, files), *WRITTEN) if name in (*files, RECORD)] if files else []
+
+
+def _names(folder: Path) -> list[str]:
+    """Names of the scenes in a folder and of all else that may be written there, but for the record."""
+    return [*filter(SCENE.fullmatch, sorted(os.listdir(folder))), *WRITTEN[:-1]]
 
 
 def partial_folder(folder: Path) -> Path:
@@ -210,7 +219,7 @@ def publish(partial: Path, folder: Path) -> None:
         OutputError: a file there has one of our names but is not as this program wrote it.
     """
     if not read_record(folder):
-        if set(os.listdir(partial)) <= {*WRITTEN, MARKER}:
+        if set(os.listdir(partial)) <= {*_names(partial), RECORD, MARKER}:
             os.replace(partial, folder)
             (folder / MARKER).unlink()
             return
@@ -248,7 +257,7 @@ def _source(folder: Path) -> str | None:
 
 def _discard(partial: Path) -> None:
     """Remove a hidden folder's files that are ours, those being written included, and the folder if it is empty."""
-    for name in (*WRITTEN, *(f".{name}.partial" for name in WRITTEN), MARKER):
+    for name in (*_names(partial), RECORD, *(f".{name}.partial" for name in WRITTEN), MARKER):
         (partial / name).unlink(missing_ok=True)
     with suppress(OSError):  # a user's file is in it
         partial.rmdir()

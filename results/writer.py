@@ -27,6 +27,7 @@ from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
+from palpate.results.scene import FORMATS, Scene, write_scene
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
@@ -52,6 +53,7 @@ class ClipResults:
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
+        export: format of the scenes that are written, one of `results.scene.FORMATS`.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -70,8 +72,9 @@ class ClipResults:
         maps: bool = False,
         alarm: ForceAlarm | None = None,
         seconds: tuple[float, float] = ALWAYS,
+        export: str | None = None,
     ) -> None:
-        self.folder, self._size, self._known = folder, size, known
+        self.folder, self._size, self._known, self._export = folder, size, known, export
         self._fps, self._seconds = fps, seconds
         self.calibration, self.alarm = calibration, alarm
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
@@ -84,6 +87,8 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self._contacts: list[ContactForce] = []
+        self.unexported = 0
+        """Number of those that have no scene although scenes are written."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.stretched = False
@@ -187,8 +192,18 @@ class ClipResults:
         with writing(self.folder.parent):
             self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
+            if self._export is not None:
+                self._write_scene(run, FORMATS[self._export]["ending"])
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
+
+    def _write_scene(self, run: InteractionEstimate, ending: str) -> None:
+        try:
+            scene = Scene.of(run)
+        except NoEstimate:
+            self.unexported += 1
+        else:
+            write_scene(self._partial / f"scene_{run.onset_frame}.{ending}", scene)
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in newtons what was added, once all of it has been."""

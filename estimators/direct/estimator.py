@@ -30,7 +30,7 @@ from palpate.estimators.estimate import Estimate, NoEstimate, with_light
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
-from palpate.physics.load import held
+from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
 from palpate.physics.msd.simulation import simulate
 
@@ -165,18 +165,23 @@ class DirectSession(RunSession):
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
     """Times from the first frame in contact to the last observation [s], and the motion along the force, [T] each."""
-    delay, release = (*found.delays, 0.0, 0.0)[:2]
+    delay = (*found.delays, 0.0)[0]
     steps = contact.steps + math.ceil(max(-delay, 0.0) / mechanics.time_step)
-    loaded = (contact.load_seconds + release - delay) / mechanics.time_step if contact.released else math.inf
-    press = dataclasses.replace(contact.load, factor=held(loaded, steps))
-    if found.shape is not None:
-        seconds, step = loaded * mechanics.time_step, mechanics.time_step
-        press = found.shape.press(contact.mesh, contact.vertex, contact.direction, seconds, step, steps)
+    press = fitted_press(contact, found, mechanics.time_step, steps)
     moved = simulate(found.theta, contact.mesh, press, mechanics, watch=np.array([contact.vertex]))[:, 0]
     path = moved @ np.asarray(contact.direction, np.float64)
     began = delay + mechanics.time_step * np.arange(steps + 1)
     times = np.linspace(0, contact.steps * mechanics.time_step, steps + 1)
     return times, np.interp(times, began, np.concatenate([[0.0], path]))
+
+
+def fitted_press(contact: Interaction, found: Estimate, time_step: float, steps: int) -> Press:
+    """The load of an estimate over so many steps [s] from the beginning of the press, which its delays tell."""
+    delay, release = (*found.delays, 0.0, 0.0)[:2]
+    seconds = contact.load_seconds + release - delay if contact.released else math.inf
+    if found.shape is None:
+        return dataclasses.replace(contact.load, factor=held(seconds / time_step, steps))
+    return found.shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
 
 
 def doubts(found: Estimate, bounds: Bounds) -> str:

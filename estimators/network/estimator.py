@@ -203,6 +203,7 @@ class NetworkSession(RunSession):
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
         self.by_light, self.needs_light = estimator.by_light, estimator.observation == BRIGHTNESS
+        self.lit_mechanics = self.mechanics if estimator.by_network else self.lit_mechanics
         self.estimator = estimator
         self._whole_runs = "" if estimator.by_network else BY_NETWORK
         """What is said of a frame's estimate by light."""

@@ -23,6 +23,7 @@ from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
+from palpate.results.scene import FORMATS
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -54,6 +55,7 @@ CHOICES = {
     "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
+    "scenes": tuple(FORMATS),
 }
 """What infer.yaml calls types and choices."""
 

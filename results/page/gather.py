@@ -60,6 +60,7 @@ def clip_of(folder: Path) -> dict[str, Any]:
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
     encoder = record["overlay_encoder"] if (folder / store.OVERLAY).is_file() else "none"
+    files = [name for name in store.own_files(folder) if (folder / name).is_file()]
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return summary_of(folder) | {
         "video": None if encoder == "none" else store.OVERLAY,
@@ -73,7 +74,7 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "columns": record["columns"],
         "settings": _flat(settings),
         "timings": record["timings_s"],
-        "files": [(name, TEXTS["files"][name]) for name in store.WRITTEN if (folder / name).is_file()],
+        "files": [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files],
         "curves": _curves(record, frames, contacts),
     }
 

@@ -23,12 +23,13 @@ from palpate.data.synthetic.clip import SyntheticClip, make_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from palpate.estimators.contract import Estimator, Output
-from palpate.estimators.direct.estimator import WHOLE
+from palpate.estimators.direct.estimator import WHOLE, fitted_press
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.physics.msd.simulation import simulate
 from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.estimators.test_runs import whole_clip_runs
@@ -176,6 +177,19 @@ def test_every_estimate_has_its_verdict_its_covariance_and_its_words(estimator, 
         else:
             assert (item.estimate, item.verdict) == (None, "")
     assert all(run.estimate is not None or run.detail for run in runs)
+
+
+def test_a_press_is_simulated_with_the_load_and_the_constants_that_are_told(estimator, alone) -> None:
+    for _, (run,) in alone:
+        assert (run.mechanics is None) == (estimator.name in ("gan", "online"))
+        if run.mechanics is None or run.estimate.by_light:
+            continue
+        press = fitted_press(run.interaction, run.estimate, run.mechanics.time_step, run.mechanics.steps)
+        path = simulate(run.estimate.theta, run.interaction.mesh, press, run.mechanics) @ run.interaction.direction
+        times, along = run.simulated
+        began = (*run.estimate.delays, 0.0)[0] + run.mechanics.time_step * np.arange(len(path) + 1)
+        found = np.interp(times, began, np.concatenate([[0.0], path]))
+        np.testing.assert_allclose(found, along, rtol=0, atol=0.002 * np.abs(along).max())
 
 
 def require_complete(estimator: Estimator, found: Estimate) -> None:

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 
-from palpate.models.generator import Generator
 from palpate.models.onnx_session import METADATA_KEY
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
@@ -46,30 +44,6 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if not (isinstance(settings, dict) and isinstance(weights, dict) and "bounds" in settings):
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
-
-
-def load_generator(path: Path) -> tuple[Generator, Mechanics, int]:
-    """G_AB of a checkpoint, ready to predict; reading it runs no code.
-
-    Returns:
-        The generator, the constants of its rollouts, and how many frames ahead it was trained to predict.
-
-    Raises:
-        CheckpointError: the file can't be read, or its weights don't fit its settings.
-    """
-    checkpoint = read_checkpoint(path)
-    settings = checkpoint["hyper_parameters"]
-    try:
-        names = ("width", "residual_blocks", "decoder", "head", "contact_features", "picture")
-        shape = {name: settings[name] for name in names}
-        generator = Generator(settings["window"], bounds=Bounds(**settings["bounds"]), **shape)
-        own = "generator_ab."
-        named = checkpoint["state_dict"].items()
-        generator.load_state_dict({name.removeprefix(own): value for name, value in named if name.startswith(own)})
-        samples = yaml.safe_load(checkpoint["configuration"])["data"]["samples"]
-        return generator.eval(), Mechanics(**settings["mechanics"]), int(samples["horizon"])
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, yaml.YAMLError) as error:
-        raise CheckpointError(f"{path} doesn't hold the generator that its settings say; train it again.") from error
 
 
 def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:

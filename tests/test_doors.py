@@ -18,7 +18,6 @@ MODULES = [
     "data.synthetic",
     "estimators.network.calibration",
     "estimators.network.light_calibration",
-    "evaluation.ablation",
     "evaluation.benchmark",
     "evaluation.compare_with_truth",
     "evaluation.foreign",

@@ -3,7 +3,6 @@
 import functools
 import os
 import random
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -25,7 +24,6 @@ from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation import foreign
-from palpate.evaluation.ablation import terms
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
@@ -62,7 +60,6 @@ PLACES = {
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
-    "train_row": (f"{ROW}/notes.txt", f"{ROW}/photos/1.jpg", f"{ROW}/notes.txt", f".{ROW}-1/notes.txt"),
     "write_depth": ("depth.onnx", "notes.txt"),
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
 }
@@ -134,15 +131,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
 
     patch(train.RunTrainer, "fit", fit)
 
-    def training(command: list[str], **_: object) -> subprocess.CompletedProcess:
-        folder = Path(command[command.index("--trainer.default_root_dir") + 1])
-        (folder / "checkpoints").mkdir(parents=True)
-        with replacing(folder / "checkpoints" / "last.ckpt") as partial:
-            partial.write_bytes(b"trained")
-        return subprocess.CompletedProcess(command, 0, "", "")
-
-    patch(terms.subprocess, "run", training)
-
 
 def quick_material() -> SimpleNamespace:
     """Of no palpations."""
@@ -190,7 +178,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         "train_network": lambda _, out: train.main(
             ["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"]
         ),
-        "train_row": lambda _, out: terms.train("full", 0, inputs / "clips", 5, out),
         "write_depth": lambda chance, out: write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0))),
         "keep_prepared": lambda _, out: prepare(inputs / "tiny", SETTINGS, out),
     }
@@ -271,7 +258,6 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "plan_way": {"plan.json", "plan.png"},
         "benchmark": {"table.csv", "details.csv", "errors.png", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
-        "train_row": {"last.ckpt"},
         "write_depth": {"depth.onnx", LIST},
         "keep_prepared": {"clip.npz", "0.npz"},
     }

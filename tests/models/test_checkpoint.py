@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import yaml
 
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
@@ -51,34 +50,6 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
 def test_another_model_is_refused_by_name(checkpoint: Path, change: dict, message: str):
     with pytest.raises(checkpoints.CheckpointError, match=message):
         checkpoints.require_same_model(checkpoint, SETTINGS | change)
-
-
-def test_a_generator_is_the_trained_one_with_its_simulator_and_its_horizon(tmp_path: Path):
-    module, path = PhysicsInformedGAN(width=4, residual_blocks=1, decoder="residual"), tmp_path / "last.ckpt"
-    written = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
-    torch.save(written | {"configuration": yaml.safe_dump({"data": {"samples": {"horizon": 3}}})}, path)
-    generator, mechanics, horizon = checkpoints.load_generator(path)
-    depth, theta = torch.rand(2, 1, 24, 30), torch.tensor([[0.4, 0.2, -3.0], [0.6, 0.1, -7.0]])
-    torch.testing.assert_close(generator.generate(depth, theta), module.generator_ab.generate(depth, theta))
-    torch.testing.assert_close(generator.estimate(depth), module.generator_ab.estimate(depth))
-    assert not generator.training
-    assert (mechanics, horizon) == (Mechanics(), 3)
-
-
-@pytest.mark.parametrize("lost", ["configuration", "weight", "width"])
-def test_half_a_generator_is_one_sentence(tmp_path: Path, lost: str):
-    module, path = PhysicsInformedGAN(width=4, residual_blocks=1), tmp_path / "last.ckpt"
-    written = {"state_dict": dict(module.state_dict()), "hyper_parameters": dict(module.hparams)}
-    written["configuration"] = yaml.safe_dump({"data": {"samples": {"horizon": 1}}})
-    if lost == "weight":
-        written["state_dict"].pop("generator_ab.decoder.output.weight")
-    elif lost == "width":
-        written["hyper_parameters"]["width"] = 8
-    else:
-        written.pop("configuration")
-    torch.save(written, path)
-    with pytest.raises(checkpoints.CheckpointError, match=r"last\.ckpt doesn't hold the generator"):
-        checkpoints.load_generator(path)
 
 
 def test_unusable_files(checkpoint: Path, tmp_path: Path):

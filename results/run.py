@@ -26,6 +26,7 @@ from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
+from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
@@ -49,6 +50,7 @@ WORDS = {
     "geometry.contact": "--contact",
     "geometry.smoothing": "--smoothing",
     "give the noise": "give --noise",
+    "layout.topic": "--topic",
     "fewer --workers": "fewer --jobs",
     **{f"device {name}": f"--device {name}" for name in PROVIDERS},
 }
@@ -117,7 +119,7 @@ class Batch:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         if options.shard and self.calibration is not None and self.calibration.of_one_clip:
             raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
-        chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
+        chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
@@ -185,6 +187,8 @@ class Batch:
                 found |= dict.fromkeys(discover([given], self.settings.layout))
             except ValueError as error:
                 failed.append(self._failure(given, error))
+        if self.options.topic is not None and not any(map(is_bag, found)):
+            raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
         paths = self._ordered(list(found))
         if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
             number, count = self.options.shard or (1, 1)

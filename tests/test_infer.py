@@ -17,11 +17,13 @@ from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.contact.motion import FRAYED
+from palpate.data.source.images import read_image
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.writer import ClipResults
+from tests.data.bags import RATE, write_bag
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
@@ -438,6 +440,35 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
+
+
+@pytest.mark.parametrize("name", ["same.bag", "same"])
+def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, name, capsys):
+    """With the same pictures, time stamps and camera; frames of both are numbered from 0."""
+    pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
+    (tmp_path / "folder" / "same").mkdir(parents=True)
+    for index, picture in enumerate(pictures):
+        cv2.imwrite(str(tmp_path / "folder" / "same" / f"{index:03}.png"), picture[..., ::-1])
+    camera = {"fx": 110.8, "fy": 148.2, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96, "distortion": [1e-3] * 5}
+    times = [index * RATE / 1e9 for index in range(len(pictures))]
+    (tmp_path / "folder" / "same" / "clip.json").write_text(json.dumps({"camera": camera, "times": times}))
+
+    def recorded(make):
+        yield from (("/lap/image_raw/compressed", make.compressed(*item)) for item in enumerate(pictures))
+        yield "/lap/camera_info", make.camera((110.8, 0, 63.5, 0, 148.2, 47.5, 0, 0, 1), [1e-3] * 5, 110)
+        yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
+
+    inputs = [tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)]
+    for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed"]), strict=True):
+        output = tmp_path / f"of {given.parent.name}"
+        assert direct(given, output, "--no-overlay", "--contact", "motion", *options) == 0
+    folder, bag = (contents(tmp_path / f"of {given.parent.name}" / "same") for given in inputs)
+    for table in ("parameters.csv", "interactions.csv"):
+        assert bag[table] == folder[table]
+    (run,) = runs(tmp_path / "of folder" / "same")
+    assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
+    assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
 
 
 def test_wrong_usage(inputs, tmp_path, capsys):

@@ -31,7 +31,7 @@ from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.known_force import read_forces
+from palpate.estimators.known_force import force_reader
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
@@ -90,7 +90,7 @@ class Batch:
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.options, self.console = options, console
         cv2.setNumThreads(options.threads or -1)
-        self.known = None if options.known_force is None else read_forces(options.known_force)
+        self.known = None if options.known_force is None else force_reader(options.known_force)
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
@@ -130,7 +130,8 @@ class Batch:
         folder = self.folders.get(path) or self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
         if self.known is not None:
-            causes["known_force"] = file_sha256(self.options.known_force)
+            given = self.options.known_force
+            causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
         if self.options.force_limit is not None:
             causes["force_limit"] = self.options.force_limit
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
@@ -141,7 +142,9 @@ class Batch:
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            known = self.known if newtons is None else newtons.known
+            known = None if newtons is None else newtons.known
+            if self.known is not None:
+                known = self.known(path, self.settings.layout.topic)
             options = {"overlay": self.options.overlay, "known": known, "calibration": newtons, "fields": self.fields}
             options["maps"] = self.estimator.name in MAPPING
             written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)

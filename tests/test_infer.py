@@ -467,6 +467,8 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         assert bag[table] == folder[table]
     (run,) = runs(tmp_path / "of folder" / "same")
     assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1
+    assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
     assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
     assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
 

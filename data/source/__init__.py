@@ -4,7 +4,7 @@ frames  video files, folders of images and bags as FrameSource; the search for c
 live    the same as they come from a camera, a stream or a pipe
 layout  how a folder's frames, masks, depth and camera file are named
 coding  how a video is coded, and the same done to other pictures
-bags    what bags of ROS hold: pictures and their camera
+bags    what bags of ROS hold: pictures, their camera, forces
 camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """

@@ -1,4 +1,4 @@
-"""Pictures and their camera by topic in bags of ROS 1 and ROS 2, which the library `rosbags` reads."""
+"""Pictures, their camera and forces by topic in bags of ROS 1 and ROS 2, which the library `rosbags` reads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from palpate.data.source.table import reason
 SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 """Endings of the names of bags that are files."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CAMERAS = ("sensor_msgs/msg/CameraInfo",)
+CAMERAS, WRENCHES = ("sensor_msgs/msg/CameraInfo",), ("geometry_msgs/msg/WrenchStamped",)
 """Types of messages."""
 ENCODINGS = {
     "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB),
@@ -51,18 +51,21 @@ def _opened(path: Path) -> Generator[Any]:
         raise InputError(f"{printable(path)} {problem}, `ros2 bag reindex` or `mcap recover`.") from error
 
 
-def topic_of(path: Path, topic: str | None) -> str:
-    """A topic of a bag that holds pictures: the one that is named, else the only one.
+def topic_of(path: Path, topic: str | None, kinds: Sequence[str] = IMAGES, setting: str = "layout.topic") -> str:
+    """A topic of a bag that holds messages of some types: the one that is named, else the only one.
+
+    Args:
+        setting: that names it, for the error message.
 
     Raises:
         InputError: the bag can't be read, or holds no such topic, or several and none is named.
     """
     with _opened(path) as reader:
-        topics = [name for name, found in sorted(reader.topics.items()) if found.msgtype in IMAGES and found.msgcount]
+        topics = [name for name, found in sorted(reader.topics.items()) if found.msgtype in kinds and found.msgcount]
     if topic in topics or (topic is None and len(topics) == 1):
         return topic or topics[0]
-    remedy = "name one of these as layout.topic" if topics else "record one"
-    problem = f"holds {' or '.join(IMAGES)} on {plain(', '.join(topics)) or 'no topic'}"
+    remedy = f"name one of these as {setting}" if topics else "record one"
+    problem = f"holds {' or '.join(kinds)} on {plain(', '.join(topics)) or 'no topic'}"
     raise InputError(f"{printable(path)} {problem}; {remedy}.")
 
 
@@ -152,3 +155,21 @@ def camera_entries(path: Path, topic: str | None) -> dict[str, Any] | None:
         raise InputError(f"{printable(path)} {problem}.")
     fields = {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2], "distortion": bent}
     return fields | {"width": entries["width"], "height": entries["height"]}
+
+
+def read_wrenches(path: Path, topic: str, shown: str | None) -> np.ndarray:
+    """Norms of the forces that a topic of WrenchStamped holds, shape [2, K]: times after the first picture [s], [N].
+
+    Args:
+        shown: topic of the pictures; None = the only one.
+
+    Raises:
+        InputError: as of `topic_of` and `time_stamps`.
+    """
+    begun = time_stamps(read_topic(path, topic_of(path, shown)), printable(path))[0]
+    messages = list(read_topic(path, topic_of(path, topic, WRENCHES, "--known-force"), WRENCHES))
+    forces = [
+        [np.nan] * 3 if item is None else [getattr(item.wrench.force, axis) for axis in "xyz"] for _, item in messages
+    ]
+    times = time_stamps(messages, f"{printable(path)} ({plain(topic)})") - begun
+    return np.stack((times / 1e9, np.linalg.norm(forces, axis=1)))

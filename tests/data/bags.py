@@ -42,6 +42,11 @@ class Messages:
         data = cv2.imencode(".png", picture[..., ::-1])[1].ravel()
         return self.message("sensor_msgs/msg/CompressedImage", index, format="rgb8; png compressed bgr8", data=data)
 
+    def wrench(self, index: int, *force: float) -> Any:
+        vectors = [self.store.types["geometry_msgs/msg/Vector3"](*values) for values in (force, (0.0, 0.0, 9.0))]
+        wrench = self.store.types["geometry_msgs/msg/Wrench"](*vectors)
+        return self.message("geometry_msgs/msg/WrenchStamped", index, wrench=wrench)
+
     def camera(self, matrix: Any, bent: Any, focal: float, model: str = "plumb_bob") -> Any:
         """A camera of 128x96; `focal` is that of pictures without distortion."""
         projection = np.array([focal, 0, 64, 0, 0, focal, 48, 0, 0, 0, 1, 0], float)

@@ -1,6 +1,7 @@
 """Bags that their own library wrote: pictures, time stamps, camera, and a sentence for every kind of bad input."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from palpate.data.source.camera import Camera, clip_camera
 from palpate.data.source.frames import discover, open_source
 from palpate.data.source.layout import ClipLayout, InputError
+from palpate.estimators.known_force import force_reader
 from tests.data.bags import RATE, write_bag
 
 LAYOUT = ClipLayout()
@@ -98,6 +100,23 @@ def test_the_camera_of_the_same_namespace_is_taken(tmp_path, name):
     for topic in (None, "/wrong"):
         with pytest.raises(InputError, match=r"on /fish/image, .*, /right/image; name one of these as layout\.topic"):
             open_source(path, ClipLayout(topic=topic))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_topic_of_wrenches_is_a_known_force(tmp_path, name):
+    """Its norm over the time since the first picture, whether or not it was measured already then."""
+
+    def recorded(make):
+        yield from (("/a", make.compressed(index, FIRST)) for index in (2, 3))
+        yield from (("/tool/wrench", make.wrench(index, 3.0 * index, -4.0 * index, 0.0)) for index in range(4))
+        yield "/tool/wrench", b"none"
+
+    path = write_bag(tmp_path / name, recorded)
+    known = force_reader(Path("/tool/wrench"))(path, None)
+    assert known.times[:4] == pytest.approx([-0.08, -0.04, 0.0, 0.04], abs=1e-12)
+    assert known.force == pytest.approx([0.0, 5.0, 10.0, 15.0, np.nan], nan_ok=True)
+    with pytest.raises(InputError, match=r"WrenchStamped on /tool/wrench; name one of these as --known-force\."):
+        force_reader(Path("/tool"))(path, None)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -164,12 +164,13 @@ def read_wrenches(path: Path, topic: str, shown: str | None) -> np.ndarray:
         shown: topic of the pictures; None = the only one.
 
     Raises:
-        InputError: as of `topic_of` and `time_stamps`.
+        InputError: it is no bag; else as of `topic_of` and `time_stamps`.
     """
+    if not is_bag(path):
+        raise InputError(f"{printable(path)} is no bag and has no topic {plain(topic)}; give --known-force a table.")
     begun = time_stamps(read_topic(path, topic_of(path, shown)), printable(path))[0]
     messages = list(read_topic(path, topic_of(path, topic, WRENCHES, "--known-force"), WRENCHES))
-    forces = [
-        [np.nan] * 3 if item is None else [getattr(item.wrench.force, axis) for axis in "xyz"] for _, item in messages
-    ]
+    vectors = (None if message is None else message.wrench.force for _, message in messages)
+    forces = [np.nan if each is None else float(np.linalg.norm((each.x, each.y, each.z))) for each in vectors]
     times = time_stamps(messages, f"{printable(path)} ({plain(topic)})") - begun
-    return np.stack((times / 1e9, np.linalg.norm(forces, axis=1)))
+    return np.stack((times / 1e9, np.array(forces)))

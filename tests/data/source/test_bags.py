@@ -117,6 +117,8 @@ def test_a_topic_of_wrenches_is_a_known_force(tmp_path, name):
     assert known.force == pytest.approx([0.0, 5.0, 10.0, 15.0, np.nan], nan_ok=True)
     with pytest.raises(InputError, match=r"WrenchStamped on /tool/wrench; name one of these as --known-force\."):
         force_reader(Path("/tool"))(path, None)
+    with pytest.raises(InputError, match=r"is no bag and has no topic /tool; give --known-force a table\."):
+        force_reader(Path("/tool"))(tmp_path, None)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -7,11 +7,13 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from os.path import isdir
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
@@ -20,6 +22,7 @@ from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, 
 from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.images import printable, read_image, require_pixels
 from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
+from palpate.data.source.lerobot import name_in_data_set
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 """Endings of the names of video files."""
@@ -182,7 +185,7 @@ class VideoFile(FrameSource):
         Raises:
             InputError: an empty file, not a video, or pictures of an unusable size.
         """
-        self.path, self.name, self.warnings = path, name_of(path), []
+        self.path, self.name, self.warnings, self._by_av = path, name_of(path), [], False
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
@@ -190,9 +193,12 @@ class VideoFile(FrameSource):
         capture = self._open()
         size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         require_pixels(printable(path), *size)
-        done, image = capture.read()
+        image = capture.read()[1]
+        if image is None:  # OpenCV is built without some codecs, such as AV1, that of LeRobot data sets
+            self._by_av = True
+            image = next((image for _, image in self._decoded()), None)
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        if not done:
+        if image is None:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = picture_size(path, image)
         self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
@@ -203,6 +209,17 @@ class VideoFile(FrameSource):
     def coding(self) -> Coding | None:
         """How the pictures were coded; None where the decoder doesn't say."""
         return coding_of(self.path)
+
+    def _decoded(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Time stamp [s] and picture, BGR, of the frames that can be decoded, up to the first that can't."""
+        if not self._by_av:
+            capture = self._open()
+            while (image := capture.read()[1]) is not None:
+                yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, image
+            return
+        with suppress(av.FFmpegError, IndexError), av.open(str(self.path)) as container:
+            for frame in container.decode(video=0):
+                yield frame.time or 0.0, frame.to_ndarray(format="bgr24")
 
     def _open(self) -> cv2.VideoCapture:
         try:
@@ -217,10 +234,8 @@ class VideoFile(FrameSource):
 
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
-        capture = self._open()
         decoded, number, stamp, start, longest = 0, 0, 0.0, None, 1 / self.fps
-        while (image := capture.read()[1]) is not None:
-            position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        for position, image in self._decoded():
             if start is None:
                 start = position
             else:
@@ -328,8 +343,12 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
 
 
 def name_of(clip: Path) -> str:
-    """Name of a clip: its folder's, or its video file's without the ending."""
-    return clip.resolve().name if clip.is_dir() else clip.stem
+    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's.
+
+    Raises:
+        InputError: a data set's file that holds no single episode.
+    """
+    return clip.resolve().name if clip.is_dir() else name_in_data_set(clip) or clip.stem
 
 
 def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:

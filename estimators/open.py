@@ -123,6 +123,7 @@ def preparation(
     camera: str | Path | None = None,
     contact: str | None = None,
     smoothing: float | None = None,
+    topic: str | None = None,
     **depth: Any,
 ) -> PrepareSettings:
     """How an estimator's frames are prepared, with what is chosen for them; None = the estimator's choice.
@@ -134,6 +135,7 @@ def preparation(
         camera: YAML or JSON file of the camera of clips that bring none of their own.
         contact: `touching` or `motion`: how a press is found (estimators direct and network).
         smoothing: width over which the resting shape is smoothed [grid px] (estimators direct and online).
+        topic: of the pictures in bags.
         depth: of `DEPTH`: where depth comes from (`stored`, a preset's name, or an .onnx file), and how.
 
     Raises:
@@ -152,6 +154,7 @@ def preparation(
     if camera is not None:
         load_camera(Path(camera))
         found = replace(found, camera=str(Path(camera).resolve()))
+    found = replace(found, topic=topic or found.topic)
     chosen = {DEPTH[name]: value for name, value in depth.items() if value is not None}
     settings = estimator.preparation(Chosen(found, masks, chosen, smoothing, contact))
     check_sources(settings)

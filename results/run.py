@@ -26,11 +26,12 @@ from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
+from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.known_force import read_forces
+from palpate.estimators.known_force import force_reader
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
@@ -50,6 +51,7 @@ WORDS = {
     "geometry.contact": "--contact",
     "geometry.smoothing": "--smoothing",
     "give the noise": "give --noise",
+    "layout.topic": "--topic",
     "fewer --workers": "fewer --jobs",
     **{f"device {name}": f"--device {name}" for name in PROVIDERS},
 }
@@ -91,7 +93,7 @@ class Batch:
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.options, self.console = options, console
         cv2.setNumThreads(options.threads or -1)
-        self.known = None if options.known_force is None else read_forces(options.known_force)
+        self.known = None if options.known_force is None else force_reader(options.known_force)
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
@@ -126,7 +128,7 @@ class Batch:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         if options.shard and self.calibration is not None and self.calibration.of_one_clip:
             raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
-        chosen = ("masks", "layout", "camera", "contact", "smoothing", *DEPTH)
+        chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
@@ -137,7 +139,8 @@ class Batch:
         folder = self.folders.get(path) or self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
         if self.known is not None:
-            causes["known_force"] = file_sha256(self.options.known_force)
+            given = self.options.known_force
+            causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
         if self.options.force_limit is not None:
             causes["force_limit"] = self.options.force_limit
         if self.options.export is not None:
@@ -150,7 +153,9 @@ class Batch:
             return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            known = self.known if newtons is None else newtons.known
+            known = None if newtons is None else newtons.known
+            if self.known is not None:
+                known = self.known(path, self.settings.layout.topic)
             options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if isinstance(self.estimator, NetworkEstimator):
@@ -198,6 +203,8 @@ class Batch:
                 found |= dict.fromkeys(discover([given], self.settings.layout))
             except ValueError as error:
                 failed.append(self._failure(given, error))
+        if self.options.topic is not None and not any(map(is_bag, found)):
+            raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
         paths = self._ordered(list(found))
         if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
             number, count = self.options.shard or (1, 1)

@@ -411,7 +411,7 @@ def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
     assert call(clips / "nothing", "--model", str(model)) == 2
     said = capsys.readouterr().err.splitlines()
     assert "nowhere.mp4" in said[0]
-    assert "holds neither a video nor a folder of frames" in said[1]
+    assert "holds no video, bag or folder of frames" in said[1]
     output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
     assert infer.main(["camera:0", *output]) == 2
     assert "give its number to palpate live" in capsys.readouterr().err

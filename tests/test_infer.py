@@ -17,6 +17,9 @@ from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.contact.motion import FRAYED
+from palpate.data.source.frames import open_source
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
@@ -25,8 +28,11 @@ from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.scene import read_scene
 from palpate.results.writer import ClipResults
+from tests.data.bags import RATE, write_bag
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
+from tests.data.source.test_lerobot import describe as describe_data_set
+from tests.data.source.test_lerobot import write_video as write_coded
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 from tests.tables import read_rows
 
@@ -465,6 +471,61 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
+
+
+def write_pictures(folder, pictures, **about):
+    folder.mkdir(parents=True)
+    for index, picture in enumerate(pictures):
+        cv2.imwrite(str(folder / f"{index:03}.png"), picture[..., ::-1])
+    (folder / "clip.json").write_text(json.dumps(about))
+
+
+def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path):
+    """With the pictures that its videos are decoded to, and their time stamps."""
+    describe_data_set(tmp_path / "set", "v2.1", 1)
+    video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
+    pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
+    source = open_source(write_coded(video, pictures), ClipLayout())
+    frames = list(source)
+    about = {"times": [frame.time_s for frame in frames], "fps": source.fps}
+    write_pictures(tmp_path / "folder", [frame.picture for frame in frames], **about)
+    for given in ("set", "folder"):
+        assert direct(tmp_path / given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
+    found = [
+        contents(tmp_path / "out" / name) for name in ("chunk-000_observation.images.top_episode_000000", "folder")
+    ]
+    for table in ("parameters.csv", "interactions.csv"):
+        assert found[0][table] == found[1][table]
+    (run,) = runs(tmp_path / "out" / "folder")
+    assert (run["status"], run["stiffness"] != "") == ("ok", True)
+
+
+@pytest.mark.parametrize("name", ["same.bag", "same"])
+def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, name, capsys):
+    """With the same pictures, time stamps and camera; frames of both are numbered from 0."""
+    pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
+    camera = {"fx": 110.8, "fy": 148.2, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96, "distortion": [1e-3] * 5}
+    times = [index * RATE / 1e9 for index in range(len(pictures))]
+    write_pictures(tmp_path / "folder" / "same", pictures, camera=camera, times=times)
+
+    def recorded(make):
+        yield from (("/lap/image_raw/compressed", make.compressed(*item)) for item in enumerate(pictures))
+        yield "/lap/camera_info", make.camera((110.8, 0, 63.5, 0, 148.2, 47.5, 0, 0, 1), [1e-3] * 5, 110)
+        yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
+
+    inputs = [tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)]
+    for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed"]), strict=True):
+        output = tmp_path / f"of {given.parent.name}"
+        assert direct(given, output, "--no-overlay", "--contact", "motion", *options) == 0
+    folder, bag = (contents(tmp_path / f"of {given.parent.name}" / "same") for given in inputs)
+    for table in ("parameters.csv", "interactions.csv"):
+        assert bag[table] == folder[table]
+    (run,) = runs(tmp_path / "of folder" / "same")
+    assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1
+    assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
+    assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
+    assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
 
 
 def test_wrong_usage(inputs, tmp_path, capsys):

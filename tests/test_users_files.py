@@ -45,7 +45,6 @@ from tests.planning.test_scene import SHIPPED
 Run = Callable[[random.Random, Path], object]
 EVENTS = 12
 """Of every sequence; more than half of them are runs."""
-ROW = "full-0"
 PAGES = ("index.html", "clip/page.html")
 PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),

@@ -1,9 +1,11 @@
 """Frames with time stamps, where they come from, and the camera that took them.
 
-frames  video files and folders of images as FrameSource; the search for clips
+frames  video files, folders of images and bags as FrameSource; the search for clips
 live    the same as they come from a camera, a stream or a pipe
 layout  how a folder's frames, masks, depth and camera file are named
 coding  how a video is coded, and the same done to other pictures
+bags    what bags of ROS hold: pictures, their camera, forces
+lerobot names of the videos in LeRobot data sets
 camera  intrinsics, back-projection, removal of lens distortion
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from palpate.data.source.bags import camera_entries, is_bag
 from palpate.data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
 MOST_SIDE = 4096
@@ -104,14 +105,17 @@ def _number(value: Any) -> Any:
 
 
 def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
-    """The camera that a clip folder's `clip.json` gives, else its layout, or None where neither does.
+    """The camera that a clip folder's `clip.json` or a bag gives, else its layout, or None where neither does.
 
     Raises:
         InputError: a camera is named and can't be used.
     """
-    entries = read_clip_file(clip).get("camera") if clip.is_dir() else None
+    if is_bag(clip):
+        where, entries = "camera_info", camera_entries(clip, layout.topic)
+    else:
+        where, entries = "clip.json", read_clip_file(clip).get("camera") if clip.is_dir() else None
     if entries is not None:
-        return _camera(entries, f"{clip} (clip.json) has a camera that")
+        return _camera(entries, f"{clip} ({where}) has a camera that")
     return None if layout.camera is None else load_camera(clip / layout.camera)
 
 

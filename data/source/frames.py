@@ -1,4 +1,4 @@
-"""Frames with time stamps from a video file or a folder of images, and the search for clips.
+"""Frames with time stamps from a video file, a folder of images or a bag, and the search for clips.
 
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
@@ -7,17 +7,22 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from os.path import isdir
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
+from palpate.common.doors import plain
+from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
 from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.images import printable, read_image, require_pixels
 from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
+from palpate.data.source.lerobot import name_in_data_set
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 """Endings of the names of video files."""
@@ -92,7 +97,43 @@ class FrameSource(ABC):
         return f"{named} is {width}x{height} while the clip is {self.size[0]}x{self.size[1]}; export all at one size."
 
 
-class FrameFolder(FrameSource):
+class Pictures(FrameSource):
+    """A clip of single pictures whose numbers and time stamps are known before they are read."""
+
+    _numbers: Sequence[int]
+    _times: Sequence[float]
+
+    @abstractmethod
+    def _pictures(self) -> Iterator[tuple[Path | None, np.ndarray | InputError]]:
+        """File, where it has one of its own, and pixels of every picture, or why there are none."""
+
+    def _first_size(self) -> tuple[int, int]:
+        """(width, height) of the first picture that can be read."""
+        problems = []
+        for _, found in self._pictures():
+            if not isinstance(found, InputError):
+                return picture_size(self.path, found)
+            problems.append(found)
+        raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.warnings, failed = [], 0
+        first, last = self._numbers[0], self._numbers[-1]
+        known = zip(self._numbers, self._times, self._pictures(), strict=True)
+        for index, (number, time_s, (file, found)) in enumerate(known):
+            image = None if isinstance(found, InputError) else found
+            named = f"Frame {number} of {printable(self.path)}" if file is None else printable(file)
+            error = str(found) if image is None else self.size_error(image, named)
+            failed += bool(error)
+            yield Frame(index, number, time_s, None if error else image, file, error)
+        missing = last - first + 1 - self.length
+        if missing:
+            self.warnings.append(f"{missing} frame numbers are missing between {first} and {last}")
+        if failed:
+            self.warnings.append(f"unreadable: {failed} of {self.length} frames")
+
+
+class FrameFolder(Pictures):
     """Images of one folder: those that match the layout, else all images in natural order.
 
     Other folders may continue it; camera, frame rate and depth scale are those of the first one.
@@ -112,7 +153,7 @@ class FrameFolder(FrameSource):
         self.warnings = []
         self.fps = float(read_clip_file(path).get("fps", layout.fps))
         self.files: list[tuple[int, Path]] = []
-        self._times: list[float] = []
+        self._times = []
         for folder in (path, *following):
             files = frame_files(folder, layout)
             if not files:
@@ -121,38 +162,15 @@ class FrameFolder(FrameSource):
             self._times += _folder_times(folder, files, self.fps, begin)
             self.files += files
         _check_numbers(self.files)
-        self.length = len(self.files)
+        self.length, self._numbers = len(self.files), [number for number, _ in self.files]
         self.size = self._first_size()
 
-    def _first_size(self) -> tuple[int, int]:
-        """(width, height) of the first image that can be read."""
-        problems = []
+    def _pictures(self) -> Iterator[tuple[Path, np.ndarray | InputError]]:
         for _, file in self.files:
             try:
-                image = read_image(file)
-            except InputError as problem:
-                problems.append(problem)  # it is reported with its frame when iterating
-                continue
-            return picture_size(self.path, image)
-        raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
-
-    def __iter__(self) -> Iterator[Frame]:
-        self.warnings = []
-        first, last, failed = self.files[0][0], self.files[-1][0], 0
-        for index, (number, file) in enumerate(self.files):
-            image = None
-            try:
-                image = read_image(file)
-                error = self.size_error(image, printable(file))
-            except InputError as problem:
-                error = str(problem)
-            failed += bool(error)
-            yield Frame(index, number, self._times[index], None if error else image, file, error)
-        missing = last - first + 1 - self.length
-        if missing:
-            self.warnings.append(f"{missing} frame numbers are missing between {first} and {last}")
-        if failed:
-            self.warnings.append(f"unreadable: {failed} of {self.length} frames")
+                yield file, read_image(file)
+            except InputError as problem:  # it is reported with its frame
+                yield file, problem
 
 
 class VideoFile(FrameSource):
@@ -167,17 +185,20 @@ class VideoFile(FrameSource):
         Raises:
             InputError: an empty file, not a video, or pictures of an unusable size.
         """
-        self.path, self.name, self.warnings = path, name_of(path), []
+        self.path, self.name, self.warnings, self._by_av = path, name_of(path), [], False
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
             raise InputError(f"{path} is an empty file (0 bytes); copy it again.")
         capture = self._open()
         size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        require_pixels(path, *size)
-        done, image = capture.read()
+        require_pixels(printable(path), *size)
+        image = capture.read()[1]
+        if image is None:  # OpenCV is built without some codecs, such as AV1, that of LeRobot data sets
+            self._by_av = True
+            image = next((image for _, image in self._decoded()), None)
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        if not done:
+        if image is None:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = picture_size(path, image)
         self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
@@ -188,6 +209,17 @@ class VideoFile(FrameSource):
     def coding(self) -> Coding | None:
         """How the pictures were coded; None where the decoder doesn't say."""
         return coding_of(self.path)
+
+    def _decoded(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Time stamp [s] and picture, BGR, of the frames that can be decoded, up to the first that can't."""
+        if not self._by_av:
+            capture = self._open()
+            while (image := capture.read()[1]) is not None:
+                yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, image
+            return
+        with suppress(av.FFmpegError, IndexError), av.open(str(self.path)) as container:
+            for frame in container.decode(video=0):
+                yield frame.time or 0.0, frame.to_ndarray(format="bgr24")
 
     def _open(self) -> cv2.VideoCapture:
         try:
@@ -202,10 +234,8 @@ class VideoFile(FrameSource):
 
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = []
-        capture = self._open()
         decoded, number, stamp, start, longest = 0, 0, 0.0, None, 1 / self.fps
-        while (image := capture.read()[1]) is not None:
-            position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        for position, image in self._decoded():
             if start is None:
                 start = position
             else:
@@ -228,6 +258,33 @@ class VideoFile(FrameSource):
         for step in range(1, missing + 1):
             error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
             yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)
+
+
+class RosBag(Pictures):
+    """Pictures of one topic of a bag of ROS 1 or 2."""
+
+    def __init__(self, path: Path, layout: ClipLayout) -> None:
+        """
+        Args:
+            path: the bag.
+            layout: names the topic, and the frame rate of a bag with one picture.
+
+        Raises:
+            InputError: the bag can't be read, nobody says which topic it is, its time stamps don't rise, or none of its
+                pictures can be decoded.
+        """
+        self.path, self.name, self.warnings = path, name_of(path), []
+        self.topic = topic_of(path, layout.topic)
+        stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
+        steps, self.length = np.diff(stamps) / 1e9, len(stamps)
+        self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
+        self._times = ((stamps - stamps[0]) / 1e9).tolist()
+        # A jump in the time stamps is a jump in the numbers, as in videos.
+        self._numbers = [0, *np.cumsum(np.maximum(1, np.rint(steps * self.fps))).astype(int).tolist()]
+        self.size = self._first_size()
+
+    def _pictures(self) -> Iterator[tuple[None, np.ndarray | InputError]]:
+        return ((None, found) for found in pictures(self.path, self.topic))
 
 
 def picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
@@ -269,13 +326,15 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
 
 
 def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] = ()) -> FrameSource:
-    """Open a clip: a folder of frames with the folders that continue it, or a video file.
+    """Open a clip: a folder of frames with the folders that continue it, a bag, or a video file.
 
     Raises:
         InputError: the path does not exist or holds no frame.
     """
     path = Path(path)
     try:
+        if is_bag(path):
+            return RosBag(path, layout)
         if path.is_dir():
             return FrameFolder(path, layout, following)
         return VideoFile(path, layout.fps)
@@ -284,12 +343,16 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
 
 
 def name_of(clip: Path) -> str:
-    """Name of a clip: its folder's, or its video file's without the ending."""
-    return clip.resolve().name if clip.is_dir() else clip.stem
+    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's.
+
+    Raises:
+        InputError: a data set's file that holds no single episode.
+    """
+    return clip.resolve().name if clip.is_dir() else name_in_data_set(clip) or clip.stem
 
 
 def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
-    """Clips under the given paths, in natural order within each: video files, frame folders, folders of those.
+    """Clips under the given paths, in natural order within each: video files, bags, frame folders, folders of those.
 
     Raises:
         InputError: a path does not exist, can't be listed, or holds no clip.
@@ -306,7 +369,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
         if not given.is_dir() and given.suffix.lower() in IMAGE_SUFFIXES:
             raise InputError(f"{printable(given)} is a single image; give the folder of the clip's frames.")
         if not found:
-            raise InputError(f"{printable(given)} holds neither a video nor a folder of frames; give one that does.")
+            raise InputError(f"{printable(given)} holds no video, bag or folder of frames; give one that does.")
         clips.update(dict.fromkeys(found))
     return list(clips)
 
@@ -335,7 +398,7 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
             if len(visited) > MOST_FOLDERS:
                 problem = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
                 raise InputError(f"{printable(top)} {problem}.")
-            if frame_files(folder, layout):
+            if is_bag(folder) or frame_files(folder, layout):
                 found.append(folder)
                 continue
             entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
@@ -344,5 +407,5 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
                 raise
             found.append(folder)  # opening it fails later, and the other clips go on
             continue
-        left += reversed([e for e in entries if isdir(e) or e.suffix.lower() in VIDEO_SUFFIXES])
+        left += reversed([e for e in entries if isdir(e) or e.suffix.lower() in VIDEO_SUFFIXES or is_bag(e)])
     return found

@@ -46,16 +46,27 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
         content = read_file(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be read ({error.strerror}); check the file.") from error
+    return decode_image(content, printable(path), flags, most)
+
+
+def decode_image(
+    content: bytes, named: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS
+) -> np.ndarray:
+    """Decode an image file's bytes; arguments as of `read_image`, `named` begins the error message.
+
+    Raises:
+        InputError: empty, truncated, undecodable or too large content.
+    """
     if not content:
-        raise InputError(f"{printable(path)} is an empty file (0 bytes); copy it again.")
+        raise InputError(f"{named} is an empty file (0 bytes); copy it again.")
     width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
     if content[12:16] == b"IHDR":
         if width * height > most != MOST_PIXELS:
             problem = f"is {width}x{height}, far larger than its picture; store it at that size"
-            raise InputError(f"{printable(path)} {problem}.")
-        require_pixels(path, width, height)
+            raise InputError(f"{named} {problem}.")
+        require_pixels(named, width, height)
         if _packed(content) > 9 * width * height + 2**12:  # more than four channels of 16 bits that can't be packed
-            raise InputError(f"{printable(path)} is far larger than a picture of {width}x{height}; store it anew.")
+            raise InputError(f"{named} is far larger than a picture of {width}x{height}; store it anew.")
     image = None
     if not _truncated(content):
         try:
@@ -63,9 +74,9 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
                 image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
-                raise InputError(f"{printable(path)} is more than {_PIXEL_LIMIT}.") from error
+                raise InputError(f"{named} is more than {_PIXEL_LIMIT}.") from error
     if image is None:
-        raise InputError(f"{printable(path)} can't be decoded as an image (truncated or damaged); copy it again.")
+        raise InputError(f"{named} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
 
 
@@ -83,14 +94,14 @@ def _silence() -> Generator[None]:
         yield
 
 
-def require_pixels(path: Path, width: int, height: int) -> None:
-    """Refuse a picture by the size that it declares, before it is unpacked.
+def require_pixels(named: str, width: int, height: int) -> None:
+    """Refuse a picture by the size that it declares, before it is unpacked; `named` begins the error message.
 
     Raises:
         InputError: it is larger than `MOST_PIXELS`.
     """
     if width * height > MOST_PIXELS:
-        raise InputError(f"{printable(path)} is {width}x{height}, more than {_PIXEL_LIMIT}.")
+        raise InputError(f"{named} is {width}x{height}, more than {_PIXEL_LIMIT}.")
 
 
 def _packed(content: bytes) -> int:

@@ -70,6 +70,8 @@ class ClipLayout:
     """Frame rate where the clip does not give one [1/s]."""
     camera: str | None = None
     """Camera file (YAML or JSON) in the layout file's folder, else relative to the clip's folder."""
+    topic: str | None = None
+    """Topic of a bag's pictures; by default its only one."""
 
     def __post_init__(self) -> None:
         for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "camera"):

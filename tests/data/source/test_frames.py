@@ -232,7 +232,7 @@ def test_discover_follows_a_layout_with_subfolders(tmp_path):
     ("path", "said"),
     [
         ("absent", "No such file"),
-        ("empty", "holds neither a video nor"),
+        ("empty", "holds no video, bag or"),
         ("one.png", "is a single image"),
         ("camera:0", "camera:0 is a live camera; give its number to palpate live"),
     ],
@@ -375,7 +375,7 @@ def test_a_hostile_clip_file_gets_a_sentence(tmp_path, text, said):
 
 def test_folders_may_nest_as_deeply_as_the_disk_allows(tmp_path, nested):
     nested(tmp_path, "d")
-    with pytest.raises(InputError, match="holds neither a video nor a folder of frames"):
+    with pytest.raises(InputError, match="holds no video, bag or folder of frames"):
         discover([tmp_path], LAYOUT)
 
 

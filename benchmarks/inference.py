@@ -33,7 +33,7 @@ from palpate.data.synthetic.__main__ import main as make_clips
 from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.network.estimator import FULL, RATES, NetworkEstimator
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.evaluation.plain_video import HEIGHTS, PlainVideo
@@ -103,26 +103,26 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
 
 
-def stages(clip: Path, output: Path, estimator: str, frames: int = FRAMES) -> dict[str, float]:
+def stages(clip: Path, output: Path, estimator: str, frames: int = FRAMES, rate: str = FULL) -> dict[str, float]:
     """Time by stage of `infer.py` on a clip, whose results go to `output` [ms a frame]; stages overlap.
 
     Raises:
         RuntimeError: it failed.
     """
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        status = infer([str(clip), "--estimator", estimator, "--output", str(output)])
+        status = infer([str(clip), "--estimator", estimator, "--rate", rate, "--output", str(output)])
     if status != 0:
         raise RuntimeError(f"infer.py ended with status {status} on {clip}.")
     record = json.loads(next(output.rglob("run.json")).read_text(encoding="utf-8"))
     return {stage: 1e3 * seconds / frames for stage, seconds in record["timings_s"].items()}
 
 
-def plain_video(width: int, folder: Path) -> dict[str, float]:
-    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px]; video and results go to the folder."""
+def plain_video(width: int, folder: Path) -> list[dict[str, float]]:
+    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px], at each of RATES; all in the folder."""
     drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
     settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
     video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
-    return stages(video, folder / f"results{width}", "network", VIDEO_FRAMES)
+    return [stages(video, folder / f"{rate}{width}", "network", VIDEO_FRAMES, rate) for rate in RATES]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -158,10 +158,9 @@ def _measure(folder: Path) -> None:
         ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items()),
     )
     print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine()})\n")
-    columns = ("pictures", "frames a second", "the same without the press's fit")
+    columns = ("pictures", *(f"--rate {rate}: frames a second" for rate in RATES))
     whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
-    rates = ((size, 1e3 / times["total"], 1e3 / (times["total"] - times.get("fit", 0.0))) for size, times in whole)
-    print_table(columns, ((size, *(f"{rate:.1f}" for rate in both)) for size, *both in rates))
+    print_table(columns, ((size, *(f"{1e3 / times['total']:.1f}" for times in rates)) for size, rates in whole))
 
 
 if __name__ == "__main__":

@@ -40,6 +40,8 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
     options.log_severity_level = 4  # errors are reported once, by whoever opens the network
     # More threads than cores would wait for each other, busily.
     options.intra_op_num_threads = min(threads, os.cpu_count() or 1)
+    # Threads that wait must not keep cores from other stages.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.use_deterministic_compute = True
     session = onnxruntime.InferenceSession(model, options, providers=[provider], enable_fallback=device == AUTO)
     if device != AUTO and provider_of(session) != provider:

@@ -34,6 +34,8 @@ from palpate.data.source.camera import Camera, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
 
+STAGES = 4
+"""That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
 AHEAD, WHILE_FITTING = 4, 32
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None

@@ -24,7 +24,7 @@ from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
-from palpate.data.clip import ClipStream
+from palpate.data.clip import STAGES, ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
@@ -92,7 +92,8 @@ class Batch:
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.options, self.console = options, console
-        cv2.setNumThreads(options.threads or -1)
+        # Stages run side by side: OpenCV's threads of each would wait for one another.
+        cv2.setNumThreads(max(1, (options.threads or os.cpu_count() or 1) // STAGES))
         self.known = None if options.known_force is None else force_reader(options.known_force)
         self.calibration = None if options.calibration is None else read_calibration(options.calibration)
         self.carried: Path | None = None

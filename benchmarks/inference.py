@@ -118,7 +118,7 @@ def stages(clip: Path, output: Path, estimator: str, frames: int = FRAMES, rate:
 
 
 def plain_video(width: int, folder: Path) -> list[dict[str, float]]:
-    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px], at each of RATES; all in the folder."""
+    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px], at each of RATES; all in a folder."""
     drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
     settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
     video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")

@@ -41,8 +41,8 @@ from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_val
 
 SCALED_IN = 0.5
 """The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
-WAITING = 1
-"""Frames that wait between two stages."""
+WAITING, UNDECIDED = 1, 16
+"""Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
 LOOPBACK = "127.0.0.1"
 REMEMBERED = 1 << 16
 """So many frames' lateness counts."""
@@ -105,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = JsonLines(source, options.port, server, alarm)
     try:
         with stopped_by_interrupt(source):
-            for output in estimates_of(session, clip.overlapped(WAITING, WAITING, lines.notice)):
+            for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:

@@ -32,8 +32,8 @@ class PrepareSettings:
     track_seconds: float = 1.0
     """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
     every: int = 1
-    """In one of so many frames automatic masks and guessed depth are found anew; in the others instruments are followed
-    and depth is what it was."""
+    """In one of so many frames automatic masks and guessed depth are found anew; in between depth is what it was, and
+    instruments are followed, or sought where none is known and the picture has changed."""
 
     def __post_init__(self) -> None:
         if self.bridge_frames < 0:

@@ -59,6 +59,9 @@ MAX_INSTRUMENTS = 3
 """Largest number of instruments in one picture."""
 MOST_MISSED = 12
 """So many frames in a row an instrument is followed without being found."""
+BLOCK, CHANGED, CHANGED_BLOCKS = 8, 6, 4
+"""A picture has changed where the means of so many blocks differ by more than so much: width of blocks [working px],
+difference [8-bit value], and their number."""
 LEVELS = 1024
 """Levels of redness by which its quantiles are found; sorting all pixels takes five times as long."""
 SAME = 0.3
@@ -102,7 +105,8 @@ class AutomaticMasks:
     """Mask source (see masks.MaskSource) for raw video; frames must come in order.
 
     Args:
-        every: instruments are sought in one of so many frames, and only followed in the others.
+        every: while the picture stays as it is or instruments are known, they are sought in one of so many frames,
+            and followed in the others.
     """
 
     def __init__(self, every: int = 1) -> None:
@@ -122,14 +126,12 @@ class AutomaticMasks:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
         image = frame.picture
-        sought, self._since = self._since == 0, (self._since + 1) % self._every
-        # What moves is told by the frame right before.
-        if sought:
-            tool = self._find_tool(_working(image))
-        elif self._known or self._since == 0:
-            tool = self._followed(cv2.cvtColor(_working(image), cv2.COLOR_RGB2GRAY))
+        working = _working(image)
+        if self._since == 0 or (not self._known and self._has_changed(working)):
+            tool, self._since = self._find_tool(working), 0
         else:
-            tool = np.zeros((1, 1), bool)
+            tool = self._followed(cv2.cvtColor(working, cv2.COLOR_RGB2GRAY))
+        self._since = (self._since + 1) % self._every
         labels = lit_picture(image).astype(np.uint8) * np.uint8(TISSUE)
         if tool.any():
             full = cv2.resize(tool.astype(np.float32), image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
@@ -162,6 +164,15 @@ class AutomaticMasks:
             if known.missed and known.times > 1:
                 filled(tool, known.body.outline, 1)
         return (tool > 0) & field
+
+    def _has_changed(self, working: np.ndarray) -> bool:
+        """Whether a working picture differs from the last one, as where an instrument comes into view."""
+        gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
+        if self._last_gray is None or self._last_gray.shape != gray.shape:
+            return True
+        size = max(gray.shape[1] // BLOCK, 1), max(gray.shape[0] // BLOCK, 1)
+        blocks = [cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (gray, self._last_gray)]
+        return int((cv2.absdiff(*blocks) > CHANGED).sum()) >= CHANGED_BLOCKS
 
     def _followed(self, gray: np.ndarray) -> np.ndarray:
         """Where the known instruments have gone in a working picture, bool [h, w]."""

@@ -38,8 +38,8 @@ FULL, FAST = RATES = ("full", "fast")
 FAST_EVERY = 3
 """By the rate fast, as of `PrepareSettings.every`."""
 SELDOM = (
-    f"By --rate fast, automatic masks and depth that is guessed are found in one frame of {FAST_EVERY}; in between "
-    "instruments are followed and depth is kept."
+    f"By --rate fast, depth that is guessed is found in one frame of {FAST_EVERY} and kept in between; automatic "
+    "masks, too, while instruments are known, which are followed, or the picture stays as it is."
 )
 LEAVES_OUT = (
     "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. "

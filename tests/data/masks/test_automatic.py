@@ -237,6 +237,18 @@ def test_where_instruments_are_sought_in_one_frame_of_three_they_are_followed_in
     assert masks.identity != AutomaticMasks().identity
 
 
+def test_an_instrument_that_comes_into_view_is_sought_at_once(monkeypatch):
+    sought, find = [], AutomaticMasks._find_tool
+    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda self, image: sought.append(1) or find(self, image))
+    masks = AutomaticMasks(5)
+    for index in range(2):
+        assert not (masks(as_frame(tissue(), index)) == 2).any()
+    assert len(sought) == 1  # noise is no change
+    image, mask = moving(0)
+    assert overlap(masks(as_frame(image, 2)) == 2, mask) > 0.8
+    assert len(sought) == 2
+
+
 def test_what_was_found_once_is_not_followed(monkeypatch):
     masks = AutomaticMasks()
     assert (masks(as_frame(moving(0)[0])) == 2).any()

@@ -211,8 +211,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("source", metavar="SOURCE", help=text)
     seconds = real_number("a time in seconds; give a positive one", 1e-3)
-    text = "frames that have waited longer are dropped and counted [s] (default: 0.2)"
-    parser.add_argument("--max-latency", type=seconds, default=0.2, metavar="SECONDS", help=text)
+    text = "frames that have waited longer are dropped and counted [s] (default: 1)"
+    parser.add_argument("--max-latency", type=seconds, default=1.0, metavar="SECONDS", help=text)
     parser.add_argument("--size", type=_size, metavar="WxH", help="of a pipe's pictures [px]")
     rate = real_number("a rate; give 1 frame a second or more", 1.0)
     parser.add_argument("--fps", type=rate, help="frames a second (default: as the source says; of a pipe 25)")

@@ -216,11 +216,10 @@ class ClipStream:
                 labels = self._masks(frame)
         except MaskError as error:
             mask_error = str(error)
-        nothing_found = np.zeros(frame.picture.shape[:2], np.float32), ""
-        depth, depth_error = nothing_found if depth_before is not None else self._picture_depth(frame)
+        depth, depth_error = (nothing, "") if depth_before is not None else self._picture_depth(frame)
         if self._undistortion is not None:
             frame = dataclasses.replace(frame, image=self._undistortion.image(frame.image))
-            depth = self._undistortion.depth(depth)
+            depth = depth if depth_before is not None else self._undistortion.depth(depth)
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
             known = labels if labels is not None else np.zeros(frame.picture.shape[:2], np.uint8)

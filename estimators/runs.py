@@ -234,8 +234,8 @@ class RunSession:
         except NoEstimate as reason:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
-        told = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
-        return run.estimate(**told, detail=detail)
+        results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
+        return run.estimate(**results, detail=detail)
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         """As of `fit_brightness`: the estimate of a whole contact by its light.

@@ -52,7 +52,7 @@ class ForceAlarm:
     @classmethod
     def of(cls, estimator: NetworkEstimator, limit: float, unit: str, fps: float) -> Self:
         """The alarm of a clip of so many frames a second, by the estimates of a network."""
-        return cls(limit, unit, told_seconds(estimator)[0], 1 / fps)
+        return cls(limit, unit, known_seconds(estimator)[0], 1 / fps)
 
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""
@@ -86,8 +86,8 @@ class ForceAlarm:
         last = "" if self._last is None else self._last[0]
         frames = {state: self.frames[state] for state in STATES}
         seconds = {state: round(self._seconds[state] + (state == last) * self.frame_s, 6) for state in STATES}
-        told = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
-        return told | {"frames": frames, "seconds": seconds}
+        asked = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
+        return asked | {"frames": frames, "seconds": seconds}
 
     def sentence(self) -> str:
         """The same in words."""
@@ -99,7 +99,7 @@ class ForceAlarm:
         )
 
 
-def told_seconds(estimator: NetworkEstimator) -> tuple[float, float]:
+def known_seconds(estimator: NetworkEstimator) -> tuple[float, float]:
     """So much after the onset of contact, a run's estimate by depth, by light, tells no force any more [s]."""
     by_light = float(slot_times()[-1]) if estimator.by_network else math.inf
     return min(estimator.press_seconds[1], estimator.mechanics.seconds), by_light

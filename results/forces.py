@@ -149,10 +149,10 @@ def forces_record(
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
-    told = [contact.in_newtons(rows.get(contact.onset_frame, {})).record(estimates, lasts) for contact in contacts]
+    records = [contact.in_newtons(rows.get(contact.onset_frame, {})).record(estimates, lasts) for contact in contacts]
     limited = None if limit is None else {name: limit[name] for name in ("limit", "unit")}
     notice = "Research software, not a medical device."
-    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": told}
+    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: tuple[float, float]) -> np.ndarray:

@@ -37,7 +37,7 @@ from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, pre
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.alarm import ForceAlarm, told_seconds
+from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
@@ -160,7 +160,7 @@ class Batch:
             options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if isinstance(self.estimator, NetworkEstimator):
-                options["seconds"] = told_seconds(self.estimator)
+                options["seconds"] = known_seconds(self.estimator)
             written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()

@@ -127,10 +127,11 @@ class AutomaticMasks:
         """Label map uint8 [H, W] of a frame."""
         image = frame.picture
         working = _working(image)
-        if self._since == 0 or (not self._known and self._has_changed(working)):
-            tool, self._since = self._find_tool(working), 0
+        gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
+        if self._since == 0 or (not self._known and self._has_changed(gray)):
+            tool, self._since = self._find_tool(working, gray), 0
         else:
-            tool = self._followed(cv2.cvtColor(working, cv2.COLOR_RGB2GRAY))
+            tool = self._followed(gray)
         self._since = (self._since + 1) % self._every
         labels = lit_picture(image).astype(np.uint8) * np.uint8(TISSUE)
         if tool.any():
@@ -138,11 +139,10 @@ class AutomaticMasks:
             labels[full > 0.5] = TOOL
         return labels
 
-    def _find_tool(self, working: np.ndarray) -> np.ndarray:
-        """Tool pixels of the working picture, bool [h, w]."""
+    def _find_tool(self, working: np.ndarray, gray: np.ndarray) -> np.ndarray:
+        """Tool pixels of the working picture, in colours and in grey, bool [h, w]."""
         lit = lit_picture(working)
         field = self._field = picture_field(lit)
-        gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
         smooth = cv2.GaussianBlur(working, (0, 0), 1.0).astype(np.float32)
         bright, red = brightest_channel(smooth), redness(smooth)
         look = Look(pallor(red, bright, lit), red, bright)
@@ -165,9 +165,8 @@ class AutomaticMasks:
                 filled(tool, known.body.outline, 1)
         return (tool > 0) & field
 
-    def _has_changed(self, working: np.ndarray) -> bool:
+    def _has_changed(self, gray: np.ndarray) -> bool:
         """Whether a working picture differs from the last one, as where an instrument comes into view."""
-        gray = cv2.cvtColor(working, cv2.COLOR_RGB2GRAY)
         if self._last_gray is None or self._last_gray.shape != gray.shape:
             return True
         size = max(gray.shape[1] // BLOCK, 1), max(gray.shape[0] // BLOCK, 1)

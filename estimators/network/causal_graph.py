@@ -41,7 +41,7 @@ OUTPUTS = ("next_state", "known", "left", "misfit", "log_mean", "log_covariance"
 misfit [B]; mean [B, 3] and covariance [B, 3, 3] of (log k_s, log k_d, log |F|), not numbers before the second frame;
 whether each of COMBINATIONS is determined [B, 6], and each of k_s, k_d and F at its bound [B, 3], bool."""
 SWEEPS = 5
-"""Of Jacobi's rotations; four leave nothing beside the diagonal of a matrix [3, 3]."""
+"""Of Jacobi's rotations; four leave nothing off the diagonal of a matrix [3, 3]."""
 
 
 class _Press(nn.Module):
@@ -198,9 +198,9 @@ def _difference(path: Path, network: PosteriorModel) -> float:
     found = light_amounts(frames[0])
     numbers = found.amounts, found.left, found.visible[[0, -1]], frames[1][0, 1], *frames[2][0, :4]
     slots = LightSlots(*(np.asarray(values)[None] for values in numbers))
-    told = [np.zeros((1, STATE))]
+    results = [np.zeros((1, STATE))]
     for values in zip(*frames[:-1], strict=True):
-        given = *(value[None] for value in values), told[0]
-        told = session.run(OUTPUTS, dict(zip(INPUTS, given, strict=True)))
+        given = *(value[None] for value in values), results[0]
+        results = session.run(OUTPUTS, dict(zip(INPUTS, given, strict=True)))
     expected = network.by_light(slots.vectors(np.array([SLOTS])))
-    return max(float(np.abs(one - other).max()) for one, other in zip(told[4:6], expected, strict=True))
+    return max(float(np.abs(one - other).max()) for one, other in zip(results[4:6], expected, strict=True))

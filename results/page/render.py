@@ -56,8 +56,8 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
                     write_own(page, text)
             except ForeignFile as error:
                 foreign = error
-        told = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
-        write_own(output / INDEX, environment.get_template("index.html").render(told, damaged=damaged))
+        shown = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
+        write_own(output / INDEX, environment.get_template("index.html").render(shown, damaged=damaged))
         if foreign is not None:
             raise foreign
     return output / INDEX

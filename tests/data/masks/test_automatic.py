@@ -228,7 +228,7 @@ def test_an_instrument_that_was_found_twice_is_followed_where_it_is_not_found(mo
 
 def test_where_instruments_are_sought_in_one_frame_of_three_they_are_followed_in_the_others(monkeypatch):
     sought, find = [], AutomaticMasks._find_tool
-    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda self, image: sought.append(1) or find(self, image))
+    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda *asked: sought.append(1) or find(*asked))
     masks = AutomaticMasks(3)
     for step in range(8):
         image, mask = moving(step)
@@ -239,7 +239,7 @@ def test_where_instruments_are_sought_in_one_frame_of_three_they_are_followed_in
 
 def test_an_instrument_that_comes_into_view_is_sought_at_once(monkeypatch):
     sought, find = [], AutomaticMasks._find_tool
-    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda self, image: sought.append(1) or find(self, image))
+    monkeypatch.setattr(AutomaticMasks, "_find_tool", lambda *asked: sought.append(1) or find(*asked))
     masks = AutomaticMasks(5)
     for index in range(2):
         assert not (masks(as_frame(tissue(), index)) == 2).any()

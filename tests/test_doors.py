@@ -69,3 +69,13 @@ def test_an_interrupt_during_imports_is_quiet(door: str, tmp_path: Path) -> None
 @pytest.mark.parametrize("door", DOORS)
 def test_the_last_line_is_the_guarded_run(door: str) -> None:
     assert re.search(r'\n\nif __name__ == "__main__":\n    run_door\(main\b[^\n]*\)\n\Z', FILES[door].read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("door", DOORS)
+def test_every_help_is_printed(door: str) -> None:
+    """A lone % in a help text ends argparse with a traceback, and only when --help is asked for."""
+    command = [sys.executable, *DOORS[door], "--help"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.search("usage|python -m", done.stdout)

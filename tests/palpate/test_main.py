@@ -35,3 +35,11 @@ def test_training_without_its_libraries_says_what_to_install(capsys, monkeypatch
     monkeypatch.setattr("palpate.__main__.load_program", missing)
     assert main(["export"]) == 2
     assert "export needs lightning; install 'palpate[train]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_prints_its_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A lone % in a help text ends argparse with a traceback."""
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main([name, "--help"])
+    assert "usage" in capsys.readouterr().out.lower()

@@ -1,6 +1,7 @@
 """What an estimator says of a frame, and of a whole run of contact."""
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,3 +104,23 @@ class InteractionEstimate:
     def verdict(self) -> str:
         """What is determined in a word; empty where nothing was estimated."""
         return "" if self.main_estimate is None else self.main_estimate.verdict
+
+    @property
+    def skill(self) -> float:
+        """1 - error / change, root mean squares: 0 as if the tissue kept still, 1 exact; not a number without either.
+
+        Of a pull in frames that were not fitted; of a press in those that were: by light of how the tissue's light
+        changes, else of the contact's motion along the force.
+        """
+        found, contact = self.main_estimate, self.interaction
+        if isinstance(found, GripEstimate | FieldEstimate):
+            return found.skill
+        if found is not None and found.by_light:
+            return 1 - found.left
+        if found is None or contact is None or self.simulated is None:
+            return math.nan
+        along = contact.along
+        known = np.isfinite(along)
+        left = along - np.interp(contact.observation.times, *self.simulated)
+        change = np.linalg.norm(along[known])
+        return float(1 - np.linalg.norm(left[known]) / change) if change > 0 else math.nan

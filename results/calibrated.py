@@ -61,6 +61,8 @@ class ClipCalibration:
     """Of calibrated.csv, likewise."""
     curves: list[Curve] = field(default_factory=list)
     """Estimated forces where some were measured, likewise."""
+    dents: list[Curve] = field(default_factory=list)
+    """Those of them that the depth of a dent tells."""
     reason: str = ""
     """Why there is no scale."""
 
@@ -149,10 +151,11 @@ class ClipCalibration:
                 found.append(_press_curve(run, times, self.scale, length))
         known = self.known
         shown = list(self._grips)
+        grips = len(shown)
         if self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs):
             depths = np.array(self._dents.depths)
             shown.append((self._dents.frames[0], np.array(self._dents.times), depths, np.zeros(len(depths))))
-        for frame, times, force, sd in shown:
+        for number, (frame, times, force, sd) in enumerate(shown):
             if known is None:
                 continue
             try:
@@ -162,6 +165,7 @@ class ClipCalibration:
                 continue
             ends = curve.force - NINETY * curve.sd, curve.force + NINETY * curve.sd
             found.append(Curve(frame, times, curve.force, *ends, NEWTONS))
+            self.dents += found[-1:] if number == grips else []
         return found
 
     def compared_rows(self) -> list[dict[str, Any]]:

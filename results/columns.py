@@ -73,6 +73,7 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     """What is known of a run of contact, by column."""
     estimate, contact, output = run.estimate, run.interaction, run.main_estimate
     found = vars(run) | {"frames": 0 if contact is None else len(contact.observation), "status": "no_estimate"}
+    found |= {"skill": run.skill}
     if estimate is not None:
         stuck = [name for name, at_end in zip(PARAMETERS, estimate.at_bound, strict=True) if at_end]
         delays = dict(zip(("delay_s", "release_delay_s"), estimate.delays, strict=False))
@@ -81,10 +82,10 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     if isinstance(output, GripEstimate):
         # The force over a spring's stiffness leans on the foundation.
         leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in output.determined else ()
-        known = [name for name in GRIP if name.startswith((*output.determined, *leaning, "skill"))]
+        known = [name for name in GRIP if name.startswith((*output.determined, *leaning))]
         found |= {name: getattr(output, name) for name in known} | {"frames": len(output.times)}
     if isinstance(output, FieldEstimate):
-        found |= {"skill": output.skill, "explanation": output.explanation, "frames": len(output.times)}
+        found |= {"explanation": output.explanation, "frames": len(output.times)}
     if output is not None:
         found |= {"status": "ok", "verdict": output.verdict, "determined": ";".join(output.determined)}
     return found

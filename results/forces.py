@@ -1,6 +1,7 @@
 """The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
 
-A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
+A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument,
+and that of a press without an instrument in view from the depth of its dent, where some of the force is known.
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
@@ -16,7 +17,7 @@ from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
+from palpate.results.calibrated import NEWTONS, Curve
 from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
@@ -30,6 +31,8 @@ SAME_INSTANT = 1e-6
 NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
 ALWAYS = (math.inf, math.inf)
+DENT = "dent"
+"""Verdict on a press that has no run of contact, of which the dent alone tells the force."""
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
@@ -53,6 +56,8 @@ class ContactForce:
     """Why it is unknown somewhere."""
     pressed: np.ndarray
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+    scene_force: tuple[float, ...] = (math.nan,) * len(ENDS)
+    """|F| of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
 
     @classmethod
     def of(
@@ -75,9 +80,10 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why = "", run.detail or NO_FORCE
+        unit, why, scene = "", run.detail or NO_FORCE, {}
         if isinstance(found, Estimate):
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
+            scene = {"scene_force": tuple(found.numbers().get(f"force{end}", math.nan) for end in ENDS)}
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
             elif found.given_verdict:
@@ -91,7 +97,23 @@ class ContactForce:
                 kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
             force, low, high = _between(run.onset_time_s + found.times, kept, times)
         place = run.onset_frame, run.onset_time_s, state(run)
-        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, **scene)
+
+    @classmethod
+    def of_dent(cls, curve: Curve, estimates: Sequence[FrameEstimate]) -> "ContactForce | None":
+        """The force of a press as its dent tells it, from the first to the last frame in which it is not 0.
+
+        None where its 90 % interval always holds 0.
+        """
+        acting = np.flatnonzero(curve.low > 0)
+        if not len(acting):
+            return None
+        kept = slice(acting[0], acting[-1] + 1)
+        at = {estimate.time_s: index for index, estimate in enumerate(estimates)}
+        frames = np.array([at[time] for time in curve.times[kept].tolist()])
+        curves = curve.force[kept], curve.low[kept], curve.high[kept]
+        place = estimates[frames[0]].frame, estimates[frames[0]].time_s, DENT
+        return cls(*place, frames, *curves, MEASURED, "", np.full(len(frames), np.nan))
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
@@ -100,16 +122,21 @@ class ContactForce:
         force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
         return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
 
-    def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
+    def record(
+        self, estimates: Sequence[FrameEstimate], lasts: np.ndarray, limit: tuple[float, str] | None
+    ) -> dict[str, Any]:
         """What forces.json has of the run.
 
         Args:
             estimates: of all of the clip's frames.
             lasts: how long each of those lasts, shape [N] [s].
+            limit: of the force's magnitude, and its unit: NEWTONS, or else scene units.
         """
         seconds, known = lasts[self.frames], np.isfinite(self.force)
         curves = np.stack([self.force, self.low, self.high])
         found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
+        if limit is not None:
+            found |= self._above(limit, seconds)
         if known.any():
             top = int(np.nanargmax(np.abs(self.force)))
             if self.unit == RELATIVE and self.force[top]:
@@ -119,9 +146,6 @@ class ContactForce:
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
             found["peak_time_s"] = estimates[self.frames[top]].time_s
-        alarms = [estimates[index].alarm for index in self.frames]
-        for alarm in (ABOVE, BELOW, UNKNOWN) if any(each is not None for each in alarms) else ():
-            found[f"limit_{alarm}_s"] = seconds[[each == alarm for each in alarms]].sum()
         found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict")}
         found |= {"unit": self.unit if known.any() else "", "why": "" if known.all() and len(known) else self.why}
         for name, some in (("contact", known | ~known), ("unknown", ~known)):
@@ -129,13 +153,26 @@ class ContactForce:
         found |= {"time_s": [estimates[index].time_s for index in self.frames], "frame_s": seconds}
         return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
 
+    def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
+        """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""
+        if limit[1] != NEWTONS:
+            curves = np.outer(self.scene_force, self.pressed)
+        else:
+            curves = np.stack([self.force, self.low, self.high]) * (1 if self.unit.startswith(NEWTONS) else np.nan)
+        middle = curves[0]
+        ends = np.sort(np.where(np.isnan(curves[1:]), middle, curves[1:]) * np.sign(middle), axis=0)
+        above = np.stack([np.abs(middle), *ends]) >= limit[0]
+        found = {f"above_s{end}": seconds[each].sum() for end, each in zip(ENDS, above, strict=True)}
+        return found | {"above_unknown_s": seconds[np.isnan(middle)].sum()}
+
 
 def forces_record(
     contacts: Sequence[ContactForce],
     estimates: Sequence[FrameEstimate],
     fps: float,
+    limit: tuple[float, str] | None = None,
     calibrated: Sequence[Mapping[str, Any]] = (),
-    limit: Mapping[str, Any] | None = None,
+    dents: Sequence[Curve] = (),
 ) -> dict[str, Any]:
     """The content of forces.json.
 
@@ -143,14 +180,17 @@ def forces_record(
         contacts: the clip's runs of contact.
         estimates: of its frames.
         fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
+        limit: of --force-limit, and its unit.
         calibrated: rows of calibrated.csv, one a run of contact.
-        limit: `limit` and `unit` of --force-limit.
+        dents: forces by the depth of a dent that belongs to no run of contact.
     """
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
-    records = [contact.in_newtons(rows.get(contact.onset_frame, {})).record(estimates, lasts) for contact in contacts]
-    limited = None if limit is None else {name: limit[name] for name in ("limit", "unit")}
+    told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
+    told += filter(None, (ContactForce.of_dent(curve, estimates) for curve in dents))
+    records = [contact.record(estimates, lasts, limit) for contact in told]
+    limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."
     return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}
 

@@ -307,7 +307,8 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
         among = np.isfinite(run.interaction.along).sum()
         sentences += [f"The simulated displacement is {FAR} on {far.sum()} of {among} frames (×)."] if far.any() else []
     if np.isfinite(estimate.misfit):
-        sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits); {estimate.explanation}.")
+        skill = f", skill {run.skill:.2f} (0: as if nothing moved)" if np.isfinite(run.skill) else ""
+        sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits){skill}; {estimate.explanation}.")
     if estimate.covariance is not None and sure != "determined":
         sentences.append("Ranges are 90 % intervals.")
     heading = f"{estimate.verdict}{', but doubtful' if doubtful else ''}: {place}, {values}"

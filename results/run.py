@@ -109,11 +109,8 @@ class Batch:
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
-        if options.force_limit is not None and not isinstance(self.estimator, NetworkEstimator):
-            raise ValueError(
-                "--force-limit needs the force and its interval in every frame, which --estimator "
-                f"{self.estimator.name} does not give; take network."
-            )
+        if options.force_limit is not None and self.estimator.name == "online":
+            raise ValueError("--force-limit is for estimators of forces; --estimator online knows none, leave it out.")
         if options.force_limit is not None and self.calibration is not None and not self.calibration.tells:
             raise ValueError(
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
@@ -131,6 +128,10 @@ class Batch:
             raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
         chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
+        newtons = self.calibration is not None or (self.known and not isinstance(self.estimator, NetworkEstimator))
+        unit = NEWTONS if newtons else UNITS["force"]
+        self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
+        """Limit of the force and its unit, where one is given."""
         self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
 
@@ -161,7 +162,8 @@ class Batch:
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
-            written = ClipResults(folder, source.size, source.fps, alarm=self._alarm(source.fps), **options)
+            alarm = self._alarm(source.fps)
+            written = ClipResults(folder, source.size, source.fps, alarm=alarm, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 if newtons is not None:
@@ -293,12 +295,10 @@ class Batch:
         return ClipCalibration(calibration, False, carried_from(record))
 
     def _alarm(self, fps: float) -> ForceAlarm | None:
-        """The alarm of a clip of so many frames a second, where one is asked for."""
-        estimator = self.estimator
-        if self.options.force_limit is None or not isinstance(estimator, NetworkEstimator):
+        """The alarm of a clip of so many frames a second, where a limit is given and forces are told frame by frame."""
+        if self.limit is None or not isinstance(self.estimator, NetworkEstimator):
             return None
-        unit = UNITS["force"] if self.calibration is None else NEWTONS
-        return ForceAlarm.of(estimator, self.options.force_limit, unit, fps)
+        return ForceAlarm.of(self.estimator, *self.limit, fps)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

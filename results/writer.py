@@ -52,6 +52,7 @@ class ClipResults:
         fields: whether the estimator gives fields of stiffness.
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
+        limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
         export: format of the scenes that are written, one of `results.scene.FORMATS`.
 
@@ -71,11 +72,12 @@ class ClipResults:
         fields: bool = False,
         maps: bool = False,
         alarm: ForceAlarm | None = None,
+        limit: tuple[float, str] | None = None,
         seconds: tuple[float, float] = ALWAYS,
         export: str | None = None,
     ) -> None:
         self.folder, self._size, self._known, self._export = folder, size, known, export
-        self._fps, self._seconds = fps, seconds
+        self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
@@ -224,9 +226,9 @@ class ClipResults:
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:
                 self._write_newtons(self.calibration, title)
-            limit = None if self.alarm is None else self.alarm.record()
-            calibrated = () if self.calibration is None else self.calibration.rows
-            report = forces_record(self._contacts, self.estimates, self._fps, calibrated, limit)
+            newtons = self.calibration
+            rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)

@@ -9,6 +9,8 @@ from typing import Any
 import yaml
 
 from palpate.results import store
+from palpate.results.columns import INTERACTIONS
+from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
@@ -58,7 +60,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
     record = store.read_record(folder)
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
+    dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
+    contacts = [_contact(run, forces) for run, forces in zip(runs + dents, report["contacts"], strict=True)]
     encoder = record["overlay_encoder"] if (folder / store.OVERLAY).is_file() else "none"
     files = [name for name in store.own_files(folder) if (folder / name).is_file()]
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
@@ -88,6 +91,12 @@ def _explained(name: str, count: int = 0) -> dict[str, Any]:
     """A verdict or a status in words, what it means, and what to do about it."""
     said = TEXTS["statuses"].get(name) or {"means": MEANINGS.get(name, ""), "do": TEXTS["verdicts"].get(name, "")}
     return {"name": name, "words": in_words(name), "count": count} | said
+
+
+def _of_dent(forces: Mapping[str, Any]) -> dict[str, str]:
+    """A row of interactions.csv for a press that has none there, by its report of forces."""
+    given = {name: str(forces[name]) for name in ("onset_frame", "onset_time_s", "verdict")}
+    return dict.fromkeys(INTERACTIONS, "") | given
 
 
 def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:

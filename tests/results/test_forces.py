@@ -9,6 +9,7 @@ import pytest
 from palpate.common.files import as_json
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
+from palpate.results.calibrated import Curve
 from palpate.results.columns import TEXTS
 from palpate.results.forces import ALWAYS, RELATIVE, ContactForce, forces_record
 from tests.estimators.estimates import ESTIMATE, GOOD, NONE
@@ -18,13 +19,12 @@ STEP = 0.04
 BLIND = dataclasses.replace(ESTIMATE, given_verdict="onset_in_view", covariance=None)
 
 
-def told(run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=ALWAYS, alarms=()) -> dict:
+def told(run: InteractionEstimate, contact: str, *, newtons=(), calibrated=(), seconds=ALWAYS, limit=None) -> dict:
     """What forces.json has of a run in frames of which `x` are in contact, `?` undecided, and `.` not."""
     states, onset = [{"x": True, "?": None, ".": False}[letter] for letter in contact], contact.index("x")
-    seen = enumerate(zip(states, alarms or [None] * len(states), strict=True))
-    estimates = [FrameEstimate(at, STEP * at, "ok", contact=touches, alarm=alarm) for at, (touches, alarm) in seen]
+    estimates = [FrameEstimate(at, STEP * at, "ok", contact=touches) for at, touches in enumerate(states)]
     run = dataclasses.replace(run, onset=onset, onset_frame=onset, onset_time_s=STEP * onset)
-    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, calibrated)
+    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, limit, calibrated)
     document = json.loads(as_json(found))
     assert list(document["contacts"][0]) == list(document["fields"]) == list(TEXTS["contact_forces"])
     return document["contacts"][0]
@@ -99,9 +99,38 @@ def test_where_nothing_is_determined_all_of_the_contact_is_unknown(run: Interact
     assert found["why"].startswith(why)
 
 
-def test_time_above_a_limit_is_that_of_the_alarm() -> None:
-    alarms = ["", "unknown", "unknown", "above", "above", "above", "below", ""]
-    found = told(GOOD, ".xxxxxx.", alarms=alarms)
-    times = [found[f"limit_{name}_s"] for name in ("above", "below", "unknown")]
-    assert times == pytest.approx([3 * STEP, STEP, 2 * STEP])
-    assert told(GOOD, ".xxxxxx.")["limit_above_s"] is None
+def test_time_above_a_limit_has_the_interval_of_the_force() -> None:
+    """GOOD is followed for eight frames after its onset."""
+    held, names = dataclasses.replace(GOOD, load_s=None), ("above_s", "above_s_low", "above_s_high", "above_unknown_s")
+    low, high = (held.main_estimate.numbers()[f"force_{end}"] for end in ("low", "high"))
+    frames = {low - 1e-6: [9, 9, 9], low + 1e-6: [9, 0, 9], high - 1e-6: [0, 0, 9], high + 1e-6: [0, 0, 0]}
+    for limit, counts in frames.items():
+        found = told(held, ".xxxxxxxxxxxx", limit=(limit, "scene units"))
+        assert [found[name] for name in names] == pytest.approx([STEP * count for count in (*counts, 3)])
+    found = told(held, ".xxxxxxxxxxxx", limit=(0.1, "N"))  # nothing tells newtons
+    assert [found[name] for name in names] == pytest.approx([0, 0, 0, 12 * STEP])
+    row = {
+        "onset_frame": 1,
+        "determined": "force",
+        "force": 2,
+        "force_low": 1.5,
+        "force_high": 2.5,
+        "force_unit": "N, by",
+    }
+    found = told(held, ".xxxxxxxxxxxx", limit=(2.2, "N"), calibrated=[row])
+    assert [found[name] for name in names] == pytest.approx([0, 0, 9 * STEP, 3 * STEP])
+    assert told(GOOD, ".xxxxxx.")["above_s"] is None
+
+
+def test_a_dent_tells_the_force_of_a_press_without_an_instrument() -> None:
+    """It acts from the first to the last frame whose interval excludes 0."""
+    force = np.array([0.1, 0.1, 1, 3, 2, 0.1, 1, 0.1, 0])
+    curve = Curve(2, STEP * np.arange(2, 11), force, force - 0.5, force + 0.5, "N")
+    estimates = [FrameEstimate(at, STEP * at, "no_tool", contact=False) for at in range(11)]
+    report = json.loads(as_json(forces_record([], estimates, 25.0, (2.0, "N"), dents=[curve])))
+    (found,) = report["contacts"]
+    assert found == found | {"onset_frame": 4, "verdict": "dent", "contact_frames": 5, "unknown_frames": 0, "peak": 3}
+    assert [found[f"mean{end}"] for end in ("", "_low", "_high")] == pytest.approx([1.42, 0.92, 1.92])
+    assert [found[f"above_s{end}"] for end in ("", "_low", "_high")] == pytest.approx([2 * STEP, STEP, 2 * STEP])
+    small = dataclasses.replace(curve, low=-np.ones(9))
+    assert forces_record([], estimates, 25.0, dents=[small])["contacts"] == []

@@ -90,9 +90,9 @@ def test_the_numbers_are_those_of_the_tables(results: Path) -> None:
     shown = {name: float(run[name]) for name in ("stiffness", "stiffness_low", "stiffness_high")}
     shown |= {name: forces[name] for name in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
     assert contact == shown | {"name": run["verdict"], "sure": True}
-    told = [len(forces["time_s"]), 25 * forces["limit_unknown_s"], 25 * forces["limit_above_s"]]
-    asked = (("contact", "1"), ("alarm", "unknown"), ("alarm", "above"))
-    assert told == pytest.approx([sum(row[name] == value for row in frames) for name, value in asked])
+    assert len(forces["time_s"]) == sum(row["contact"] == "1" for row in frames)
+    above = f"{forces['above_s']:.4g} s; unknown {forces['above_unknown_s']:.4g} s"
+    assert above in re.sub(r"\s+", " ", page.text)
     assert f"0 of {forces['contact_s']:.4g} s (0 of {forces['contact_frames']} frames)" in page.text
     assert not [cell for cell in run.values() if cell and f"<td>{cell}</td>" not in unescape(page.text)]
 

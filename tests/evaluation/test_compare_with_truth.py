@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from palpate.evaluation.compare_with_truth import main, true_values
 
 THETA = {"stiffness": 0.4, "damping": 0.02, "force": -0.05}
-ROW = {"onset_time_s": "0.28", "status": "ok", "detail": "", "verdict": "ratios"}
+ROW = {"onset_frame": "7", "onset_time_s": "0.28", "status": "ok", "detail": "", "verdict": "ratios"}
 ROW |= {"determined": "stiffness;damping_over_stiffness"}
 ROW |= {"stiffness": "0.41", "stiffness_low": "0.39", "stiffness_high": "0.43"}
 ROW |= {"damping": "0.021", "damping_low": "0.01", "damping_high": "0.04"}
@@ -22,7 +23,7 @@ def results(tmp_path: Path) -> Path:
     clip, folder = tmp_path / "video01_00000", tmp_path / "results"
     clip.mkdir()
     folder.mkdir()
-    (clip / "truth.json").write_text(json.dumps({"theta": THETA, "onset_s": 0.28}))
+    (clip / "truth.json").write_text(json.dumps({"theta": THETA, "onset_s": 0.28, "release_s": 0.68}))
     (folder / "run.json").write_text(json.dumps({"input": {"path": str(clip), "fps": 25.0}}))
     write_rows(folder, {**ROW, "onset_time_s": "0.04", "stiffness": "9"}, ROW)
     return folder
@@ -57,6 +58,24 @@ def test_only_what_is_determined_has_numbers(results, capsys, monkeypatch) -> No
     assert found["stiffness k_s"] == ["0.41", "0.39 to 0.43", "0.4", "held"]
     assert found["damping k_d"] == ["not determined", "", "0.02", ""]
     assert found["damping over stiffness k_d/k_s s"] == ["0.06", "0.055 to 0.065", "0.05", "missed"]
+
+
+def test_of_several_results_it_is_said_how_often_they_hold(results, capsys, monkeypatch) -> None:
+    """|F| is 0.05: one report holds, of the other mean, time in contact, and time above a limit of 0.04 don't."""
+    monkeypatch.setenv("COLUMNS", "120")
+    other = results.with_name("other")
+    shutil.copytree(results, other)
+    for folder, low, seconds in ((results, 0.045, 0.4), (other, 0.055, 0.3)):
+        told = {"onset_frame": 7, "unit": "N, by force", "contact_s": seconds, "frame_s": [0.04] * 10}
+        told |= {"mean_low": low, "mean_high": 0.06, "peak_low": 0.04, "peak_high": 0.06, "above_unknown_s": 0.1}
+        told |= {"above_s_low": 0.0, "above_s_high": 0.3 if folder == results else 0.1}
+        (folder / "forces.json").write_text(json.dumps({"force_limit": {"limit": 0.04}, "contacts": [told]}))
+    assert main([str(results), str(other)]) == 0
+    found = cells(capsys.readouterr().out)
+    assert [found[name][1] for name in ("stiffness", "damping over stiffness", "peak")] == [
+        "2 (100%)", "0 (0%)", "2 (100%)",
+    ]  # fmt: skip
+    assert {found[name][1] for name in ("mean", "time in contact", "time above the limit")} == {"1 (50%)"}
 
 
 def test_what_can_t_be_shown_is_said_in_a_sentence(results: Path, capsys: pytest.CaptureFixture) -> None:

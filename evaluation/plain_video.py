@@ -153,6 +153,7 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
         powers = np.array(COMBINATIONS[name])
         off = powers @ np.log(np.abs(estimate.theta / true))
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
+        row[f"{name}_log_true"] = float(powers @ np.log(np.abs(true)))
         row[f"{name}_bound"] = math.nan if information is None else float(combination_bounds(information, [powers])[0])
         for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
             if covariance is None:
@@ -251,11 +252,12 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        ends = "error", "sd", "bound"
-        errors, sds, bounds = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
+        ends = "error", "sd", "bound", "log_true"
+        errors, sds, bounds, logs = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}
+            line |= {"of the best constant": float(np.median(np.abs(logs - np.median(logs))))}
             line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds)), "bound": float(np.median(bounds))}
         lines.append(line)
     return pd.DataFrame(lines)

@@ -7,6 +7,7 @@ given      a mask of what is pinned and the gripper's path, of a user
 surface    particles of the tissue in a frame, and which the camera sees; driven: these under an instrument
 determined what the instrument alone explains of the motion, by one number each (time step, foundation and bending) and
            place by place, and where that tells the stiffness
+forecast   motion to come, by the field or by a sheet of one number, whichever predicts better, with what it missed
 particle_field what is said of the field in a frame and over a run
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

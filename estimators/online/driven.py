@@ -2,12 +2,16 @@
 
 import dataclasses
 from collections import deque
+from contextlib import suppress
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.grip.lattice import GripFrame, NothingMoves
+from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, fit_motion, uniform
+from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
@@ -29,13 +33,13 @@ class DrivenTissue:
 
     Args:
         surface: the tissue in the picture where following began.
-        points: places of the followed points there, shape [P, 2] [px].
-        distance: theirs from the tool there, shape [P] [px].
+        lattice: the followed points there.
         settings: how.
     """
 
-    def __init__(self, surface: Surface, points: np.ndarray, distance: np.ndarray, settings: OnlineSettings) -> None:
-        self.surface, self.settings = surface, settings
+    def __init__(self, surface: Surface, lattice: Lattice, settings: OnlineSettings) -> None:
+        self.surface, self.settings, self._lattice = surface, settings, lattice
+        points, distance = lattice.points, lattice.distance
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
@@ -51,7 +55,8 @@ class DrivenTissue:
         path in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting = surface.project(self._shares @ body.rest)
-        self._driving = np.flatnonzero(distance < surface.reach)
+        self._near = distance < surface.reach
+        self._driving = np.flatnonzero(self._near)
         self._points = np.asarray(points, np.float64)
         self._fixed = body.pinned.copy()
         self._fixed[surface.gripped] = True
@@ -68,6 +73,8 @@ class DrivenTissue:
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
         self._past: deque[np.ndarray] = deque(maxlen=PAST)
+        self._seen: deque[np.ndarray] = deque(maxlen=PAST)
+        """Displacement of all followed points in these frames."""
         self._moving = np.zeros(body.count, bool)
 
     @property
@@ -178,6 +185,7 @@ class DrivenTissue:
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)
         self._past.append(self._places)
+        self._seen.append(moved)
         first, second = self._edges
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
@@ -186,26 +194,36 @@ class DrivenTissue:
             self._moving[first[strained]] = self._moving[second[strained]] = True
         return found
 
-    def ahead(self, moved: np.ndarray) -> np.ndarray:
-        """Predicted displacement of the points `around` under a path of the instrument alone, shape [T, Q, 2] [px].
+    def ahead(self, moved: np.ndarray) -> Forecast:
+        """What the points `around` are expected to do under a path of the instrument.
 
-        What the simulation does from now on, begun at rest and led along the instrument's way so far, is added to where
-        the points are: a state that was mapped to what was observed isn't one of the model's, and would fall back.
+        Besides the way of the points near the instrument, only which points are in view is looked at.
+
+        Simulations are begun at rest and led along the instrument's way so far: a state that was mapped to what was
+        observed isn't one of the model's, and would fall back.
 
         Args:
-            moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; only those near the
-                instrument are looked at.
+            moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; of none, which model
+                predicts better is said alone.
         """
-        path, places = [], self._places
+        path, places = list(self._past), self._places
         for motion in moved:
             found = self.gripped_places(motion)
             places = places if found is None else found
             path.append(places)
-        session = self.session
-        objective = session.objective
-        motion = objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
-        simulated = self.shown(motion.positions[0, len(self._past) :])
-        return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
+        rest, session, gripped = self.surface.body.rest, self.session, self.surface.gripped
+        states = session.objective.stepped(session.fields, rest, np.stack(path)).positions[0, 1:]
+        models = {FIELD: self.shown(states)}
+        frames = [self._frame(each) for each in self._seen]
+        frames += [self._frame(each) for each in moved]
+        with suppress(NothingMoves):
+            ratio = self._lattice.ratio(frames[: len(self._seen)])
+            models[SHEET] = np.stack([self._lattice.motion(each, ratio)[self.around] for each in frames])
+        way = np.linalg.norm(np.stack(path) - rest[gripped], axis=(1, 2))
+        return forecast(models, np.stack(self._seen)[:, self.around], way)
+
+    def _frame(self, moved: np.ndarray) -> GripFrame:
+        return GripFrame(moved, (self._lattice.distance < DRIVEN) & np.isfinite(moved).all(axis=1))
 
     def shown(self, states: np.ndarray) -> np.ndarray:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""

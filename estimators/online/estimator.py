@@ -28,6 +28,7 @@ from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
+from palpate.estimators.online.forecast import Lattice
 from palpate.estimators.online.given import read_path, read_pins
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
@@ -99,7 +100,9 @@ class _Followed:
         chosen = settings.particles, settings.thickness, estimator.pins, estimator.path
         surface = make_surface(first, clip.camera, clip.geometry, *chosen)
         self._follower = PointFollower(picture, labels == TOOL)
-        self._driven = DrivenTissue(surface, self._follower.points, self._follower.distance, settings)
+        follower = self._follower
+        lattice = Lattice(follower.points, follower.spacing, follower.distance)
+        self._driven = DrivenTissue(surface, lattice, settings)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
@@ -159,7 +162,8 @@ class _Followed:
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
         where = self._picture, driven.surface.pixels, *points
-        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched))
+        skills = driven.ahead(np.empty((0, len(self._follower.points), 2))).skills if len(times) > 2 else {}
+        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), skills)
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""

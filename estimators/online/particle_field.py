@@ -1,11 +1,13 @@
 """Stiffness particle by particle, in a frame and over a run of contact, and what of it is determined."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.forecast import FIELD, SHEET
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +101,8 @@ class FieldEstimate:
     """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
     stretched: bool
     """Whether tissue has anywhere stretched by as much as settings ask for."""
+    skills: Mapping[str, float] = field(default_factory=dict)
+    """How well later frames are predicted from earlier ones, by model (`estimators.online.forecast`): skill."""
 
     @property
     def skill(self) -> float:
@@ -111,9 +115,14 @@ class FieldEstimate:
         return self.last.explained
 
     @property
+    def simpler(self) -> bool:
+        """Whether a sheet of one number predicts better than the field, which then counts for nothing."""
+        return self.skills.get(SHEET, -math.inf) > self.skills.get(FIELD, math.inf)
+
+    @property
     def verdict(self) -> str:
         """`stiffness_ratios` or `undetermined`."""
-        return self.last.verdict
+        return "undetermined" if self.simpler else self.last.verdict
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -133,6 +142,12 @@ class FieldEstimate:
             )
         if not self.stretched:
             return ""
+        if self.simpler:
+            better, worse = self.skills[SHEET], self.skills[FIELD]
+            return (
+                f"A {SHEET} predicts later frames from earlier ones better (skill {better:.2f}) than stiffness place "
+                f"by place does ({worse:.2f}), so where it is stiffer is not determined."
+            )
         if not self.determined:
             return (
                 f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "

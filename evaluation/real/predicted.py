@@ -5,7 +5,7 @@ since that frame, root mean squares over the points that are followed in both an
 0 = as good as saying that nothing moves on, 1 = exact.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,36 +18,28 @@ from palpate.data.source.layout import InputError
 from palpate.data.tracks.following import MARGIN, PointFollower, shrunk
 from palpate.estimators.contract import Chosen
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.grip.lattice import LEAST_MOTION, GripFrame, NothingMoves, lattice_springs, length
+from palpate.estimators.grip.lattice import GripFrame, length
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.estimator import OnlineEstimator
+from palpate.estimators.online.forecast import Lattice
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, make_surface
 from palpate.evaluation.harness import Row
 from palpate.evaluation.real.pulled import PulledClip
-from palpate.physics.sheet import equilibrium
 
 FROM, AHEAD = (3, 4, 5), 10
 """Predicted is from these frames after the first, so many frames on (Liang 2024, section III: its horizon)."""
-RATIOS = np.geomspace(1e-4, 1, 17)
-"""Of foundation to springs that a sheet of one number is tried with."""
 LEAST_POINTS = 20
 """Fewer points that are followed in both frames judge nothing."""
-NEARBY = 35.0
-"""Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Follow:
     """Followed points of a clip; N points, T frames after the first."""
 
-    points: np.ndarray
-    """Places in the first frame, shape [N, 2] [px]."""
-    spacing: int
-    """Of their grid [px]."""
-    distance: np.ndarray
-    """From the tool there, shape [N] [px]."""
+    lattice: Lattice
+    """The points."""
     frames: list[GripFrame]
     """T of them."""
 
@@ -65,13 +57,13 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     surface = first_surface(clip, settings)
     measures: Row = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    tissue = DrivenTissue(surface, follow.points, follow.distance, settings)
+    tissue = DrivenTissue(surface, follow.lattice, settings)
     for index in FROM:
         if index + AHEAD > len(follow.frames):
             continue
         # Anew each time: what is fitted may see the frames up to this one.
         fitted = replace(settings, fitted=min(settings.fitted, index))
-        tissue = DrivenTissue(surface, follow.points, follow.distance, fitted)
+        tissue = DrivenTissue(surface, follow.lattice, fitted)
         for frame in follow.frames[:index]:
             tissue.step(frame.moved)
         frame = follow.frames[index - 1]
@@ -83,12 +75,11 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
             measures[f"points from frame {index}"] = len(chosen)
             continue
         since = then[chosen] - now[chosen]
-        held = tissue.shown(tissue.session.positions[None])[0]
-        ahead = tissue.ahead(np.stack([item.moved for item in later]))[-1]
-        ratio = sheet_ratio(follow, follow.frames[:index])
-        resting, pulled = (sheet_motion(follow, each, ratio)[chosen] for each in (frame, later[-1]))
+        ahead = tissue.ahead(np.stack([item.moved for item in later]))
+        ratio = follow.lattice.ratio(follow.frames[:index])
+        resting, pulled = (follow.lattice.motion(each, ratio)[chosen] for each in (frame, later[-1]))
         found = {
-            "online": (ahead - held)[used],
+            "online": ahead.since[-1][used],
             "sheet": pulled - resting,
             # Its displacement from rest as it is, less what is observed by now.
             "sheet from rest": pulled - now[chosen],
@@ -96,6 +87,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
         measures[f"points from frame {index}"] = len(chosen)
         measures[f"motion since frame {index} [px]"] = length(since)
         measures[f"foundation over stiffness by frame {index}"] = ratio
+        measures[f"model from frame {index}"] = ahead.model
         if tissue.fit is not None:
             measures |= {f"fitted {name} by frame {index}": value for name, value in tissue.fit._asdict().items()}
         for name, motion in found.items():
@@ -112,59 +104,9 @@ def skill(expected: np.ndarray, moved: np.ndarray) -> float:
     return 1 - length(expected - moved) / length(moved)
 
 
-def sheet_ratio(follow: Follow, frames: Sequence[GripFrame]) -> float:
-    """Foundation over spring stiffness, of RATIOS, with which a sheet explains some frames best near the tool.
-
-    Least mean of error over motion of the nearest third of the points, in frames where these move:
-    docs/reports/real.md.
-
-    Raises:
-        NothingMoves: they do in none.
-    """
-    shown = [(frame, nearby_frame(frame, follow.distance)) for frame in frames]
-    shown = [(frame, near) for frame, near in shown if near.gripped.any() and _moves(near)]
-    if not shown:
-        raise NothingMoves(f"In none of {len(frames)} frames the tissue near the tool moves by {LEAST_MOTION:g} px.")
-
-    def off(ratio: float) -> float:
-        errors = [
-            length((sheet_motion(follow, frame, ratio) - frame.moved)[near.around]) / length(frame.moved[near.around])
-            for frame, near in shown
-        ]
-        return float(np.mean(errors))
-
-    return float(min(RATIOS, key=off))
-
-
-def _moves(frame: GripFrame) -> bool:
-    return bool(frame.around.any()) and length(frame.moved[frame.around]) > LEAST_MOTION
-
-
-def sheet_motion(follow: Follow, frame: GripFrame, ratio: float) -> np.ndarray:
-    """Displacement [P, 2] [px] of a sheet of one number whose gripped points move as in a frame.
-
-    It is made of the points that are in view; elsewhere not a number.
-    """
-    visible = np.isfinite(frame.moved).all(axis=1)
-    springs = lattice_springs(follow.points[visible].astype(int), follow.spacing)
-    gripped, count = frame.gripped[visible], int(visible.sum())
-    found = np.full(frame.moved.shape, np.nan)
-    alike = np.ones(len(springs)), np.full(count, ratio)
-    found[visible] = equilibrium(springs, *alike, gripped, frame.moved[frame.gripped]).displacement
-    return found
-
-
 def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
     """Which of some points [Q] are in view in two frames and gripped in neither, shape [Q], bool."""
     return (now.around & then.around)[around]
-
-
-def nearby_frame(frame: GripFrame, distance: np.ndarray) -> GripFrame:
-    """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
-    around = frame.around
-    nearby = around & (distance < np.percentile(distance[around | frame.gripped], NEARBY))
-    shown = frame.gripped | (nearby if nearby.any() else around)
-    return replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 
 
 def follow_clip(clip: PulledClip) -> Follow:
@@ -187,7 +129,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     used = follower.distance > MARGIN
     away = follower.distance[used]
     frames = [GripFrame(item[used], np.isfinite(item[used]).all(axis=1) & (away < DRIVEN)) for item in moved]
-    return Follow(follower.points[used], follower.spacing, away, frames)
+    return Follow(Lattice(follower.points[used], follower.spacing, away), frames)
 
 
 def read_views(clip: PulledClip) -> Iterator[tuple[np.ndarray, np.ndarray]]:

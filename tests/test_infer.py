@@ -32,6 +32,7 @@ from tests.data.bags import RATE, write_bag
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
 from tests.data.source.test_lerobot import describe as describe_data_set
+from tests.data.source.test_lerobot import write_version_3
 from tests.data.source.test_lerobot import write_video as write_coded
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 from tests.tables import read_rows
@@ -480,24 +481,29 @@ def write_pictures(folder, pictures, **about):
     (folder / "clip.json").write_text(json.dumps(about))
 
 
-def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path):
-    """With the pictures that its videos are decoded to, and their time stamps."""
-    describe_data_set(tmp_path / "set", "v2.1", 1)
-    video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, version):
+    """With the pictures that its videos are decoded to, and their time stamps; of version 3 the second episode."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
-    source = open_source(write_coded(video, pictures), ClipLayout())
+    if version == "v3.0":
+        clip = write_version_3(tmp_path / "set", [pictures[:5], pictures]) / "episode_000001"
+    else:
+        describe_data_set(tmp_path / "set", version, 1)
+        video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
+        clip = write_coded(video, pictures)
+    source = open_source(clip, ClipLayout())
     frames = list(source)
+    assert len(frames) == len(pictures)
     about = {"times": [frame.time_s for frame in frames], "fps": source.fps}
     write_pictures(tmp_path / "folder", [frame.picture for frame in frames], **about)
-    for given in ("set", "folder"):
-        assert direct(tmp_path / given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
-    found = [
-        contents(tmp_path / "out" / name) for name in ("chunk-000_observation.images.top_episode_000000", "folder")
-    ]
+    for given in (clip, tmp_path / "folder"):
+        assert direct(given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
+    found = [contents(tmp_path / "out" / name) for name in (source.name.replace("/", "_"), "folder")]
     for table in ("parameters.csv", "interactions.csv"):
         assert found[0][table] == found[1][table]
     (run,) = runs(tmp_path / "out" / "folder")
     assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert direct(clip, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0  # up to date
 
 
 @pytest.mark.parametrize("name", ["same.bag", "same"])

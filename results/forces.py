@@ -53,6 +53,8 @@ class ContactForce:
     """Why it is unknown somewhere."""
     pressed: np.ndarray
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+    direction: np.ndarray | None
+    """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
 
     @classmethod
     def of(
@@ -75,8 +77,9 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why = "", run.detail or NO_FORCE
+        unit, why, direction = "", run.detail or NO_FORCE, None
         if isinstance(found, Estimate):
+            direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
@@ -91,7 +94,7 @@ class ContactForce:
                 kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
             force, low, high = _between(run.onset_time_s + found.times, kept, times)
         place = run.onset_frame, run.onset_time_s, state(run)
-        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction)
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
@@ -122,7 +125,7 @@ class ContactForce:
         alarms = [estimates[index].alarm for index in self.frames]
         for alarm in (ABOVE, BELOW, UNKNOWN) if any(each is not None for each in alarms) else ():
             found[f"limit_{alarm}_s"] = seconds[[each == alarm for each in alarms]].sum()
-        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict")}
+        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict", "direction")}
         found |= {"unit": self.unit if known.any() else "", "why": "" if known.all() and len(known) else self.why}
         for name, some in (("contact", known | ~known), ("unknown", ~known)):
             found |= {f"{name}_frames": some.sum(), f"{name}_s": seconds[some].sum()}

@@ -6,7 +6,7 @@ import csv
 import importlib
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
@@ -54,6 +54,7 @@ class ClipResults:
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
         export: format of the scenes that are written, one of `results.scene.FORMATS`.
+        bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -73,8 +74,9 @@ class ClipResults:
         alarm: ForceAlarm | None = None,
         seconds: tuple[float, float] = ALWAYS,
         export: str | None = None,
+        bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
-        self.folder, self._size, self._known, self._export = folder, size, known, export
+        self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
         self._fps, self._seconds = fps, seconds
         self.calibration, self.alarm = calibration, alarm
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
@@ -228,6 +230,8 @@ class ClipResults:
             calibrated = () if self.calibration is None else self.calibration.rows
             report = forces_record(self._contacts, self.estimates, self._fps, calibrated, limit)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
+            if self._bag is not None:
+                self._bag(self._partial, report["contacts"])
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
 

@@ -82,6 +82,10 @@ class FrameSource(ABC):
     """Number of frames to expect; 0 where unknown."""
     warnings: list[str]
     """Problems of the clip as a whole, filled while iterating."""
+    begin_ns: int = 0
+    """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
+    frame_id: str = "camera_optical_frame"
+    """What ROS calls the camera's axes: x right, y down, z away from it."""
     coding: Coding | None = None
     """How the pictures were coded; None where nobody knows, or they weren't."""
 
@@ -291,7 +295,9 @@ class RosBag(Pictures):
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
-        self._times = ((stamps - stamps[0]) / 1e9).tolist()
+        self._times, self.begin_ns = ((stamps - stamps[0]) / 1e9).tolist(), int(stamps[0])
+        named = (message.header.frame_id for _, message in read_topic(path, self.topic) if message is not None)
+        self.frame_id = next(named, "") or self.frame_id
         # A jump in the time stamps is a jump in the numbers, as in videos.
         self._numbers = [0, *np.cumsum(np.maximum(1, np.rint(steps * self.fps))).astype(int).tolist()]
         self.size = self._first_size()

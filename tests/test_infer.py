@@ -27,6 +27,7 @@ from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.scene import read_scene
+from palpate.results.store import BAGS
 from palpate.results.writer import ClipResults
 from tests.data.bags import BEGIN, RATE, write_bag
 from tests.data.clips import real_frames
@@ -521,7 +522,7 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
 
     inputs = [tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)]
-    kind, written = ("ros1", "forces.bag") if name == "same.bag" else ("ros2", "forces.mcap")
+    kind = "ros1" if name == "same.bag" else "ros2"
     for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed", "--bag", kind]), strict=True):
         output = tmp_path / f"of {given.parent.name}"
         assert direct(given, output, "--no-overlay", "--contact", "motion", *options) == 0
@@ -530,10 +531,9 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         assert bag[table] == folder[table]
     (run,) = runs(tmp_path / "of folder" / "same")
     assert (run["status"], run["stiffness"] != "") == ("ok", True)
-    results = tmp_path / f"of {inputs[1].parent.name}" / "same"
-    assert written in record(results)["files"]
-    assert not {"forces.bag", "forces.mcap"} & folder.keys()
-    (press,), said = json.loads(bag["forces.json"])["contacts"], read_messages(results / written)
+    (press,) = json.loads(bag["forces.json"])["contacts"]
+    assert set(BAGS.values()) & bag.keys() == {BAGS[kind]}
+    said = read_messages(tmp_path / f"of {inputs[1].parent.name}" / "same" / BAGS[kind])
     assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
     assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
     assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1

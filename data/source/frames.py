@@ -385,8 +385,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
             raise InputError(f"{printable(given)} is a single image; give the folder of the clip's frames.")
         if not found:
             raise InputError(f"{printable(given)} holds no video, bag or folder of frames; give one that does.")
-        for path in found:
-            clips.update(dict.fromkeys([path / name for name in episodes_in(path)] or [path]))
+        clips |= {each: None for path in found for each in ([path / name for name in episodes_in(path)] or [path])}
     return list(clips)
 
 

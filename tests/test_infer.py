@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -33,7 +34,7 @@ from tests.data.bags import BEGIN, RATE, write_bag
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
 from tests.data.source.test_lerobot import describe as describe_data_set
-from tests.data.source.test_lerobot import write_version_3
+from tests.data.source.test_lerobot import write_by_their_library, write_version_3
 from tests.data.source.test_lerobot import write_video as write_coded
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
 from tests.results.test_bag import read as read_messages
@@ -488,7 +489,8 @@ def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic,
     """With the pictures that its videos are decoded to, and their time stamps; of version 3 the second episode."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
     if version == "v3.0":
-        clip = write_version_3(tmp_path / "set", [pictures[:5], pictures]) / "episode_000001"
+        write = write_by_their_library if find_spec("lerobot") else write_version_3
+        clip = write(tmp_path / "set", [pictures[:5], pictures]) / "episode_000001"
     else:
         describe_data_set(tmp_path / "set", version, 1)
         video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
@@ -503,8 +505,7 @@ def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic,
     found = [contents(tmp_path / "out" / name) for name in (source.name.replace("/", "_"), "folder")]
     for table in ("parameters.csv", "interactions.csv"):
         assert found[0][table] == found[1][table]
-    (run,) = runs(tmp_path / "out" / "folder")
-    assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert ("ok", True) in [(run["status"], run["stiffness"] != "") for run in runs(tmp_path / "out" / "folder")]
     assert direct(clip, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0  # up to date
 
 

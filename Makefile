@@ -1,5 +1,6 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and all tests; make test-fast leaves the slow ones out
+# make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
 # make bench — what is timed, against what (see benchmarks/)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
 # make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/reports/paper.md); goes on where it stopped
@@ -11,7 +12,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint bench model light gan paper clean
+.PHONY: demo test test-fast lint lock bench model light gan paper clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -19,6 +20,13 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[train,dev]"
 	@$(BIN)/python -m compileall -qq -j 0 -x '/tests?/|torch/testing' .venv/lib || true  # as pip would, on all cores
 	touch $@
+
+# All extras, Python 3.11 and later, every platform; versions that stand there and still do stay.
+lock:
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check "uv>=0.13"
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras $(UPGRADE) --annotation-style line \
+		--custom-compile-command "make lock" --output-file constraints.txt pyproject.toml
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

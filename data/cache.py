@@ -30,6 +30,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import clip_camera
 from palpate.data.source.layout import InputError
+from palpate.data.source.lerobot import file_of, span_of
 from palpate.physics.mesh import Mesh
 
 HASHED_BYTES = 64 * 2**20
@@ -63,6 +64,7 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
     for group, name in NOT_STORED:
         fields[group].pop(name)
     document = {
+        "span": span_of(path),
         "files": [state for each in (path, *following) for state in _file_states(each)],
         "settings": fields,
         "camera": repr(clip_camera(path, settings.layout)),
@@ -74,6 +76,7 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
 
 def _file_states(path: Path) -> list[list[Any]]:
     """Name, size and time of change of a clip's files."""
+    path = file_of(path)
     files = [file for file in all_below(path) if file.is_file()] if path.is_dir() else [path]
     states = ((file, file.stat()) for file in files)
     return [[os.fspath(file.relative_to(path.parent)), state.st_size, state.st_mtime_ns] for file, state in states]

@@ -56,6 +56,8 @@ class ContactForce:
     """Why it is unknown somewhere."""
     pressed: np.ndarray
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+    direction: np.ndarray | None
+    """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
     scene_force: tuple[float, ...] = (math.nan,) * len(ENDS)
     """|F| of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
 
@@ -80,8 +82,9 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why, scene = "", run.detail or NO_FORCE, {}
+        unit, why, scene, direction = "", run.detail or NO_FORCE, {}, None
         if isinstance(found, Estimate):
+            direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
             scene = {"scene_force": tuple(found.numbers().get(f"force{end}", math.nan) for end in ENDS)}
             if any(name.startswith("force") for name in found.determined):
@@ -97,7 +100,7 @@ class ContactForce:
                 kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
             force, low, high = _between(run.onset_time_s + found.times, kept, times)
         place = run.onset_frame, run.onset_time_s, state(run)
-        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, **scene)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
 
     @classmethod
     def of_dent(cls, curve: Curve, estimates: Sequence[FrameEstimate]) -> "ContactForce | None":
@@ -113,7 +116,7 @@ class ContactForce:
         frames = np.array([at[time] for time in curve.times[kept].tolist()])
         curves = curve.force[kept], curve.low[kept], curve.high[kept]
         place = estimates[frames[0]].frame, estimates[frames[0]].time_s, DENT
-        return cls(*place, frames, *curves, MEASURED, "", np.full(len(frames), np.nan))
+        return cls(*place, frames, *curves, MEASURED, "", np.full(len(frames), np.nan), None)
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
@@ -146,7 +149,7 @@ class ContactForce:
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
             found["peak_time_s"] = estimates[self.frames[top]].time_s
-        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict")}
+        found |= {name: getattr(self, name) for name in ("onset_frame", "onset_time_s", "verdict", "direction")}
         found |= {"unit": self.unit if known.any() else "", "why": "" if known.all() and len(known) else self.why}
         for name, some in (("contact", known | ~known), ("unknown", ~known)):
             found |= {f"{name}_frames": some.sum(), f"{name}_s": seconds[some].sum()}

@@ -18,6 +18,7 @@ from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
+from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
 from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
 from palpate.estimators.records import FrameEstimate
@@ -53,7 +54,8 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
         prepared["depth"].pop(name)
     return {
         "format": FORMAT_VERSION,
-        "clip": sha256_of(clip),
+        "clip": sha256_of(file_of(clip)),
+        "span": span_of(clip),
         "model": None if model is None else model.sha256,
         "settings": prepared,
         "estimator": dict(estimator.described),

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.alarm import ForceAlarm, known_seconds
+from palpate.results.bag import write_bag
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
@@ -122,6 +124,8 @@ class Batch:
                 f"{self.estimator.name}{' --model fem' if options.thickness else ''} does not give; take network or "
                 "direct, without --thickness."
             )
+        if options.bag is not None and (self.estimator.name == "online" or find_spec("rosbags") is None):
+            raise ValueError("--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.")
         if options.scheduler is not None and options.jobs > 1:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         if options.shard and self.calibration is not None and self.calibration.of_one_clip:
@@ -160,6 +164,8 @@ class Batch:
                 known = self.known(path, self.settings.layout.topic)
             options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
+            if self.options.bag is not None:
+                options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
             alarm = self._alarm(source.fps)
@@ -305,6 +311,7 @@ class Batch:
         compared = newtons is not None and newtons.measured is not None
         known = self.known if newtons is None else newtons.known
         wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
+        wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 

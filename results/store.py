@@ -21,10 +21,13 @@ INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv",
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
+BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
+"""Bags of --bag there, by the version of ROS."""
 SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
+    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT,
+    COMPARISON, RECORD,
 )  # fmt: skip
 """All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
 a user's."""

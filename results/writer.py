@@ -6,7 +6,7 @@ import csv
 import importlib
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
@@ -55,6 +55,7 @@ class ClipResults:
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
         export: format of the scenes that are written, one of `results.scene.FORMATS`.
+        bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
         OutputError: the output folder is full or can't be written (also from the methods).
@@ -75,8 +76,9 @@ class ClipResults:
         limit: tuple[float, str] | None = None,
         seconds: tuple[float, float] = ALWAYS,
         export: str | None = None,
+        bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
-        self.folder, self._size, self._known, self._export = folder, size, known, export
+        self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
@@ -230,6 +232,8 @@ class ClipResults:
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
             report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
+            if self._bag is not None:
+                self._bag(self._partial, report["contacts"])
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
 

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -27,13 +28,16 @@ from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.scene import read_scene
+from palpate.results.store import BAGS
 from palpate.results.writer import ClipResults
-from tests.data.bags import RATE, write_bag
+from tests.data.bags import BEGIN, RATE, write_bag
 from tests.data.clips import real_frames
 from tests.data.masks.test_onnx import BOTH, save_model
 from tests.data.source.test_lerobot import describe as describe_data_set
+from tests.data.source.test_lerobot import write_by_their_library, write_version_3
 from tests.data.source.test_lerobot import write_video as write_coded
 from tests.inference_inputs import metadata, write_clip, write_model, write_video
+from tests.results.test_bag import read as read_messages
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
@@ -480,24 +484,29 @@ def write_pictures(folder, pictures, **about):
     (folder / "clip.json").write_text(json.dumps(about))
 
 
-def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path):
-    """With the pictures that its videos are decoded to, and their time stamps."""
-    describe_data_set(tmp_path / "set", "v2.1", 1)
-    video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, version):
+    """With the pictures that its videos are decoded to, and their time stamps; of version 3 the second episode."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
-    source = open_source(write_coded(video, pictures), ClipLayout())
+    if version == "v3.0":
+        write = write_by_their_library if find_spec("lerobot") else write_version_3
+        clip = write(tmp_path / "set", [pictures[:5], pictures]) / "episode_000001"
+    else:
+        describe_data_set(tmp_path / "set", version, 1)
+        video = tmp_path / "set" / "videos" / "chunk-000" / "observation.images.top" / "episode_000000.mp4"
+        clip = write_coded(video, pictures)
+    source = open_source(clip, ClipLayout())
     frames = list(source)
+    assert len(frames) == len(pictures)
     about = {"times": [frame.time_s for frame in frames], "fps": source.fps}
     write_pictures(tmp_path / "folder", [frame.picture for frame in frames], **about)
-    for given in ("set", "folder"):
-        assert direct(tmp_path / given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
-    found = [
-        contents(tmp_path / "out" / name) for name in ("chunk-000_observation.images.top_episode_000000", "folder")
-    ]
+    for given in (clip, tmp_path / "folder"):
+        assert direct(given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
+    found = [contents(tmp_path / "out" / name) for name in (source.name.replace("/", "_"), "folder")]
     for table in ("parameters.csv", "interactions.csv"):
         assert found[0][table] == found[1][table]
-    (run,) = runs(tmp_path / "out" / "folder")
-    assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    assert ("ok", True) in [(run["status"], run["stiffness"] != "") for run in runs(tmp_path / "out" / "folder")]
+    assert direct(clip, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0  # up to date
 
 
 @pytest.mark.parametrize("name", ["same.bag", "same"])
@@ -514,7 +523,8 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
 
     inputs = [tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)]
-    for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed"]), strict=True):
+    kind = "ros1" if name == "same.bag" else "ros2"
+    for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed", "--bag", kind]), strict=True):
         output = tmp_path / f"of {given.parent.name}"
         assert direct(given, output, "--no-overlay", "--contact", "motion", *options) == 0
     folder, bag = (contents(tmp_path / f"of {given.parent.name}" / "same") for given in inputs)
@@ -522,6 +532,11 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         assert bag[table] == folder[table]
     (run,) = runs(tmp_path / "of folder" / "same")
     assert (run["status"], run["stiffness"] != "") == ("ok", True)
+    (press,) = json.loads(bag["forces.json"])["contacts"]
+    assert set(BAGS.values()) & bag.keys() == {BAGS[kind]}
+    said = read_messages(tmp_path / f"of {inputs[1].parent.name}" / "same" / BAGS[kind])
+    assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
+    assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
     assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1
     assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
     assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
@@ -554,6 +569,10 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (
             ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
             "measured.yaml tells none; give known_s there, or leave --calibration out.",
+        ),
+        (
+            ["--estimator", "online", "--bag", "ros2"],
+            "--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.",
         ),
         (
             ["--estimator", "online", "--export", "usd"],
@@ -632,7 +651,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     (tmp_path / "known.yaml").write_text(known)
     given = [str(tmp_path / "other"), str(tmp_path / "one"), "--estimator", "direct", "--onset", "stamp"]
     given += ["--no-overlay", "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
-    assert infer.main(given) == 0
+    assert infer.main([*given, "--bag", "ros2"]) == 0
     (one,), (other,) = (rows(tmp_path / "out" / name, "calibrated.csv") for name in ("one", "other"))
     assert (float(one["force"]), float(other["force"])) == pytest.approx((2.0, 2.0), rel=1e-6)
     widths = [np.log(float(row["force_high"]) / float(row["force_low"])) for row in (one, other)]
@@ -643,6 +662,11 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
         [float(other[f"force{end}"]) for end in ("", "_low", "_high")], rel=1e-6
     )
     assert press["unit"] == other["force_unit"]
+    said = read_messages(tmp_path / "out" / "other" / "forces.mcap")
+    for end in ("", "_low", "_high"):
+        forces = [(stamp / 1e9, float(np.linalg.norm(force))) for _, stamp, _, force, _ in said[f"/palpate/force{end}"]]
+        times = zip(press["time_s"], press[f"force{end}"], strict=True)
+        assert np.array(forces) == pytest.approx(np.array([pair for pair in times if pair[1] is not None]))
     (found,) = runs(tmp_path / "out" / "one")
     assert float(one["stiffness"]) == pytest.approx(2.0 / float(found["force"]) * float(found["stiffness"]), rel=1e-4)
     assert one["force_unit"].startswith("N, by known force of 2 N at frame")

@@ -22,7 +22,7 @@ from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, 
 from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.images import printable, read_image, require_pixels
 from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
-from palpate.data.source.lerobot import name_in_data_set
+from palpate.data.source.lerobot import episodes_in, file_of, name_in_data_set, span_of
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
 """Endings of the names of video files."""
@@ -82,6 +82,10 @@ class FrameSource(ABC):
     """Number of frames to expect; 0 where unknown."""
     warnings: list[str]
     """Problems of the clip as a whole, filled while iterating."""
+    begin_ns: int = 0
+    """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
+    frame_id: str = "camera_optical_frame"
+    """What ROS calls the camera's axes: x right, y down, z away from it."""
     coding: Coding | None = None
     """How the pictures were coded; None where nobody knows, or they weren't."""
 
@@ -174,18 +178,23 @@ class FrameFolder(Pictures):
 
 
 class VideoFile(FrameSource):
-    """A video file with its own time stamps, upright; frames that the file announces but lacks come as errors."""
+    """A video file, or an episode in one, with its own time stamps, upright.
+
+    Frames that the file announces but lacks come as errors.
+    """
 
     def __init__(self, path: Path, fallback_fps: float = 25.0) -> None:
         """
         Args:
-            path: video file.
+            path: video file; of LeRobot data sets of version 3 an episode in it.
             fallback_fps: frame rate where the file states none that a camera could have [1/s].
 
         Raises:
-            InputError: an empty file, not a video, or pictures of an unusable size.
+            InputError: an empty file, not a video, no episode in one, or pictures of an unusable size.
         """
         self.path, self.name, self.warnings, self._by_av = path, name_of(path), [], False
+        span, path = span_of(path), file_of(path)
+        self._file, self._span = path, span or (-math.inf, math.inf)
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
@@ -193,22 +202,23 @@ class VideoFile(FrameSource):
         capture = self._open()
         size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         require_pixels(printable(path), *size)
-        image = capture.read()[1]
-        if image is None:  # OpenCV is built without some codecs, such as AV1, that of LeRobot data sets
+        fps = capture.get(cv2.CAP_PROP_FPS)
+        self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
+        count = round((span[1] - span[0]) * self.fps) if span else capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        image = capture.read()[1] if span is None else None  # OpenCV doesn't begin at an exact time
+        if image is None:  # and is built without some codecs, such as AV1, that of LeRobot data sets
             self._by_av = True
             image = next((image for _, image in self._decoded()), None)
-        fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if image is None:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = picture_size(path, image)
-        self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
         self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
         self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
 
     @functools.cached_property
     def coding(self) -> Coding | None:
         """How the pictures were coded; None where the decoder doesn't say."""
-        return coding_of(self.path)
+        return coding_of(self._file)
 
     def _decoded(self) -> Iterator[tuple[float, np.ndarray]]:
         """Time stamp [s] and picture, BGR, of the frames that can be decoded, up to the first that can't."""
@@ -217,18 +227,25 @@ class VideoFile(FrameSource):
             while (image := capture.read()[1]) is not None:
                 yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, image
             return
-        with suppress(av.FFmpegError, IndexError), av.open(str(self.path)) as container:
+        begin, end = (instant - 0.5 / self.fps for instant in self._span)
+        with suppress(av.FFmpegError, IndexError), av.open(str(self._file)) as container:
+            if begin > 0:
+                container.seek(round(begin * av.time_base))  # to a frame before that can be decoded alone
             for frame in container.decode(video=0):
-                yield frame.time or 0.0, frame.to_ndarray(format="bgr24")
+                time_s = frame.time or 0.0
+                if time_s >= end:
+                    return
+                if time_s >= begin:
+                    yield time_s, frame.to_ndarray(format="bgr24")
 
     def _open(self) -> cv2.VideoCapture:
         try:
-            str(self.path).encode("utf-8")
+            str(self._file).encode("utf-8")
         except UnicodeEncodeError as error:
-            raise InputError(f"{printable(self.path)} has a name that is not valid UTF-8; rename the file.") from error
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+            raise InputError(f"{printable(self._file)} has a name that is not valid UTF-8; rename the file.") from error
+        capture = cv2.VideoCapture(str(self._file), cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            raise InputError(f"{self.path} can't be opened as a video (truncated, or none); copy or convert it again.")
+            raise InputError(f"{self._file} can't be opened as a video (truncated, or none); copy or convert it again.")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         return capture
 
@@ -278,7 +295,9 @@ class RosBag(Pictures):
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
-        self._times = ((stamps - stamps[0]) / 1e9).tolist()
+        self._times, self.begin_ns = ((stamps - stamps[0]) / 1e9).tolist(), int(stamps[0])
+        named = (message.header.frame_id for _, message in read_topic(path, self.topic) if message is not None)
+        self.frame_id = next(named, "") or self.frame_id
         # A jump in the time stamps is a jump in the numbers, as in videos.
         self._numbers = [0, *np.cumsum(np.maximum(1, np.rint(steps * self.fps))).astype(int).tolist()]
         self.size = self._first_size()
@@ -343,11 +362,7 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
 
 
 def name_of(clip: Path) -> str:
-    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's.
-
-    Raises:
-        InputError: a data set's file that holds no single episode.
-    """
+    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's."""
     return clip.resolve().name if clip.is_dir() else name_in_data_set(clip) or clip.stem
 
 
@@ -355,14 +370,14 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     """Clips under the given paths, in natural order within each: video files, bags, frame folders, folders of those.
 
     Raises:
-        InputError: a path does not exist, can't be listed, or holds no clip.
+        InputError: a path does not exist, can't be listed, or holds no clip, or episodes that nobody can tell apart.
     """
     clips: dict[Path, None] = {}
     for given in map(Path, inputs):
         if str(given).startswith("camera:"):
             raise InputError(f"{given} is a live camera; give its number to palpate live, or record a video file.")
         try:
-            given.stat()
+            file_of(given).stat()
             found = _search(given, layout) if given.is_dir() else [given]
         except OSError as error:
             raise InputError(f"{printable(given)} can't be opened ({error.strerror}); check the path.") from error
@@ -370,7 +385,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
             raise InputError(f"{printable(given)} is a single image; give the folder of the clip's frames.")
         if not found:
             raise InputError(f"{printable(given)} holds no video, bag or folder of frames; give one that does.")
-        clips.update(dict.fromkeys(found))
+        clips |= {each: None for path in found for each in ([path / name for name in episodes_in(path)] or [path])}
     return list(clips)
 
 

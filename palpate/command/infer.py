@@ -24,6 +24,7 @@ from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
 from palpate.results.scene import FORMATS
+from palpate.results.store import BAGS
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -56,6 +57,7 @@ CHOICES = {
     "rates": RATES,
     "devices": DEVICES,
     "scenes": tuple(FORMATS),
+    "bags": tuple(BAGS),
 }
 """What infer.yaml calls types and choices."""
 

@@ -9,6 +9,7 @@ Not a medical device.
 """
 
 import contextlib
+import errno
 import io
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -40,9 +41,7 @@ SHADES, FAR, UNKNOWN, FORCE = np.linspace(0, 1, 13)[:, None], np.array([112, 26,
 NOTHING = "Nothing to see: palpate infer --export vtk keeps presses that are determined, --estimator online pulls."
 MOVED = """Colour: displacement, simulated by the estimate, from 0 to {} scene units, not metric.
 Arrow: the force, thick up to the lower end of its 90 % interval, thin up to the upper; none where it isn't known."""
-STIFFNESS = (
-    f"Colour: stiffness over median, 1/{RANGE:g} (blue) to {RANGE:g} (red). Grey, and force: not determined."
-)
+STIFFNESS = f"Colour: stiffness over median, 1/{RANGE:g} (blue) to {RANGE:g} (red). Grey, force: not determined."
 
 
 def motions_in(path: Path) -> Iterator[tuple[str, dict[str, Any] | None]]:
@@ -147,7 +146,7 @@ def page_of(path: Path) -> str:
         file = server.get_scene_serializer()
         for said, motion in motions_in(path):
             _play(server, file, f"/{len(shown)}", said, motion)
-            shown.append(motion)
+            shown.append(motion is not None)
         if not any(shown):
             raise ValueError(f"{path}: {NOTHING}")
         return file.as_html()
@@ -213,5 +212,6 @@ def main(arguments: list[str] | None = None) -> int:
                     print("Look at http://{}:{} until Ctrl-C".format(*server.server_address), flush=True)
                     server.serve_forever()
     except (OSError, ValueError) as error:
-        parser.exit(1, f"{plain(str(error))}\n")
+        port = f"--port {options.port}: " if getattr(error, "errno", None) == errno.EADDRINUSE else ""
+        parser.exit(1, f"{port}{plain(str(error))}\n")
     return 0

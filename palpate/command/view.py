@@ -186,7 +186,7 @@ def _play(server: Any, file: Any, run: str, said: str, motion: dict[str, Any] | 
             low, high = np.nan_to_num(motion["arrows"][frame])[:, None] / size
             sure = bool(np.isfinite(motion["arrows"][frame]).all())
             scene.add_arrows(f"{run}/force", low, FORCE, shaft_radius=0.008, head_length=0.04, visible=sure)
-            scene.add_line_segments(f"{run}/upper", high, FORCE, line_width=3, visible=sure)
+            scene.add_line_segments(f"{run}/upper", high, FORCE, thickness=3, thickness_units="screen", visible=sure)
             file.insert_sleep(float(seconds))
     file.insert_sleep(STILL_SECONDS)
     stand.visible = False

@@ -28,7 +28,7 @@ from palpate.common.output import replacing_own
 from palpate.physics.msd.simulation import simulate
 from palpate.results import store
 from palpate.results.field_overlay import MIDDLE, RANGE, colors
-from palpate.results.forces import ENDS, SAME_INSTANT
+from palpate.results.forces import ENDS
 from palpate.results.page.gather import clip_of
 from palpate.results.page.render import UNREADABLE
 from palpate.results.scene import read_scene
@@ -99,7 +99,7 @@ def _pressed(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str])
     if contact:
         told, delay = contact["forces"], float(contact["row"]["delay_s"] or 0)
         last = max(np.array(told["time_s"])[[each is not None for each in told["force"]]], default=-np.inf)
-        known &= times + delay <= last - told["onset_time_s"] + SAME_INSTANT
+        known &= times + delay <= last - told["onset_time_s"] + FRAME_SECONDS / 2
     amount = "{} ({} to {})".format(*(digits(each, 2) for each in force))
     words = "released", "force not known: it was not observed any more", f"force {{:.0%}} of {amount} {unit}"
     said = [words[(part > 0) + int(sure)].format(part) for part, sure in zip(factor, known, strict=True)]
@@ -142,7 +142,7 @@ def page_of(path: Path) -> str:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.ExitStack() as ending:  # it tells that it serves
         server, shown = ViserServer("127.0.0.1", 0, verbose=False), []
         ending.callback(server.stop)
-        server.initial_camera.position, server.initial_camera.look_at = (0, -0.62, 0.45), (0, 0, 0)
+        server.initial_camera.position, server.initial_camera.look_at = (0, -0.7, 0.5), (0, 0, 0)
         file = server.get_scene_serializer()
         for said, motion in motions_in(path):
             _play(server, file, f"/{len(shown)}", said, motion)
@@ -171,7 +171,7 @@ def _play(server: Any, file: Any, run: str, said: str, motion: dict[str, Any] | 
     stand = scene.add_frame(run, show_axes=False, wxyz=upright, position=(-x, -z, y))
     scene.add_label(f"{run}/said", said, position=(left, top - 0.06, z), anchor="bottom-left")
     if motion is not None:
-        ramp, under = motion["ramp"].astype(np.uint8), bottom + 0.14
+        ramp, under = motion["ramp"].astype(np.uint8), bottom + 0.2
         row, wide = np.linspace((left, under, z), (x, under, z), len(ramp), retstep=True)
         scene.add_point_cloud(f"{run}/legend", row, ramp, point_size=wide[0], precision="float32", point_shading="flat")
         tones = np.nan_to_num(np.rint((len(SHADES) - 1) * motion["levels"]), nan=len(SHADES))

@@ -54,9 +54,9 @@ def recorded(page: Path) -> tuple[float, list[tuple[float, str, dict]]]:
         given = isinstance(value, dict) and "__binary_index" in value
         return np.frombuffer(buffers[value["__binary_index"]], value["dtype"]).reshape(-1, 3) if given else value
 
-    nodes = [(time, each["name"], each) for time, each in told["messages"] if "name" in each]
-    found = [(t, n, {k: array(v) for k, v in each.get("props", each).items()}) for t, n, each in nodes]
-    return told["durationSeconds"], found
+    named = [(time, each) for time, each in told["messages"] if "name" in each]
+    shown = [(t, each["name"], {k: array(v) for k, v in each.get("props", each).items()}) for t, each in named]
+    return told["durationSeconds"], shown
 
 
 def of(nodes: list, time: float, name: str, what: str) -> list:
@@ -80,8 +80,8 @@ def test_a_page_holds_the_simulated_motion_force_and_verdict(results: Path, tmp_
         corners = np.concatenate([points[faces] for points, faces in zip(*tones[:2], strict=True)])
         expected = placed[scene.mesh.triangles]
         assert {each.tobytes() for each in corners} == {each.tobytes() for each in expected.astype(np.float32)}
-    at_rest = of(nodes, 0.0, r"/0/\d+", "vertices")
-    assert [len(points) > 0 for points in at_rest] == [True, *12 * [False]]  # in the lightest of the tones
+    # At rest all is in the lightest tone.
+    assert [len(points) > 0 for points in of(nodes, 0.0, r"/0/\d+", "vertices")] == [True, *12 * [False]]
     size, low, high = np.ptp(rest, axis=0).max(), *sorted(np.abs(scene.interval[2]))
     ((tail, tip),) = (each.reshape(2, 3) for each in of(nodes, 0.12, "/0/force", "points"))
     np.testing.assert_allclose(size * tip, (rest + moved[3 * stride - 1])[scene.press.vertex], atol=1e-6)
@@ -121,8 +121,7 @@ def test_a_field_is_coloured_where_it_is_determined_and_a_contact_without_is_sai
 
 
 def test_a_server_answers_on_this_machine_until_ctrl_c(results: Path) -> None:
-    (path,) = results.glob("scene_*.vtp")
-    command = [sys.executable, "-m", "palpate", "view", str(path), "--port", "18947"]
+    command = [sys.executable, "-m", "palpate", "view", str(*results.glob("scene_*.vtp")), "--port", "18947"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         address = re.search(r"http://127\.0\.0\.1:18947", server.stdout.readline())[0]
         with urllib.request.urlopen(address, timeout=20) as answer:

@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | page | benchmark | synthetic …
+    palpate infer | live | train | export | calibrate | plan | page | view | benchmark | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -20,10 +20,13 @@ COMMANDS = {
     "calibrate": "palpate.command.calibrate",
     "plan": "palpate.command.plan",
     "page": "palpate.command.page",
+    "view": "palpate.command.view",
     "benchmark": "palpate.evaluation.benchmark",
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""
+EXTRAS = dict.fromkeys(("train", "export", "benchmark"), "train") | {"view": "view"}
+"""What must be installed for some of them."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -38,9 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         command = load_program(COMMANDS[name])
     except ModuleNotFoundError as error:
-        if name not in ("train", "export", "benchmark"):
+        if name not in EXTRAS:
             raise
-        print(f"palpate: {name} needs {error.name}; install 'palpate[train]'.", file=sys.stderr)
+        print(f"palpate: {name} needs {error.name}; install 'palpate[{EXTRAS[name]}]'.", file=sys.stderr)
         return 2
     sys.argv[:] = [f"palpate {name}"]  # what the command calls itself in its messages
     return command.main(["export", *rest] if name == "export" else rest)

@@ -52,6 +52,7 @@ FENCES = {
         "benchmarks/",
     ),
     "jinja2": ("results/page/render.py",),
+    "viser": ("palpate/command/view.py",),
     "pandas": ("evaluation/",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
@@ -62,6 +63,7 @@ LIGHT_DOORS = {
     "palpate.command.live": "palpate.estimators.direct.sampling",
     "palpate.command.page": "palpate.results.page.own",
     "palpate.command.plan": "palpate.planning.roadmap",
+    "palpate.command.view": "palpate.physics.msd.simulation",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }

@@ -39,7 +39,7 @@ UNDRIVEN = (
     "the online estimator needs a clip whose tool drives the tissue"
 )
 UNEXPORTED = (
-    "{} of {} runs of contact have no scene, which takes a sheet of springs whose k_s, k_d and F are all determined: "
+    "{} of {} runs of contact have no scene, which takes all that is determined that its simulator needs: "
     "see verdict in interactions.csv"
 )
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")

@@ -119,11 +119,10 @@ class Batch:
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
                 "there, or leave --calibration out."
             )
-        if options.export is not None and (self.estimator.name not in MAPPING or options.thickness is not None):
+        if options.export is not None and self.estimator.name == "gan":
             raise ValueError(
-                "--export writes sheets of springs whose k_s, k_d and F have intervals, which --estimator "
-                f"{self.estimator.name}{' --model fem' if options.thickness else ''} does not give; take network or "
-                "direct, without --thickness."
+                "--export writes what has intervals, which --estimator gan does not give; take network, direct or "
+                "online."
             )
         if options.scheduler is not None and options.jobs > 1:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")

@@ -21,7 +21,7 @@ INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv",
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
-SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
+SCENE = re.compile(r"scene_\d+\.(usda|scn|vtu|ply)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
     TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD

@@ -67,7 +67,8 @@ class DrivenTissue:
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
-        self._past: deque[np.ndarray] = deque(maxlen=PAST)
+        self.past: deque[np.ndarray] = deque(maxlen=PAST)
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
         self._moving = np.zeros(body.count, bool)
 
     @property
@@ -149,7 +150,7 @@ class DrivenTissue:
     def _fitted(self) -> bool:
         """Choose time step, foundation and bending by the first frames; whether these tell anything."""
         settings = self.settings
-        way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
+        way = np.stack(self.past) - self.surface.body.rest[self.surface.gripped]
         seen = np.stack([frame[0][self.around] for frame in self._first])
         grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
         bounds, stepping = settings.bounds, settings.stepping
@@ -177,7 +178,7 @@ class DrivenTissue:
         seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)
-        self._past.append(self._places)
+        self.past.append(self._places)
         first, second = self._edges
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
@@ -203,8 +204,8 @@ class DrivenTissue:
             path.append(places)
         session = self.session
         objective = session.objective
-        motion = objective.stepped(session.fields, self.surface.body.rest, np.stack([*self._past, *path]))
-        simulated = self.shown(motion.positions[0, len(self._past) :])
+        motion = objective.stepped(session.fields, self.surface.body.rest, np.stack([*self.past, *path]))
+        simulated = self.shown(motion.positions[0, len(self.past) :])
         return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
 
     def shown(self, states: np.ndarray) -> np.ndarray:

@@ -159,7 +159,7 @@ class _Followed:
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
         where = self._picture, driven.surface.pixels, *points
-        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched))
+        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), driven)
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""

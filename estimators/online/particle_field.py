@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.driven import DrivenTissue
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +100,8 @@ class FieldEstimate:
     """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
     stretched: bool
     """Whether tissue has anywhere stretched by as much as settings ask for."""
+    driven: DrivenTissue
+    """What was simulated, as it was left."""
 
     @property
     def skill(self) -> float:

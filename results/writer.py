@@ -200,13 +200,11 @@ class ClipResults:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 
     def _write_scene(self, run: InteractionEstimate, export: str) -> None:
+        path = self._partial / f"scene_{run.onset_frame}.{FORMATS[export]['ending']}"
         try:
-            text = scene_text(scene_of(run), export)
+            path.write_text(scene_text(scene_of(run), export), encoding="utf-8")
         except NoEstimate:
             self.unexported += 1
-        else:
-            path = self._partial / f"scene_{run.onset_frame}.{FORMATS[export]['ending']}"
-            path.write_text(text, encoding="utf-8")
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in newtons what was added, once all of it has been."""

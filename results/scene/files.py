@@ -27,8 +27,8 @@ def scene_text(scene: Scene, format_: str) -> str:
     """What a file says of a scene in one of FORMATS; its ending is to be the format's."""
     form, kind, parts = FORMATS[format_], KINDS[scene.kind], scene.parts
     shape = next(name for name in _CELLS if len(parts.get(name, ())))
-    cells, bodies = parts[shape], form.get("bodies", {})
-    values: dict[str, Any] = {**parts, "cells": cells, "types": np.full(len(cells), _CELLS[shape])}
+    cells, bodies, lists = parts[shape], form.get("bodies", {}), form.get("lists", {})
+    values: dict[str, Any] = {"time_step": 1.0, **parts, "cells": cells, "types": np.full(len(cells), _CELLS[shape])}
     values |= {"ends": cells.shape[1] * np.arange(1, len(cells) + 1), "threes": np.full(len(parts["triangles"]), 3)}
     values["solid"] = cells[:, EIGHTHS].reshape(-1, 4) if shape == "elements" else cells
     values |= _components(scene) if scene.kind in bodies else {}
@@ -36,26 +36,27 @@ def scene_text(scene: Scene, format_: str) -> str:
     def text(numbers: object) -> str:
         return form["comma"].join(np.asarray(numbers).ravel().astype(str))
 
-    texts: dict[str, Any] = {name: kind.get(name, "") for name in ("about", "where", "length")} | {"time_step": "1"}
+    ways: dict[str, Any] = {"": text, "count": len, "first": lambda rows: text(rows.flat[:1])}
+    ways["tuples"] = lambda rows: ", ".join(f"({', '.join(row)})" for row in rows.astype(str))
+    texts: dict[str, Any] = {name: kind.get(name, "") for name in ("about", "where", "length")}
     texts |= dict.fromkeys(("shape", "vertex", "everywhere", "whole", "columns"), "")
     columns = [parts["points"].astype(str)]
     for name, (group, width, dtype, unit) in kind["parts"].items():
         words = {"name": name, "unit": unit, "width": width, "type": form["types"][dtype], "rows": len(parts[name])}
         if name not in form["names"]:
             texts[group] += form[group].format(values=text(parts[name]), **words) + "\n"
-        if group in ("vertex", "everywhere"):
+        if group in ("vertex", "everywhere") and "rows" in lists:
             columns.append(np.broadcast_to(parts[name].astype(str), (len(columns[0]), width)))
             ends = _ENDS.get(name, ("", "_low", "_high"))[:width]
             texts["columns"] += "".join(f"property {words['type']} {name}{end}\n" for end in ends)
     values |= {"rows": np.column_stack(columns)[:, None], "faces": parts["triangles"][:, None]}
-    for name, line in form.get("lists", {}).items():
-        texts[name] = "\n".join(line.format(*map(text, row)) for row in values.pop(name, ()))
-    for name, rows in values.items():
-        table = np.atleast_1d(rows).astype(str)
-        texts |= {name: text(table), f"{name}_first": text(table.ravel()[:1]), f"{name}_count": len(table)}
-        texts[f"{name}_tuples"] = ", ".join(f"({', '.join(row)})" for row in table if table.ndim == 2)
-    texts["body"] = bodies.get(scene.kind, bodies.get(shape, "")).format(**texts)
-    return re.sub(r"\n\s*\n", "\n", form["file"].format(**texts))
+    for name, line in lists.items():
+        texts[name] = "\n".join(line.format(*map(text, row)) for row in values.get(name, ()))
+    body = bodies.get(scene.kind, bodies.get(shape, ""))
+    for want in {*re.findall(r"{(\w+)}", body + form["file"])} - {*texts, "body"}:
+        name, _, way = want.partition("__")
+        texts[want] = ways[way](np.atleast_1d(values[name]))
+    return re.sub(r"\n\s*\n", "\n", form["file"].format(body=body.format(**texts), **texts))
 
 
 def _components(scene: Scene) -> dict[str, Any]:
@@ -78,8 +79,9 @@ def _components(scene: Scene) -> dict[str, Any]:
         np.add.at(tension, ends.T, [-apart, apart])
         lengths = np.linalg.norm(apart, axis=1) * (scene.kind != "pull")
         stiffness = np.broadcast_to(parts["stiffness"][:, 0], len(points))[ends].mean(axis=1)
-        elastic = zip(*ends.T, stiffness, np.zeros(len(ends), int), lengths, strict=True)
-        found |= {"elastic": np.array([*elastic], object), "tension": tension}
+        rows = zip(*ends.T.tolist(), stiffness.tolist(), lengths.tolist(), strict=True)
+        elastic = " ".join(f"{first} {second} {value} 0 {length}" for first, second, value, length in rows)
+        found |= {"elastic": elastic, "tension": tension}
     if "grip_path" in parts:
         vertices, times = scene.grip.vertices, np.append(0.0, parts["times"])
         way = np.pad(scene.grip.displacement, ((1, 0), (0, 0), (0, 0)))

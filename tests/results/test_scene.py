@@ -56,6 +56,9 @@ def shaped(mechanics: Mechanics = MECHANICS) -> InteractionEstimate:
     return dataclasses.replace(RUN, estimate=found, mechanics=mechanics)
 
 
+PRESSES = {"step": RUN, "patch": shaped(), "euler": shaped(Mechanics(steps=120))}
+
+
 def press(run: InteractionEstimate) -> Known:
     load = fitted_press(CONTACT, run.estimate, run.mechanics.time_step, run.mechanics.steps)
     return Known(scene_of(run), whole_field(THETA, CONTACT.mesh, load, run.mechanics, dtype=np.float64))
@@ -63,19 +66,7 @@ def press(run: InteractionEstimate) -> Known:
 
 @functools.cache
 def known(name: str) -> Known:
-    return globals()[f"_{name}"]()
-
-
-def _step() -> Known:
-    return press(RUN)
-
-
-def _patch() -> Known:
-    return press(shaped())
-
-
-def _euler() -> Known:
-    return press(shaped(Mechanics(steps=120)))
+    return press(PRESSES[name]) if name in PRESSES else globals()[f"_{name}"]()
 
 
 def _pull() -> Known:
@@ -86,15 +77,11 @@ def _pull() -> Known:
 
 def _slab() -> Known:
     """At nodes of the surface on its pixels, when frames show them."""
-    contact, cells = slabs.contact_of(), (6, 6, 2)
-    coarse, fine = (
-        slab_beneath(slabs.MESH, slabs.VERTEX, slabs.NORMAL, slabs.THICKNESS, cells, order=n) for n in (1, 2)
-    )
-    theta = np.array(slabs.THETA) * (1, 1, 0.3)
-    corners = coarse.top[1:-1, 1:-1]
-    pixels = np.stack(np.meshgrid(coarse.columns[1:-1], coarse.rows[1:-1], indexing="ij"), axis=-1).reshape(-1, 2)[
-        :, ::-1
-    ]
+    contact, under = slabs.contact_of(), (slabs.MESH, slabs.VERTEX, slabs.NORMAL, slabs.THICKNESS, (6, 6, 2))
+    coarse, fine = (slab_beneath(*under, order=order) for order in (1, 2))
+    theta, corners = np.array(slabs.THETA) * (1, 1, 0.3), coarse.top[1:-1, 1:-1]
+    columns, rows = np.meshgrid(coarse.columns[1:-1], coarse.rows[1:-1], indexing="ij")
+    pixels = np.stack([rows.ravel(), columns.ravel()], axis=1)
     motion = SlabMotion(contact, coarse, pixels, slabs.TIMES, fine=fine, place=(17.4, 15.8))
     found = Estimate(theta, COVARIANCE, misfit=1.0, largest_misfit=1.5, slab=motion)
     run = dataclasses.replace(NONE, interaction=contact, estimate=found)
@@ -131,7 +118,7 @@ def _learnt() -> Known:
     return _field(0.15, "PBD-RM-ON")
 
 
-CASES = ["step", "patch", "euler", "pull", "slab", "palpation", "field", "volume", "learnt"]
+CASES = [*PRESSES, "pull", "slab", "palpation", "field", "volume", "learnt"]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -191,7 +178,7 @@ def numbers(root: ElementTree.Element, tag: str, name: str) -> np.ndarray:
 @pytest.mark.parametrize("name", ["euler", "patch"])
 def test_sofa_s_own_components_move_a_press_alike(name: str) -> None:
     """Explicit symplectic Euler, as `EulerExplicitSolver` and the force fields of SOFA's sources have it."""
-    root, mechanics = sofa(name), Mechanics(steps=120) if name == "euler" else MECHANICS
+    root, mechanics = sofa(name), PRESSES[name].mechanics
     first, second, stiffness, damping, length = numbers(root, "SpringForceField", "spring").reshape(-1, 5).T
     ends, step = np.array([first, second], int), float(root.get("dt", ""))
     place = rest = numbers(root, "TriangleSetTopologyContainer", "position").reshape(-1, 3)

@@ -39,7 +39,7 @@ UNDRIVEN = (
     "the online estimator needs a clip whose tool drives the tissue"
 )
 UNEXPORTED = (
-    "{} of {} runs of contact have no scene, as not all that simulating them takes is determined: "
+    "{} of {} runs of contact have no scene, as not all that simulating them takes is known: "
     "see verdict in interactions.csv"
 )
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")

@@ -199,8 +199,8 @@ def _rested(scene: Scene) -> np.ndarray:
 
 
 def _field(found: FieldEstimate) -> Scene:
-    if not found.determined:
-        raise NoEstimate("No place's stiffness is determined.")
+    if not found.explained:
+        raise NoEstimate("Tissue simulated under the instrument alone does not explain the motion.")
     last, session, way = found.last, found.driven.session, np.stack(found.driven.past)
     body, gripped = found.driven.surface.body, found.driven.surface.gripped
     values = {"points": body.rest, "triangles": body.faces, "springs": body.edges, "tetrahedra": body.tetrahedra}

@@ -13,7 +13,7 @@ are measured again where it says they are. Should more points err together than 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import compress
 from typing import NamedTuple
 
@@ -200,13 +200,14 @@ class SheetProblem:
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
         self.points, self.spacing = points, spacing
+        """Of the grid."""
         self._loaded_cells = loaded_cells(grid)
         self._middle, self._size = points.mean(axis=0), points.std(axis=0)
         self.loaded = len(self._loaded_cells)
         self._whitening = Whitening(points[self.counted], reach)
         self._expected = max(points_as_one(spacing, reach), 1.0)
 
-    def _following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
         """How places of the grid [n, 2] [px] follow loads and background, shape [n, M + 3]."""
         cells = np.rint(places / self.spacing).astype(np.int64)
         apart = np.moveaxis(cells[:, None] - self._loaded_cells, -1, 0) % SIZE
@@ -219,7 +220,7 @@ class SheetProblem:
         move the points, by the eigenvectors of what these say.
         """
         answer = response(float(np.exp(log_anchor)), SIZE)
-        rows = self._following(answer, self.points[self.counted])
+        rows = self.following(answer, self.points[self.counted])
         prior = load_precision(answer, self._loaded_cells, energy)[: self.loaded, : self.loaded]
         triangle = cholesky(prior, check_finite=False)
         by_number = solve_triangular(triangle, rows[:, : self.loaded].T, trans=1, check_finite=False).T
@@ -278,7 +279,7 @@ class SheetProblem:
 
     def motion(self, log_anchor: float, solved: Solved, places: np.ndarray) -> np.ndarray:
         """Where a sheet says that places of the grid go, shape as of the places […, 2] [px]."""
-        following = self._following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
+        following = self.following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
         return (following @ solved.unknowns).reshape(places.shape)
 
     def left(self, log_anchor: float, frame: SeenFrame, solved: Solved) -> np.ndarray:
@@ -395,8 +396,8 @@ def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: flo
     relative[-1] = 0.0
     log_sd = float(np.hypot(np.hypot(bent * sd, median_sd(followed) * deviation), uneven[1]))
     nodes = continued(problem.points, problem.spacing, 1)
-    still = [replace(frame, unknowns=np.pad(frame.unknowns[:-3], ((0, 3), (0, 0)))) for frame in solved]
-    sheet = SheetMotion(nodes, problem.spacing, np.stack([problem.motion(log_anchor, frame, nodes) for frame in still]))
+    rows = problem.following(response(float(np.exp(log_anchor)), SIZE), nodes)[:, :-3]
+    sheet = SheetMotion(nodes, problem.spacing, np.stack([rows @ frame.unknowns[:-3] for frame in solved]))
     return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd), sheet)
 
 

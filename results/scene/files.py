@@ -60,8 +60,9 @@ def scene_text(scene: Scene, format_: str) -> str:
 
 
 def _components(scene: Scene) -> dict[str, Any]:
-    """Numbers that SOFA's own components need besides parts; `pressed` or `gripped` are a row a vertex that is: its
-    number, times, and vectors then.
+    """Numbers that SOFA's own components need besides parts, by name.
+
+    Of vertices that are `pressed` or `gripped` there is a row each: its number, times, and vectors then.
 
     Explicit damping of a mass Δt/kick, `kick` being that of `physics.msd.reference.Integrator`, is the implicit (or
     exact) damping of the mass m. Springs without length pull as a sheet under tension does, whose pull at rest constant

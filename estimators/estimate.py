@@ -88,6 +88,8 @@ class Estimate:
     """Whether the light of the tissue was observed instead of its depth, so that lengths count in its distance."""
     left: float = math.nan
     """Share of the change of light that the model leaves, root mean square; not a number where no light is fitted."""
+    slab: Any = None
+    """Of a slab of finite elements what moves it, a `SlabMotion`; None = a sheet of springs."""
     refuted: str = ""
     """Sentence on another model that explains the motion better; empty where none is known."""
 

@@ -40,7 +40,7 @@ UNDRIVEN = (
     "the online estimator needs a clip whose tool drives the tissue"
 )
 UNEXPORTED = (
-    "{} of {} runs of contact have no scene, which takes a sheet of springs whose k_s, k_d and F are all determined: "
+    "{} of {} runs of contact have no scene, as not all that simulating them takes is known: "
     "see verdict in interactions.csv"
 )
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")

@@ -118,11 +118,10 @@ class Batch:
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
                 "there, or leave --calibration out."
             )
-        if options.export is not None and (self.estimator.name not in MAPPING or options.thickness is not None):
+        if options.export is not None and self.estimator.name == "gan":
             raise ValueError(
-                "--export writes sheets of springs whose k_s, k_d and F have intervals, which --estimator "
-                f"{self.estimator.name}{' --model fem' if options.thickness else ''} does not give; take network or "
-                "direct, without --thickness."
+                "--export writes what has intervals, which --estimator gan does not give; take network, direct or "
+                "online."
             )
         if options.bag is not None and (self.estimator.name == "online" or find_spec("rosbags") is None):
             raise ValueError("--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.")

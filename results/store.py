@@ -23,7 +23,7 @@ REPORT = "forces.json"
 """Files of a clip's folder. The record is written last: a folder that has it is complete."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
-SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
+SCENE = re.compile(r"scene_\d+\.(usda|scn|vtu|ply)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
     TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT,

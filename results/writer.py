@@ -27,7 +27,9 @@ from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
-from palpate.results.scene import FORMATS, Scene, write_scene
+from palpate.results.scene.files import scene_text
+from palpate.results.scene.kinds import scene_of
+from palpate.results.scene.scene import FORMATS
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
@@ -54,7 +56,7 @@ class ClipResults:
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
-        export: format of the scenes that are written, one of `results.scene.FORMATS`.
+        export: format of the scenes that are written, one of `results.scene.scene.FORMATS`.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
@@ -197,17 +199,16 @@ class ClipResults:
             self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export is not None:
-                self._write_scene(run, FORMATS[self._export]["ending"])
+                self._write_scene(run, self._export)
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 
-    def _write_scene(self, run: InteractionEstimate, ending: str) -> None:
+    def _write_scene(self, run: InteractionEstimate, export: str) -> None:
+        path = self._partial / f"scene_{run.onset_frame}.{FORMATS[export]['ending']}"
         try:
-            scene = Scene.of(run)
+            path.write_text(scene_text(scene_of(run), export), encoding="utf-8")
         except NoEstimate:
             self.unexported += 1
-        else:
-            write_scene(self._partial / f"scene_{run.onset_frame}.{ending}", scene)
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in newtons what was added, once all of it has been."""

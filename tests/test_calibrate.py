@@ -20,6 +20,8 @@ from palpate.evaluation.palpation import example
 from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
+from palpate.results.scene.files import read_scene
+from palpate.results.scene.kinds import simulated
 from tests.evaluation.palpation.test_curves import write_hold, write_probes
 from tests.tables import read_rows
 
@@ -92,15 +94,41 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
         return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, path)
 
     monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", fit)
-    assert calibrate.main(["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path)]) == 0
+    options = ["--output", str(tmp_path), "--export", "usd"]
+    assert calibrate.main(["palpation", str(write_scene(tmp_path)), *options]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["verdict"] == "nothing determined"
+    assert not list(tmp_path.glob("scene_*"))
     assert (record["young_pa"], record["poisson"]) == (None, None)
     assert "young_low_pa" not in record
     said = capsys.readouterr().out
     assert said.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
     with pytest.raises(InputError, match=r"calibration.json says that nothing is determined; press harder"):
         read_calibration(write_use(tmp_path))
+
+
+def test_palpations_have_scenes(tmp_path, capsys, monkeypatch):
+    """Of a curved body, in metres and newtons."""
+    found = []
+
+    def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
+        forces = np.zeros_like(skin.body.rest)
+        forces[skin.body.rest[:, 2].argmax()] = 0.05, 0.0, -0.2
+        found.append(find_equilibrium(skin.body, Material("corotational", 1e4, 0.4), held, forces=forces))
+        covariance = np.diag([0.01, 1e-4])
+        return MaterialFit(1e4, 0.4, covariance, [palpations[0].pose], found, 3e-4, [Progress(1e4, 0.4, 3, 5)])
+
+    monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", fit)
+    arguments = ["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path), "--export", "vtk"]
+    assert calibrate.main(arguments) == 0
+    assert "scene_1.vtu" in capsys.readouterr().err
+    moved = simulated(read_scene(tmp_path / "scene_1.vtu"))[0]
+    largest = np.abs(found[0].displacement).max()
+    np.testing.assert_allclose(moved, found[0].displacement, atol=0.001 * largest)
+    assert largest > 1e-4
+    with pytest.raises(SystemExit, match="2"):
+        calibrate.main([*arguments, "--optimizer", "gradient"])
+    assert "--optimizer gradient does not give" in capsys.readouterr().err
 
 
 def write_use(folder: Path) -> Path:

@@ -43,7 +43,7 @@ UNLIKE = MODEL_ERRORS.slab_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.slab_
 """Covariance of (log E, log d, log |F|) by what law and tip get wrong: of log E, and of log d/E and log F/E besides."""
 UNLIKE_FIRM = MODEL_ERRORS.firm_young**2 + np.diag(np.square([0.0, MODEL_ERRORS.firm_damping, MODEL_ERRORS.firm_force]))
 """The same where a firm region lies beneath, which is not one of those that are tried."""
-FINE, FINER = (10, 10, 3), (12, 12, 4)
+FINE, FINER = CELLS, (12, 12, 4)
 """Cells of the quadratic elements whose small motions are fitted, and of those by which their error is measured."""
 SlabProblem = SequenceProblem[SlabMotion]
 LOWER = 1.0
@@ -99,7 +99,7 @@ def fit_slab(
     at = int(np.flatnonzero(problem.patches.vertices == contact.vertex)[0])
     path = problem.motion.at(logs)[0][:, at] @ np.asarray(contact.direction, np.float64)
     theta = theta_of(np.clip(valley.mean + shift, *box[:, :3]))
-    known = {"theta": theta, "covariance": spread, "outliers": problem.outliers}
+    known = {"theta": theta, "covariance": spread, "outliers": problem.outliers, "slab": problem.motion}
     refuted = relaxation(problem, logs, problem_of(place, relaxing=True), fits, scale)
     found = press_estimate(problem, box, logs, logs, problem.information(logs), refuted=refuted, **known)
     return found, (np.append(0.0, problem.motion.times), np.append(0.0, path))

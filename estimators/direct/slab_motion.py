@@ -113,7 +113,7 @@ class SlabMotion(DelayedMotion):
         """Steps of it."""
         self._shares = slab.patch(PATCH, place)
         self._pixels, self._shown = pixels, slab.between(pixels)
-        self._fine, self._place, self.region = fine, place, region
+        self.fine, self.place, self.region = fine, place, region
         self._latest: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
@@ -142,7 +142,7 @@ class SlabMotion(DelayedMotion):
 
     def _corrected(self, logs: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A motion of the body and its derivatives with what its elements get wrong in small motions put right."""
-        if self._fine is None:
+        if self.fine is None:
             return found, slopes
         steps = SLIGHT * np.eye(len(logs))
         change = [(self._wrong(logs + step) - self._wrong(logs - step)) / (2 * SLIGHT) for step in steps]
@@ -182,7 +182,7 @@ class SlabMotion(DelayedMotion):
 
     @cached_property
     def _modes(self) -> tuple[Modes, np.ndarray]:
-        return self._coarse_modes if self._fine is None else self._modes_of(self._fine)
+        return self._coarse_modes if self.fine is None else self._modes_of(self.fine)
 
     @cached_property
     def _coarse_modes(self) -> tuple[Modes, np.ndarray]:
@@ -190,7 +190,7 @@ class SlabMotion(DelayedMotion):
 
     def _modes_of(self, slab: Slab) -> tuple[Modes, np.ndarray]:
         """Of a body, and how the places move in each, shape [V, 3, M]."""
-        pattern = slab.patch(PATCH, self._place)[:, None] * np.asarray(self.contact.direction, np.float64)
+        pattern = slab.patch(PATCH, self.place)[:, None] * np.asarray(self.contact.direction, np.float64)
         shift = 4 / (self.step**2 * USUAL_YOUNG)
         tissue = Material("linear", _stiffer(slab, self.region), POISSON)
         modes = Modes(slab.solid, tissue, slab.held, DENSITY, pattern, shift)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
+from palpate.estimators.grip.sheet import SheetMotion
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
 
@@ -51,6 +52,8 @@ class GripEstimate:
     """Followed tissue at rest, to draw a map where it is by then, shape [N, 2] [px of the map's picture]."""
     moved: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 2)))
     """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
+    sheet: SheetMotion | None = None
+    """How the sheet moves at the times; None where it does not explain the motion to within the noise."""
     reaction_over_young: float = math.nan
     """What holds the tissue in the last frame over E, if a slab of given thickness lies beneath; nan where none was
     fitted [scene units²]."""

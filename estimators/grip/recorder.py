@@ -114,7 +114,7 @@ class GripRecorder:
             return found
         moved = np.stack([frame.moved for frame in frames])
         pulled = {} if self._slab is None else self._pulled(*self._slab)
-        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, **pulled)
+        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, sheet=fit.sheet, **pulled)
 
     @property
     def _grid(self) -> PointGrid:

@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.sparse import csr_array
 
 from palpate.common.robust import error_scale, median_sd, student_loss, student_weights
-from palpate.estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, evenly
+from palpate.estimators.grip.lattice import PIECE, SPREAD, TYPICAL_ANCHOR, along_last, continued, evenly
 from palpate.estimators.grip.whitening import MEASURED_REACH, REACH, Whitening, correlated_points, points_as_one
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.sheet import response
@@ -72,6 +72,17 @@ STEP = 0.1
 EXCESS = MODEL_ERRORS.sheet_excess
 """Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: free forces then
 explain too much. Nor is it one where what is left of the motion goes together over many points (`sheet_together`)."""
+
+
+class SheetMotion(NamedTuple):
+    """How a sheet moves that explains a pull; M nodes, T frames."""
+
+    nodes: np.ndarray
+    """At rest, shape [M, 2] [px]."""
+    spacing: int
+    """Between neighbours [px]."""
+    moved: np.ndarray
+    """Without the background's motion, shape [T, M, 2] [px]."""
 
 
 class NoSheet(ValueError):
@@ -188,16 +199,17 @@ class SheetProblem:
         cells = np.rint(points / spacing).astype(np.int64)
         self.counted = np.flatnonzero((distance < DENSE) | (cells % THIRD == 0).all(axis=1))
         """Points that count, shape [n]."""
-        self._points, self._spacing = points, spacing
+        self.points, self.spacing = points, spacing
+        """Of the grid."""
         self._loaded_cells = loaded_cells(grid)
         self._middle, self._size = points.mean(axis=0), points.std(axis=0)
         self.loaded = len(self._loaded_cells)
         self._whitening = Whitening(points[self.counted], reach)
         self._expected = max(points_as_one(spacing, reach), 1.0)
 
-    def _following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def following(self, answer: np.ndarray, places: np.ndarray) -> np.ndarray:
         """How places of the grid [n, 2] [px] follow loads and background, shape [n, M + 3]."""
-        cells = np.rint(places / self._spacing).astype(np.int64)
+        cells = np.rint(places / self.spacing).astype(np.int64)
         apart = np.moveaxis(cells[:, None] - self._loaded_cells, -1, 0) % SIZE
         return np.hstack([answer[tuple(apart)], (places - self._middle) / self._size, np.ones((len(places), 1))])
 
@@ -208,7 +220,7 @@ class SheetProblem:
         move the points, by the eigenvectors of what these say.
         """
         answer = response(float(np.exp(log_anchor)), SIZE)
-        rows = self._following(answer, self._points[self.counted])
+        rows = self.following(answer, self.points[self.counted])
         prior = load_precision(answer, self._loaded_cells, energy)[: self.loaded, : self.loaded]
         triangle = cholesky(prior, check_finite=False)
         by_number = solve_triangular(triangle, rows[:, : self.loaded].T, trans=1, check_finite=False).T
@@ -267,18 +279,18 @@ class SheetProblem:
 
     def motion(self, log_anchor: float, solved: Solved, places: np.ndarray) -> np.ndarray:
         """Where a sheet says that places of the grid go, shape as of the places […, 2] [px]."""
-        following = self._following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
+        following = self.following(response(float(np.exp(log_anchor)), SIZE), places.reshape(-1, 2))
         return (following @ solved.unknowns).reshape(places.shape)
 
     def left(self, log_anchor: float, frame: SeenFrame, solved: Solved) -> np.ndarray:
         """What is not explained over its given size, of all points, shape [N, 2]; outliers count little."""
-        off = frame.moved - self.motion(log_anchor, solved, self._points)
+        off = frame.moved - self.motion(log_anchor, solved, self.points)
         variance = np.square(np.maximum(frame.noise, LINK)) + solved.scale
         return off * np.sqrt(student_weights(np.square(off).sum(axis=1), variance) / variance)[:, None]
 
     def wider(self, left: np.ndarray) -> float:
         """By which factor variances grow if more points err together than was taken for granted, 1 or more."""
-        return max(correlated_points(self._points, self._spacing, left) / self._expected, 1.0)
+        return max(correlated_points(self.points, self.spacing, left) / self._expected, 1.0)
 
 
 def _factor(rows: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -321,6 +333,8 @@ class FoundationFit(ForceFit):
     """Log of foundation over spring stiffness."""
     log_anchor_sd: float
     """Its standard deviation."""
+    sheet: SheetMotion | None = None
+    """How the sheet moves in the frames; None where its grip is taken as it was seen."""
 
 
 def fit_foundation(grid: PointGrid, frames: list[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
@@ -381,7 +395,10 @@ def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: flo
     # The last frame's ratio is 1 by definition.
     relative[-1] = 0.0
     log_sd = float(np.hypot(np.hypot(bent * sd, median_sd(followed) * deviation), uneven[1]))
-    return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd))
+    nodes = continued(problem.points, problem.spacing, 1)
+    rows = problem.following(response(float(np.exp(log_anchor)), SIZE), nodes)[:, :-3]
+    sheet = SheetMotion(nodes, problem.spacing, np.stack([rows @ frame.unknowns[:-3] for frame in solved]))
+    return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd), sheet)
 
 
 class _Found(NamedTuple):

@@ -72,7 +72,8 @@ class DrivenTissue:
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
-        self._past: deque[np.ndarray] = deque(maxlen=PAST)
+        self.past: deque[np.ndarray] = deque(maxlen=PAST)
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
         self._seen: deque[np.ndarray] = deque(maxlen=PAST)
         """Displacement of all followed points in these frames."""
         self._moving = np.zeros(body.count, bool)
@@ -156,7 +157,7 @@ class DrivenTissue:
     def _fitted(self) -> bool:
         """Choose time step, foundation and bending by the first frames; whether these tell anything."""
         settings = self.settings
-        way = np.stack(self._past) - self.surface.body.rest[self.surface.gripped]
+        way = np.stack(self.past) - self.surface.body.rest[self.surface.gripped]
         seen = np.stack([frame[0][self.around] for frame in self._first])
         grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
         bounds, stepping = settings.bounds, settings.stepping
@@ -184,7 +185,7 @@ class DrivenTissue:
         seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)
-        self._past.append(self._places)
+        self.past.append(self._places)
         self._seen.append(moved)
         first, second = self._edges
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
@@ -206,7 +207,7 @@ class DrivenTissue:
             moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; of none, which model
                 predicts better is said alone.
         """
-        path, places = list(self._past), self._places
+        path, places = list(self.past), self._places
         for motion in moved:
             found = self.gripped_places(motion)
             places = places if found is None else found

@@ -163,7 +163,7 @@ class _Followed:
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
         where = self._picture, driven.surface.pixels, *points
         skills = driven.ahead(np.empty((0, len(self._follower.points), 2))).skills if len(times) > 2 else {}
-        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), skills)
+        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), driven, skills)
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
 
 
@@ -101,6 +102,8 @@ class FieldEstimate:
     """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
     stretched: bool
     """Whether tissue has anywhere stretched by as much as settings ask for."""
+    driven: DrivenTissue
+    """What was simulated, as it was left."""
     skills: Mapping[str, float] = field(default_factory=dict)
     """How well later frames are predicted from earlier ones, by model (`estimators.online.forecast`): skill."""
 

@@ -37,6 +37,9 @@ from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
+from palpate.results.scene.files import scene_text
+from palpate.results.scene.kinds import palpation_scene
+from palpate.results.scene.scene import FORMATS
 from palpate.results.store import OutputError, make_output, writing
 from palpate.results.surface_plot import draw_surface_errors
 
@@ -59,6 +62,7 @@ def build_parser() -> argparse.ArgumentParser:
     text = "of the sheet that the tissue's surface is on video, for infer.py --calibration"
     thickness = real_number("a positive number", 1e-6)
     palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
+    palpation.add_argument("--export", choices=list(FORMATS), help="write a scene of each palpation (docs/results.md)")
     curves = doors.add_parser("curves", help="forces over depth or time")
     curves.add_argument("files", nargs="+", type=path_option, metavar="FILE", help="tables")
     curves.add_argument("--indenter", choices=("sphere", "flat", "cone"), help="its shape (default: unknown)")
@@ -83,18 +87,21 @@ def main(arguments: list[str] | None = None) -> int:
             indenter = Indenter(options.indenter, options.size, options.poisson)
         except ValueError as error:
             parser.error(str(error))
+    if not curves and options.export is not None and options.optimizer == "gradient":
+        parser.error("--export writes E with its interval, which --optimizer gradient does not give; leave one out.")
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in (("curves.csv",) if curves else PALPATION)))
         if curves:
             return _curves(options.files, indenter, options.output, console)
-        return _palpation(options.scene, options.optimizer, options.sheet_thickness, options.output, console)
+        return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
         return 1
 
 
-def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path, console: Console) -> int:
+def _palpation(options: argparse.Namespace, console: Console) -> int:
+    path, optimizer, thickness, output = options.scene, options.optimizer, options.sheet_thickness, options.output
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
@@ -126,7 +133,11 @@ def _palpation(path: Path, optimizer: str, thickness: float | None, output: Path
     _write(output, "errors.csv", _errors(scene, found.rests, found.poses))
     with writing(output), replacing_own(output / PALPATION[2]) as partial:
         write_figure(partial, _picture(scene, found))
-    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
+    names = list(PALPATION)
+    for number in range(len(found.rests) if options.export is not None and not nothing else 0):
+        names.append(f"scene_{number + 1}.{FORMATS[options.export]['ending']}")
+        _write(output, names[-1], scene_text(palpation_scene(found, number), options.export))
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")

@@ -23,7 +23,7 @@ from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
-from palpate.results.scene import FORMATS
+from palpate.results.scene.scene import FORMATS
 from palpate.results.store import BAGS
 
 

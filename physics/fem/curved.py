@@ -42,6 +42,11 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
         step[np.unique(solid.elements[crushed])] /= 2
     else:
         step[:] = 0
-    bent = solid.deformation(step)
-    gradients, weights = np.matmul(solid.gradients, np.linalg.inv(bent)), solid.weights * np.linalg.det(bent)
+    return bent(solid, step)
+
+
+def bent(solid: Solid, step: np.ndarray) -> Solid:
+    """A body of straight elements with its nodes moved, shape [N, 3] [m], none of which turns an element over."""
+    change = solid.deformation(step)
+    gradients, weights = np.matmul(solid.gradients, np.linalg.inv(change)), solid.weights * np.linalg.det(change)
     return dataclasses.replace(solid, rest=solid.rest + step, gradients=gradients, weights=weights)

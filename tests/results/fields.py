@@ -1,10 +1,12 @@
 """Fields of stiffness and grips, and what is found of one over a run of contact."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 
 REST = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], float)
@@ -25,7 +27,7 @@ PULL = FieldEstimate(
     points=np.array([[10.0, 10.0], [30.0, 20.0]]), observed=np.array([[3.0, 4.0], [np.nan, np.nan]]),
     predicted=np.array([[3.0, 3.0], [1.0, 0.0]]), times=TIMES,
     course=np.array([[0.0, 0.0, 0.0], [2.0, 1.5, 0.6], [5.0, 4.2, 1.0]]),
-    numbers=_NUMBERS | {"shape_known": np.zeros(3)}, stretched=True,
+    numbers=_NUMBERS | {"shape_known": np.zeros(3)}, stretched=True, driven=cast(DrivenTissue, None),
 )  # fmt: skip
 """Of two followed points, one of which is lost by the last frame."""
 _SECONDS = np.arange(1.0, 4.0)

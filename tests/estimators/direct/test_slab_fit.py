@@ -42,6 +42,7 @@ def test_a_fit_recovers_what_made_the_sequence(recovered: tuple[Interaction, Est
     found = recovered[1]
     assert found.explained
     assert not found.refuted
+    np.testing.assert_array_equal(found.slab.times, TIMES)  # what moves it, for scenes
     assert 0.8 < found.misfit < 1.2
     # Besides what the depth-change sequence tells, law and tip are not the tissue's.
     assert np.linalg.eigvalsh(found.covariance - UNLIKE).min() > 0

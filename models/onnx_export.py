@@ -134,8 +134,7 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
         exported = _Parameters(network)
     else:
-        without_picture = isinstance(network, Generator) and network.posterior.picture is None
-        exported = _Posterior(network.posterior if without_picture else network)
+        exported = _Posterior(network)
         document |= {"head": POSTERIOR, "calibration": asdict(Calibration())}
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))

@@ -58,7 +58,7 @@ def config(clips: Path) -> Path:
     """Configuration of a network that trains in seconds; the run folder is `run` beside it."""
     trainer = {"default_root_dir": str(clips.parent / "run"), "max_epochs": 1, "accelerator": "cpu", "devices": 1}
     trainer |= {"enable_progress_bar": False, "enable_model_summary": False}
-    model = {"width": 4, "residual_blocks": 1, "augmentation": {"noise": 0.002}}
+    model = {"width": 4, "residual_blocks": 1, "noise": 0.002}
     model |= {"mechanics": {"steps": 40, "load_steps": 10}}
     model |= {"bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]}}
     data = {"root": str(clips), "cache": str(clips.parent / "cache"), "geometry": {"height": 40, "width": 56}}
@@ -483,7 +483,7 @@ def together(*commands: list[str], **environment: str) -> list[str]:
 @pytest.mark.slow
 def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
-    same = "--model.augmentation.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
+    same = "--model.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
     same += " --data.samples.onset_within 7 --trainer.deterministic true"
     arguments = ["-c", str(config), *same.split()]
     one, two = tmp_path / "one", tmp_path / "two"

@@ -13,7 +13,6 @@ from tests.test_architecture import ROOT, faces, modules
 MODULES = [
     "benchmarks.inference",
     "data.cholecseg8k",
-    "data.depth.photometric",
     "data.synthetic",
     "estimators.network.calibration",
     "estimators.network.light_calibration",

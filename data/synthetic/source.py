@@ -55,10 +55,6 @@ class _Depth(DepthSource):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Nothing of synthetic depth depends on the clip's frames."""
 
-    def convert(self, raw: RawDepth) -> np.ndarray:
-        """Synthetic depth needs no conversion."""
-        return raw.values
-
 
 class _Masks:
     """Observed masks of a synthetic clip."""

@@ -10,7 +10,3 @@ workers       processes that work through tasks; ahead: threads that do so for t
 distributed   workers of other machines that do
 robust        Student's errors, spreads by medians, affine motions of points
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("common", "data", "estimators", "evaluation", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
-PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/mesh.py")
+PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "physics/mesh.py")
 """What it depends on outside data/."""
 KINDS = (".py", ".yaml", ".onnx")
 Part = Literal["all", "preparation", "kernels"]

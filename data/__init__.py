@@ -19,7 +19,6 @@ import os
 from palpate.common.lazy import exported
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.data.clip": ("ClipStream", "prepare"),
         "palpate.data.settings": ("PrepareSettings",),

@@ -9,9 +9,7 @@ import json
 import math
 import os
 import re
-import shutil
 import tempfile
-import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -35,10 +33,6 @@ from palpate.physics.mesh import Mesh
 
 HASHED_BYTES = 64 * 2**20
 """Largest model that enters a key by its content [bytes]; larger ones enter by size and time of change."""
-STALE_SECONDS = 86400.0
-"""Age of an unfinished folder from which on it is left over from a killed process [s]."""
-MARKER = ".unfinished-clip"
-"""File that distinguishes an unfinished folder of this module from a user's hidden folder."""
 ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
 AS_PREPARED = (
@@ -214,11 +208,9 @@ class CacheEntry:
         columns: dict[str, Any] = defaultdict(list)
         try:
             self.cache_dir.mkdir(parents=True, exist_ok=True)
-            remove_stale(self.cache_dir)
             with tempfile.TemporaryDirectory(prefix=".tmp-", dir=self.cache_dir) as temporary:
                 folder = Path(temporary, self.folder.name)
                 folder.mkdir()
-                Path(temporary, MARKER).touch()
                 for index, prepared in enumerate(frames):
                     mesh = {} if prepared.geometry is None else vars(prepared.geometry.mesh)
                     np.savez(_frame_file(folder, index), depth=prepared.depth, labels=prepared.labels, **mesh)
@@ -265,21 +257,3 @@ def _row(prepared: PreparedFrame) -> dict[str, Any]:
         "normal": np.full(3, np.nan) if geometry is None else geometry.normal,
         "noise": math.nan if geometry is None else geometry.noise,
     }
-
-
-def remove_stale(cache_dir: Path) -> None:
-    """Remove unfinished folders that no process has written to for `STALE_SECONDS`."""
-    for folder in cache_dir.glob(".tmp-*"):
-        with contextlib.suppress(FileNotFoundError):  # another process may be removing it as well
-            if not (folder / MARKER).is_file() or time.time() - _newest(folder) <= STALE_SECONDS:
-                continue
-            for entry in folder.iterdir():
-                if entry.is_dir():
-                    _remove(entry)
-            if {entry.name for entry in folder.iterdir()} == {MARKER}:  # else a user's file is in it
-                shutil.rmtree(folder, ignore_errors=True)
-
-
-def _newest(folder: Path) -> float:
-    """Latest time of change in a folder and below [s since the epoch]."""
-    return max(entry.stat().st_mtime for entry in (folder, *folder.rglob("*")))

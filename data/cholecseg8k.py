@@ -1,4 +1,4 @@
-"""`python -m data.cholecseg8k DIR`: checks a CholecSeg8k folder and prepares it (see `data.training.cholecseg8k`)."""
+"""`python -m data.cholecseg8k DIR`: prepares a CholecSeg8k folder (see `data.training.cholecseg8k`)."""
 
 from palpate.common.doors import enter_door, run_door
 

@@ -11,7 +11,6 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,28 +41,27 @@ Noticed = Callable[[PreparedFrame], None] | None
 """Called with every frame that is prepared, before its contact is decided."""
 
 
-@dataclass(frozen=True)
-class ClipInputs:
-    """Where labels, depth and camera of a clip come from when they lie in no file; None = as the settings say."""
-
-    masks: MaskSource | None = None
-    depth: DepthSource | None = None
-    camera: Camera | None = None
-
-
 class ClipStream:
     """Prepared frames of a clip, in order and one at a time, with one frame of look-ahead.
 
     No bad frame ends the stream: it comes with a status other than `ok` and a sentence in `detail`.
     """
 
-    def __init__(self, source: FrameSource, settings: PrepareSettings, inputs: ClipInputs | None = None) -> None:
+    def __init__(
+        self,
+        source: FrameSource,
+        settings: PrepareSettings,
+        *,
+        masks: MaskSource | None = None,
+        depth: DepthSource | None = None,
+        camera: Camera | None = None,
+    ) -> None:
         """Open masks and depth, and fix the clip's scale and camera.
 
         Args:
             source: the pictures.
             settings: how to prepare them.
-            inputs: labels, depth and camera, instead of those that the settings name.
+            masks, depth, camera: of a clip whose own lie in no file; None = as the settings say.
 
         Raises:
             InputError: a model, preset, camera or clip file can't be used.
@@ -71,13 +69,12 @@ class ClipStream:
         self.source, self.settings = source, settings
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
-        given = ClipInputs() if inputs is None else inputs
-        depth, of_clip = settings.depth, (settings.layout, settings.classes, source.path)
-        self._masks = given.masks or open_masks(
-            settings.masks, *of_clip, threads=depth.threads, device=depth.device, every=settings.every
+        of_clip, runs = (settings.layout, settings.classes, source.path), settings.depth
+        self._masks = masks or open_masks(
+            settings.masks, *of_clip, threads=runs.threads, device=runs.device, every=settings.every
         )
-        self._depth = given.depth or open_depth(settings.depth, settings.layout, source)
-        camera = given.camera or clip_camera(source.path, settings.layout)
+        self._depth = depth or open_depth(settings.depth, settings.layout, source)
+        camera = camera or clip_camera(source.path, settings.layout)
         self.metric = self._depth.metric
         """Whether `scale` is in metres."""
         self._scale_error = ""

@@ -46,8 +46,6 @@ class PictureNetwork:
         self._input = inputs[0]
         self.outputs = [entry.name for entry in session.get_outputs()]
         """Names of the network's outputs."""
-        self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
-        """Metadata that the file holds."""
 
     @property
     def provider(self) -> str:

@@ -1,8 +1,8 @@
 """Everything that decides how a clip's frames are prepared."""
 
-import math
 from dataclasses import dataclass, field
 
+from palpate.common.settings import require_numbers
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.masks.sources import MaskClasses
@@ -36,10 +36,7 @@ class PrepareSettings:
     instruments are followed, or sought where none is known and the picture has changed."""
 
     def __post_init__(self) -> None:
-        if self.bridge_frames < 0:
-            raise ValueError(f"bridge_frames is {self.bridge_frames}; give 0 or more.")
-        if not (math.isfinite(self.track_seconds) and self.track_seconds >= 0):
-            raise ValueError(f"track_seconds is {self.track_seconds}; give a number of seconds of at least 0.")
+        require_numbers(self, not_negative=NUMBERS)
         if self.every < 1:
             raise ValueError(f"every is {self.every}; give 1 or more.")
 

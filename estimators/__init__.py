@@ -16,7 +16,3 @@ dent            what tells a press that no tool shows
 model_settings  an exported network's preparation, and what both networks' estimators share
 session         runs a session over a clip: the one way in which frames become estimates
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

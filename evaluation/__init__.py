@@ -12,7 +12,3 @@ palpation    measured forces on tissue, judged on what was kept back; a door of 
 foreign      the finite elements on other people's data: a silicone beam; a door of its own
 page         Markdown and figures as one HTML page; result_figure: the README's picture, a door of its own
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

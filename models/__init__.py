@@ -10,7 +10,3 @@ onnx_export     writes a trained network as one ONNX file, and calibrates such a
 onnx_session    runs an exported network, without torch
 weights/        the networks that ship with the program, and their model cards
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -15,7 +15,7 @@ from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
 
 FIXED = (
-    *("window", "width", "residual_blocks", "decoder", "head", "picture"),
+    *("window", "width", "residual_blocks", "decoder", "head"),
     *("bounds.stiffness", "bounds.damping", "bounds.force"),
     *(f"mechanics.{field.name}" for field in fields(Mechanics)),
 )

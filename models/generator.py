@@ -23,22 +23,20 @@ class ContactHead(nn.Module):
         channels: number of channels of the encoder's features.
         bounds: admissible box of θ and where the untrained head starts in it.
         contact_features: length of the contact's vector.
-        picture: whether the head uses the encoder's features at all.
     """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, channels: int, bounds: Bounds, contact_features: int, picture: bool = True) -> None:
+    def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
         super().__init__()
         if contact_features < 1:
             raise ValueError(
                 "head posterior needs the contact's motion and its noise; set data.samples.observation to "
                 "trajectory and data.geometry.smoothing above 0, or choose head parameters."
             )
-        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1) if picture else None
-        picture_channels = channels if picture else 0
-        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=picture_channels)
+        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
         self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():
@@ -60,8 +58,6 @@ class ContactHead(nn.Module):
 
     def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:
         """Features [B, C, h, w] and the contact's vector [B, contact_features] → mean [B, 3], factor L [B, 3, 3]."""
-        if self.convolution is None:
-            return self.posterior(contact)
         picture = functional.relu(self.convolution(features)).mean(dim=(2, 3))
         return self.posterior(contact, picture)
 
@@ -205,7 +201,6 @@ class Generator(nn.Module):
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.generator.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
-        picture: whether head posterior uses the encoder's features.
     """
 
     def __init__(
@@ -217,14 +212,11 @@ class Generator(nn.Module):
         decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
-        picture: bool = True,
     ) -> None:
         super().__init__()
         for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
             if value not in choices:
                 raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
-        if not picture and head != "posterior":
-            raise ValueError(f"picture is false and head {head}, which has no other input; choose head posterior.")
         if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "
@@ -240,7 +232,7 @@ class Generator(nn.Module):
         bounds = bounds or Bounds()
         self.head: ParameterHead | ContactHead
         if head == "posterior":
-            self.head = ContactHead(4 * width, bounds, contact_features, picture)
+            self.head = ContactHead(4 * width, bounds, contact_features)
         else:
             self.head = ParameterHead(4 * width, bounds)
         self.decoder = Decoder(width, residual_blocks, decoder)

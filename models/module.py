@@ -3,8 +3,9 @@
 Sensor noise on the windows that the networks see is optional, and off by default.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -13,9 +14,8 @@ import torch
 from kornia.augmentation import RandomGaussianNoise
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
-from torch import Tensor, nn
+from torch import Tensor
 
-from palpate.common.settings import require_numbers
 from palpate.models import losses
 from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
@@ -32,37 +32,6 @@ UNTRAINED = "picture.weight", "picture.bias"
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
 Own = TypeVar("Own")
-
-
-@dataclass(frozen=True)
-class AugmentationSettings:
-    """Noise on the windows that enter the networks; the depth maps in the losses stay without it."""
-
-    noise: float = 0.0
-    """Standard deviation of Gaussian noise on every valid depth pixel [scene units]; 0 = none."""
-
-    def __post_init__(self) -> None:
-        require_numbers(self, not_negative=("noise",), group="augmentation.")
-
-
-class WindowAugmentation(nn.Module):
-    """Adds noise to windows of depth maps, reproducibly: the same seed gives the same noise."""
-
-    def __init__(self, settings: AugmentationSettings) -> None:
-        super().__init__()
-        self.settings = settings
-        self.noise = RandomGaussianNoise(mean=0.0, std=settings.noise, p=1.0)
-
-    def forward(self, window: Tensor, seed: int) -> Tensor:
-        """Window [B, K, H, W] with 0 = invalid → the window with noise; invalid pixels stay invalid.
-
-        The global random state is left as it was, so that a resumed training gets the noise of an uninterrupted one.
-        """
-        if not self.settings.noise:
-            return window
-        with torch.random.fork_rng(devices=[window.device] if window.device.type == "cuda" else []):
-            torch.manual_seed(seed)
-            return self.noise(window).clamp(0.0, 1.0) * (window > 0)
 
 
 class TrainingDiverged(ValueError):
@@ -91,14 +60,14 @@ class PhysicsInformedGAN(LightningModule):
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        picture: whether head posterior uses the encoder's features; switched off in ablations.
         pretrained: weights of head posterior that configs/contact.yaml trained or `estimators.network.calibration`
             exported, loaded before training; shipped: those that come with the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
         weights: λ of the five loss terms; a term of weight 0 is not computed, and without gan no discriminator trains.
-        augmentation: noise on the input windows in training.
+        noise: standard deviation of Gaussian noise on every valid pixel of the windows that enter the networks in
+            training [scene units]; the depth maps in the losses stay without it, and 0 is none.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
         compile: whether torch.compile translates encoders, decoders and discriminators when fit starts, which takes
@@ -113,34 +82,35 @@ class PhysicsInformedGAN(LightningModule):
         decoder: Literal["direct", "residual", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
-        picture: bool = True,
         pretrained: str | None = None,
         pretrained_rate: float = 0.1,
         bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
         mechanics: Mechanics = Mechanics(),  # noqa: B008
         weights: LossWeights = LossWeights(),  # noqa: B008
-        augmentation: AugmentationSettings = AugmentationSettings(),
+        noise: float = 0.0,
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
         compile: bool = False,
     ) -> None:
         super().__init__()
         bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
-        weights, augmentation = _settings(LossWeights, weights), _settings(AugmentationSettings, augmentation)
+        weights = _settings(LossWeights, weights)
         if not (learning_rate > 0 and all(0 <= beta < 1 for beta in betas)):
             raise ValueError(
                 f"learning_rate is {learning_rate} and betas {list(betas)}; give a positive rate and betas in [0, 1)."
             )
+        if not 0 <= noise < math.inf:
+            raise ValueError(f"noise is {noise}; give 0 or more.")
         if pretrained is not None and head != "posterior":
             raise ValueError(f"pretrained is {pretrained} and head {head}; it holds weights of head posterior.")
         if not 0 <= pretrained_rate <= 1:
             raise ValueError(f"pretrained_rate is {pretrained_rate}; give a share of learning_rate in [0, 1].")
         shape: dict[str, Any] = {"width": width, "residual_blocks": residual_blocks, "decoder": decoder, "head": head}
-        shape |= {"contact_features": contact_features, "picture": picture}
-        groups = {"bounds": bounds, "mechanics": mechanics, "weights": weights, "augmentation": augmentation}
+        shape["contact_features"] = contact_features
+        groups = {"bounds": bounds, "mechanics": mechanics, "weights": weights}
         # Plain values only: a checkpoint must load without running code.
         plain = {name: asdict(settings) for name, settings in groups.items()}
-        rates = {"learning_rate": learning_rate, "betas": list(betas)}
+        rates = {"noise": noise, "learning_rate": learning_rate, "betas": list(betas)}
         self.save_hyperparameters({"window": window, **shape, **plain, **rates})
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
@@ -149,7 +119,7 @@ class PhysicsInformedGAN(LightningModule):
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
-        self.augmentation = WindowAugmentation(augmentation)
+        self.noise = RandomGaussianNoise(std=noise, p=1.0) if noise else None
         self.sample: tuple[Tensor, Tensor] | None = None
         """Real and predicted next depth of the first validation pair, shape [H, W] each, for the tracked pictures."""
         self.test_records: list[dict[str, Any]] = []
@@ -374,9 +344,16 @@ class PhysicsInformedGAN(LightningModule):
         return loss.detach()
 
     def _augmented(self, window: Tensor, direction: int) -> Tensor:
-        """The window with the noise of training; the seed follows the step, so that resuming is exact."""
+        """The window [B, K, H, W] with the noise of training, its invalid pixels (0) as they are.
+
+        The seed follows the step, and the global random state is left as it was, so that resuming is exact.
+        """
+        if self.noise is None:
+            return window
         step = self.global_step if self._trainer is not None else 0
-        return self.augmentation(window, seed=(2 * step + direction) * 1009 + self.global_rank)
+        with torch.random.fork_rng(devices=[window.device] if window.device.type == "cuda" else []):
+            torch.manual_seed((2 * step + direction) * 1009 + self.global_rank)
+            return self.noise(window).clamp(0.0, 1.0) * (window > 0)
 
     def _step(self, optimizer: LightningOptimizer, loss: Tensor, batch: dict[str, Any]) -> None:
         """One step down the loss.

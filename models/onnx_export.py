@@ -134,8 +134,7 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
         exported = _Parameters(network)
     else:
-        without_picture = isinstance(network, Generator) and network.posterior.picture is None
-        exported = _Posterior(network.posterior if without_picture else network)
+        exported = _Posterior(network)
         document |= {"head": POSTERIOR, "calibration": asdict(Calibration())}
     exported.cpu().eval()
     window = tuple(metadata["input"][name] for name in ("window", "height", "width"))
@@ -271,7 +270,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     contact, widening = inputs[CONTACT], Widening(calibration).eval()
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
     model = onnx.load(source)
-    _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, "own": own}, (LOG_COVARIANCE,)))
+    _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,)))
 
     def difference_of(path: Path) -> float:
         found = torch.from_numpy(PosteriorModel(path)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
@@ -281,15 +280,11 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
 
 
 def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:
-    """Append a graph from (contact, mean, own) to the covariance to a graph whose covariance is then called own."""
+    """Append a graph that makes the covariance of contact, mean and own covariance, which a graph's then is."""
     for node in graph.node:
         for names in (node.input, node.output):
             names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
-    added = onnx.compose.add_prefix(widening, NAME_PREFIX).graph
-    outer = {f"{NAME_PREFIX}{name}": name for name in (CONTACT, LOG_MEAN, LOG_COVARIANCE)}
-    for node in added.node:
-        for names in (node.input, node.output):
-            names[:] = [outer.get(name, name) for name in names]
+    added = _prefixed(widening, NAME_PREFIX)
     graph.node.extend(added.node)
     graph.initializer.extend(added.initializer)
 
@@ -345,13 +340,7 @@ def add_light(source: Path, output: Path, posterior: ContactPosterior, weights_s
     random, features = torch.Generator().manual_seed(0), len(posterior.centre)
     light = posterior.centre + posterior.scale * torch.randn(PARITY_BATCH, features, generator=random)
     added = to_onnx(network, {LIGHT: light}, (LIGHT_MEAN, LIGHT_COVARIANCE))
-    added = onnx.compose.add_prefix(added, LIGHT_PREFIX).graph
-    for node in added.node:
-        for names in (node.input, node.output):
-            names[:] = [_outer(name) for name in names]
-    for value in (*added.input, *added.output):
-        value.name = _outer(value.name)
-    model = onnx.load(source)
+    model, added = onnx.load(source), _prefixed(added, LIGHT_PREFIX)
     for name in ("node", "initializer", "input", "output"):
         getattr(model.graph, name).extend(getattr(added, name))
 
@@ -403,10 +392,9 @@ def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -
     return write(model, plain.metadata | document, output, difference_of)
 
 
-def _outer(name: str) -> str:
-    """The name in a file of an input or output of the posterior by light; other names stay."""
-    bare = name.removeprefix(LIGHT_PREFIX)
-    return bare if bare in (LIGHT, LIGHT_MEAN, LIGHT_COVARIANCE) else name
+def _prefixed(model: onnx.ModelProto, prefix: str) -> onnx.GraphProto:
+    """A graph with a prefix to all names but its inputs' and outputs'."""
+    return onnx.compose.add_prefix(model, prefix, rename_inputs=False, rename_outputs=False).graph
 
 
 def _numpy(values: Tensor | None):

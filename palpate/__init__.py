@@ -26,7 +26,6 @@ if (_CHECKOUT / "pyproject.toml").is_file():
 from palpate.common.lazy import exported  # noqa: E402  found by what stands above
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
         "palpate.data.contact.interaction": ("Interaction",),

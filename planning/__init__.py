@@ -10,7 +10,6 @@ pictures   the plan drawn
 from palpate.common.lazy import exported
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.planning.scene": ("PlanScene", "SoftObject", "read_plan_scene"),
         "palpate.planning.press": ("PressCurve", "simulate_press"),

@@ -15,7 +15,3 @@ plots     summary.png and fit.png; panels: of grips and fields in them; surface_
 overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
 field_file  stiffness in fields.npz
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -15,7 +15,7 @@ from typing import Any
 
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
-from palpate.data.source.video import H264, Mpeg4, open_video
+from palpate.data.source.video import Video
 from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce
@@ -113,7 +113,7 @@ class ClipResults:
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
                 video = self._partial / store.OVERLAY
-                self._video = keep(closing(open_video(video, canvas_size(size), fps))) if overlay else None
+                self._video = keep(closing(Video(video, canvas_size(size), fps))) if overlay else None
                 self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
                 # What `finish` needs is loaded meanwhile: it takes most of a second.
                 self._drawer.submit(importlib.import_module, "matplotlib.figure")
@@ -163,7 +163,7 @@ class ClipResults:
                 self._drawing.popleft().result()
             self._drawing.append(self._drawer.submit(self._drawn, self._video, frame, stiffness))
 
-    def _drawn(self, video: H264 | Mpeg4, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+    def _drawn(self, video: Video, frame: Waiting, stiffness: StiffnessMap | None) -> None:
         start = time.perf_counter()
         video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
         self.seconds["overlay"] += time.perf_counter() - start

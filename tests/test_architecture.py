@@ -134,7 +134,7 @@ def faces() -> dict[str, dict[str, str]]:
     for package, path in modules().items():
         if path.name == "__init__.py":
             calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
-            homes = next((ast.literal_eval(call.args[1]) for call in calls if is_face(call)), {})
+            homes = next((ast.literal_eval(call.args[0]) for call in calls if is_face(call)), {})
             found[package] = {name: home for home, names in homes.items() for name in names}
     return found
 

@@ -12,9 +12,7 @@ from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
     "benchmarks.inference",
-    "benchmarks.rollout",
     "data.cholecseg8k",
-    "data.depth.photometric",
     "data.synthetic",
     "estimators.network.calibration",
     "estimators.network.light_calibration",

@@ -58,7 +58,7 @@ def config(clips: Path) -> Path:
     """Configuration of a network that trains in seconds; the run folder is `run` beside it."""
     trainer = {"default_root_dir": str(clips.parent / "run"), "max_epochs": 1, "accelerator": "cpu", "devices": 1}
     trainer |= {"enable_progress_bar": False, "enable_model_summary": False}
-    model = {"width": 4, "residual_blocks": 1, "augmentation": {"noise": 0.002}}
+    model = {"width": 4, "residual_blocks": 1, "noise": 0.002}
     model |= {"mechanics": {"steps": 40, "load_steps": 10}}
     model |= {"bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]}}
     data = {"root": str(clips), "cache": str(clips.parent / "cache"), "geometry": {"height": 40, "width": 56}}
@@ -290,7 +290,7 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("data.depth.threads", 100_000, "depth.threads is 100000; give 0 to 1024"),
         ("data.loading.num_workers", 100_000, "num_workers 100000; give 1 to 65536 and 0 to 1024"),
         ("data.loading.batch_size", 100_000, "batch_size is 100000 and"),
-        ("data.geometry.height", 100_000, "geometry.height is 100000; give at most 4096"),
+        ("data.geometry.height", 100_000, "geometry.height is 100000; give 8 to 4096"),
         ("data.samples.window", 100_000, "window is 100000; give at least 1 frame and at most 256"),
         ("model.width", 100_000, "width 100000 and residual_blocks 1; give 1 channel or more, a width of 1 to 256"),
         ("model.residual_blocks", 100_000, "and 0 to 64 blocks"),
@@ -483,7 +483,7 @@ def together(*commands: list[str], **environment: str) -> list[str]:
 @pytest.mark.slow
 def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
-    same = "--model.augmentation.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
+    same = "--model.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
     same += " --data.samples.onset_within 7 --trainer.deterministic true"
     arguments = ["-c", str(config), *same.split()]
     one, two = tmp_path / "one", tmp_path / "two"

@@ -6,7 +6,6 @@ Gain and slow changes of the light over the picture are measured on tissue far f
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from palpate.common.robust import median_sd
 from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
 from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.source.coding import Coding
+from palpate.physics.jit import kernel
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -151,43 +151,29 @@ class RestingLight:
     def median(self) -> np.ndarray:
         """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
         if self._median is None:
-            self._median = _median(list(self._frames))
+            self._median = _median(np.stack(self._frames))
         return self._median
 
 
-def _median(frames: list[np.ndarray]) -> np.ndarray:
-    """As `numpy.nanmedian` of a few large arrays along a new axis, in a tenth of the time."""
-    unknown = [np.isnan(frame) for frame in frames]
-    planes = [frame.copy() for frame in frames]
-    for plane, hidden in zip(planes, unknown, strict=True):
-        plane[hidden] = np.inf
-    spare = np.empty_like(planes[0])
-    for low, high in _exchanges(len(planes)):  # sorted place by place; what isn't known comes last
-        one, other = planes[low], planes[high]
-        np.minimum(one, other, out=spare)
-        np.maximum(one, other, out=other)
-        planes[low], spare = spare, one
-    known = len(frames) - np.sum(unknown, axis=0, dtype=np.int8)
-    found = np.full_like(spare, np.nan)
-    for count in range(1, len(frames) + 1):
-        here = known == count
-        if here.any():
-            np.copyto(found, (planes[(count - 1) // 2] + planes[count // 2]) / 2, where=here)
+@kernel
+def _median(frames):
+    """As `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a tenth of the time."""
+    found, ordered = np.full(frames.shape[1:], np.nan, frames.dtype), np.empty(len(frames), frames.dtype)
+    for row in range(frames.shape[1]):
+        for column in range(frames.shape[2]):
+            known = 0
+            for value in frames[:, row, column]:
+                if np.isnan(value):
+                    continue
+                place = known
+                while place > 0 and ordered[place - 1] > value:
+                    ordered[place] = ordered[place - 1]
+                    place -= 1
+                ordered[place] = value
+                known += 1
+            if known:
+                found[row, column] = (ordered[(known - 1) // 2] + ordered[known // 2]) / 2
     return found
-
-
-@functools.cache
-def _exchanges(count: int) -> tuple[tuple[int, int], ...]:
-    """Pairs that sort so many values when each is brought into order, one after the other: Batcher's merge exchange."""
-    found, half = list[tuple[int, int]](), 1 << max((count - 1).bit_length() - 1, 0)
-    part = half
-    while part > 0:
-        step, offset, distance = half, 0, part
-        while distance > 0:
-            found += [(at, at + distance) for at in range(count - distance) if at & part == offset]
-            step, offset, distance = step // 2, part, step - part
-        part //= 2
-    return tuple(found)
 
 
 class BrightnessRecorder:

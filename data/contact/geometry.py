@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.data.contact.outlines import tool_depth
 from palpate.data.contact.surface import smooth_surface
 from palpate.data.labels import TISSUE, TOOL
@@ -129,18 +129,15 @@ class GeometrySettings:
 
     def __post_init__(self) -> None:
         require_choices(self, "geometry.")
+        lengths = "smoothing", "contact_pixels", "contact_distance"
+        require_numbers(self, not_negative=lengths, positive=("max_edge",), group="geometry.")
         least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1}
-        least |= dict.fromkeys(("smoothing", "contact_pixels", "contact_distance"), 0)
         for name, low in least.items():
-            if not low <= getattr(self, name) < math.inf:
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give a finite number of at least {low}.")
-        for name in ("height", "width"):
-            if getattr(self, name) > MOST_SIDE:
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give at most {MOST_SIDE}.")
+            most = MOST_SIDE if low == 8 else MOST_SIDE**2
+            if not low <= getattr(self, name) <= most:
+                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give {low} to {most}.")
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
-        if not self.max_edge > 0:
-            raise ValueError(f"geometry.max_edge is {self.max_edge}; give a positive length.")
         if not 0.01 <= self.keep <= 1:
             raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
         if self.contact == "motion" and self.smoothing == 0:

@@ -12,7 +12,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
@@ -83,9 +83,7 @@ class DepthSettings:
             raise ValueError(f"depth.near is {self.near} and depth.far {self.far}; give 0 < near < far.")
         if not 0 < self.field_of_view_deg < 180:
             raise ValueError(f"depth.field_of_view_deg is {self.field_of_view_deg}; give degrees between 0 and 180.")
-        for name in ("scale", "scale_seconds"):
-            if getattr(self, name) is not None and not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"depth.{name} is {getattr(self, name)}; give a positive number.")
+        require_numbers(self, positive=("scale", "scale_seconds"), group="depth.")
         for name, least, most in (("scale_samples", 1, 10_000), ("threads", 0, MOST_THREADS)):
             if not least <= getattr(self, name) <= most:
                 raise ValueError(f"depth.{name} is {getattr(self, name)}; give {least} to {most}.")

@@ -5,15 +5,9 @@ I ∝ ρ·cosθ/R², θ being the angle between its normal and the ray. With R =
 optical axis, and a surface parallel to the image plane (θ = α), z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo
 and one exposure.
 
-`python -m data.depth.photometric` writes it; the file that is shipped in this folder gives bit-identical depth.
+`write_photometric` writes it; the file that is shipped in this folder gives bit-identical depth.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
-import argparse
 import math
 from pathlib import Path
 from typing import Any
@@ -23,7 +17,6 @@ import onnx
 from onnx.inliner import inline_local_functions
 from onnxscript import FLOAT, opset18, script
 
-from palpate.common.command_line import path_option
 from palpate.common.output import replacing_own
 
 op: Any = opset18
@@ -130,20 +123,3 @@ def write_photometric(path: Path, field_of_view_deg: float = 60.0) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing_own(path) as partial:
         onnx.save(build_photometric(field_of_view_deg), str(partial))
-
-
-def main() -> None:
-    """Write the model, e.g. for an endoscope with another field of view."""
-    parser = argparse.ArgumentParser(prog="python -m data.depth.photometric", description=main.__doc__)
-    parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
-    parser.add_argument("--field-of-view-deg", type=float, default=60.0, help="horizontal field of view (default: 60)")
-    arguments = parser.parse_args()
-    try:
-        write_photometric(arguments.output, arguments.field_of_view_deg)
-    except (ValueError, OSError) as error:
-        parser.error(str(error))
-    print(f"{arguments.output}: use it with depth.source={arguments.output} and depth.preset=photometric")
-
-
-if __name__ == "__main__":
-    run_door(main)

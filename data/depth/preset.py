@@ -1,14 +1,13 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
 from typing import Literal
 
 from palpate.common.files import digest_of
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 
@@ -82,10 +81,7 @@ class DepthPreset:
             raise ValueError(f"resize exact needs size as [height, width], not {self.size!r}.")
         if self.letterbox and self.resize != "exact":
             raise ValueError("letterbox needs resize exact.")
-        for name in ("factor", "canonical_focal_px"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ValueError(f"{name} is {value}; give a positive number.")
+        require_numbers(self, positive=("factor", "canonical_focal_px"))
         if min(self.std) <= 0:
             raise ValueError(f"std is {list(self.std)}; give positive numbers.")
 

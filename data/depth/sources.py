@@ -59,9 +59,9 @@ class DepthSource(ABC):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Fix the clip's constants from samples of its frames (at least one; thumbnails suffice)."""
 
-    @abstractmethod
     def convert(self, raw: RawDepth) -> np.ndarray:
-        """Depth from what `observe` gave, or from a thumbnail of it."""
+        """Depth from what `observe` gave, or from a thumbnail of it: the same, where the clip has no constants."""
+        return raw.values
 
 
 class StoredDepth(DepthSource):
@@ -100,13 +100,10 @@ class StoredDepth(DepthSource):
                     "store depth in the frame's aspect."
                 )
             depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
-        return RawDepth(depth.astype(np.float32))
+        return RawDepth(positive(depth))
 
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Nothing of stored depth depends on the clip's frames."""
-
-    def convert(self, raw: RawDepth) -> np.ndarray:
-        return positive(raw.values)
 
 
 class ModelDepth(DepthSource):

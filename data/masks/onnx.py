@@ -1,10 +1,9 @@
 """Masks from any ONNX segmentation model, read by settings stored next to it; only onnxruntime is needed.
 
-Settings stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) or, as JSON, in the model's own metadata
-under the key `masks`. They name the channels that are tool and tissue; docs/reports/masks.md has an example.
+They stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) and name the channels that are tool and
+tissue; docs/reports/masks.md has an example.
 """
 
-import json
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
@@ -22,9 +21,6 @@ from palpate.data.picture_network import PictureNetwork, network_input, resized
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-
-METADATA_KEY = "masks"
-"""Key of a model's metadata under which its settings may stand."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,7 @@ class OnnxMasks:
             InputError: not a file, not an ONNX model, no or wrong settings, or inputs that are not one picture.
         """
         self.network = PictureNetwork(path, threads=threads, device=device)
-        self.path, self.settings = path, read_settings(path, self.network.metadata)
+        self.path, self.settings = path, read_settings(path)
         self._fixed = self.network.fixed_size(self.settings.axes.upper())
         self.identity = f"onnx:{file_sha256(path)}:{self.settings}"
 
@@ -147,21 +143,13 @@ class OnnxMasks:
         return maps
 
 
-def read_settings(path: Path, metadata: dict[str, str]) -> SegmentationSettings:
-    """Settings of a model from the YAML file of its name in its folder, else from its metadata.
+def read_settings(path: Path) -> SegmentationSettings:
+    """Settings of a model from the YAML file of its name in its folder.
 
     Raises:
-        InputError: neither exists, an unknown key, or an impossible value.
+        InputError: there is none, or it has an unknown key or an impossible value.
     """
-    settings_file = path.with_suffix(".yaml")
-    if isfile(settings_file):
-        values, where = read_mapping(settings_file, "settings of a segmentation model"), str(settings_file)
-    elif METADATA_KEY in metadata:
-        where = f"the metadata '{METADATA_KEY}' of {path}"
-        try:
-            values = json.loads(metadata[METADATA_KEY])
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{where} is not JSON ({error}); write {settings_file.name} instead.") from error
-    else:
-        raise InputError(f"{path} has no settings; write {settings_file.name} next to it that names its tool channels.")
-    return from_mapping(SegmentationSettings, values, where)
+    file = path.with_suffix(".yaml")
+    if not isfile(file):
+        raise InputError(f"{path} has no settings; write {file.name} next to it that names its tool channels.")
+    return from_mapping(SegmentationSettings, read_mapping(file, "settings of a segmentation model"), str(file))

@@ -15,7 +15,7 @@ import numpy as np
 from av.sidedata.sidedata import Type
 from av.video.frame import PictureType
 
-from palpate.data.source.video import H264, X264
+from palpate.data.source.video import X264, Video
 
 LOOKED_AT = 32
 """First frames of a video that say how it is coded."""
@@ -40,9 +40,7 @@ class Coding(NamedTuple):
 
 
 def coding_of(path: Path) -> Coding | None:
-    """How a video is coded; None where that isn't said (codecs other than H.264), or nothing can be coded like it."""
-    if H264.encoder not in av.codecs_available:
-        return None
+    """How a video is coded; None where that isn't said (codecs other than H.264)."""
     try:
         with av.open(str(path)) as container:
             found = [(kind, quantiser) for kind, quantiser, _ in _decoded(container, LOOKED_AT, pictures=False)]
@@ -69,7 +67,7 @@ def recoded(pictures: Iterable[np.ndarray], quality: float, bidirectional: bool)
                 # One thread: several cut pictures into slices, as many as the machine has cores.
                 options = {"crf": f"{quality:.2f}", "threads": "1"} | X264
                 options |= {} if bidirectional else {"bf": "0"}
-                stream = container.add_stream(H264.encoder, rate=RATE, options=options)
+                stream = container.add_stream(Video.encoder, rate=RATE, options=options)
                 stream.height, stream.width = picture.shape[:2]
                 stream.pix_fmt = "yuv420p"
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))

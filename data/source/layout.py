@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from palpate.common.files import read_file
-from palpate.common.settings import described, fits, shown
+from palpate.common.settings import described, fits, require_numbers, shown
 
 Settings = TypeVar("Settings")
 
@@ -80,9 +80,7 @@ class ClipLayout:
                 raise ValueError(f"layout.{name} holds a NUL, which no file's name does; leave it out.")
             if name != "camera" and pattern is not None and pattern.count("{number}") != 1:
                 raise ValueError(f"layout.{name} is '{pattern}'; write {{number}} once where the frame's digits stand.")
-        for name in ("fps", "depth_factor"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"layout.{name} is {getattr(self, name)}; give a positive number.")
+        require_numbers(self, positive=("fps", "depth_factor"), group="layout.")
         if not FRAME_RATES[0] <= self.fps <= FRAME_RATES[1]:
             raise ValueError(f"layout.fps is {self.fps:g}; give frames a second.")
         if not 0 <= self.mask_opening_px <= LARGEST_OPENING_PX:

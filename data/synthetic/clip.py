@@ -2,8 +2,7 @@
 
 import json
 import os
-import secrets
-import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -146,9 +145,9 @@ def write_clip(
         raise FileExistsError(f"{target} was made with other settings; give another --output or --overwrite.")
     scene, motion = draw_truth(settings, seed)
     output.mkdir(parents=True, exist_ok=True)
-    # The leading dot keeps readers away; the name is nobody else's, so that it can be removed.
-    partial = output / f".{name}.{secrets.token_hex(8)}.partial"
-    try:
+    # The leading dot keeps readers away.
+    with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=output, ignore_cleanup_errors=True) as temporary:
+        partial = Path(temporary, name)
         (partial / folder).mkdir(parents=True)
         with open_video(partial / f"{folder}.mp4", settings) as add_to_video:
             for index, frame in enumerate(observe(scene, motion, seed)):
@@ -157,24 +156,11 @@ def write_clip(
                 advance(1)
         write_truth(partial / folder, scene, motion, seed)
         list_folder(partial)
-        require_own_folder(target)
-        _swap(partial, target)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return target / folder
-
-
-def _swap(partial: Path, target: Path) -> None:
-    """Put a finished folder in its place; an earlier one of this program is removed only once the new one is there."""
-    earlier = partial.with_suffix(".earlier")
-    try:
+        require_own_folder(target)  # drawing takes long
         if target.exists():
-            os.replace(target, earlier)
+            os.replace(target, Path(temporary, "earlier"))
         os.replace(partial, target)
-    finally:
-        if not target.exists() and earlier.exists():
-            os.replace(earlier, target)
-    shutil.rmtree(earlier, ignore_errors=True)
+    return target / folder
 
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:

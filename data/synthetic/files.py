@@ -12,7 +12,7 @@ import yaml
 
 from palpate.common.files import as_json
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.source import video
+from palpate.data.source.video import Video
 from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
 from palpate.data.synthetic.scene import Scene
@@ -105,7 +105,7 @@ def open_video(path: Path, settings: SceneSettings) -> Generator[Callable[[np.nd
         OSError: the file can't be written.
     """
     width, height = settings.width // 2 * 2, settings.height // 2 * 2
-    with contextlib.closing(video.open_video(path, (width, height), settings.fps, settings.video_quality)) as opened:
+    with contextlib.closing(Video(path, (width, height), settings.fps, settings.video_quality)) as opened:
         yield lambda image: opened.write(np.ascontiguousarray(image[:height, :width]))
 
 

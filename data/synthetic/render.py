@@ -54,11 +54,6 @@ class Renderer:
             RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; true
             z, shape [H, W], float32 [scene units].
         """
-        picture, labels, depth = self.exact(index)
-        return self._digitised(picture), labels, depth
-
-    def exact(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A frame as of `frame` but without noise, its picture sRGB before rounding, [H, W, 3] float32 in [0, 1]."""
         view = deformed_view(self.scene, self.motion, index, self.rest)
         labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
@@ -73,7 +68,11 @@ class Renderer:
             depth[tool.rows, tool.columns] = tool.depth
             light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
-        return encode_srgb(np.clip(blurred, 0, 1)), labels, depth
+        picture = encode_srgb(np.clip(blurred, 0, 1))
+        if self.scene.settings.image_noise > 0:
+            noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
+            picture = picture + self.scene.settings.image_noise * noise
+        return np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8), labels, depth
 
     def _tissue_light(self, view: SheetView, region: tuple[slice, slice]) -> np.ndarray:
         """Linear light of the tissue over a region, shape [h, w, 3]."""
@@ -118,13 +117,6 @@ class Renderer:
         shade = np.sqrt(1 - 0.7 * radius[fat]) * np.square(EXPOSURE_DISTANCE / depth[fat])
         speckle = self.albedo[..., 0][fat] / self.albedo[..., 0][fat].mean()
         light[fat] = np.array(FAT_ALBEDO) * (shade * (0.5 + 0.5 * speckle))[:, None]
-
-    def _digitised(self, picture: np.ndarray) -> np.ndarray:
-        """An exact picture with the camera's noise, in 8 bits."""
-        if self.scene.settings.image_noise > 0:
-            noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
-            picture = picture + self.scene.settings.image_noise * noise
-        return np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

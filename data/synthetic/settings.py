@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_type_hints
 
+from palpate.common.settings import require_choices
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import FRAME_RATES
 
@@ -164,8 +165,7 @@ class SceneSettings:
                         f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
                         f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
                     )
-        if self.depth_bits not in (8, 16):
-            raise ValueError(f"scene.depth_bits is {self.depth_bits}; give 8 or 16.")
+        require_choices(self, "scene.")
 
     @property
     def cell(self) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import RawDepth
 from palpate.data.depth.normalise import DepthSettings
@@ -55,10 +55,6 @@ class _Depth(DepthSource):
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Nothing of synthetic depth depends on the clip's frames."""
 
-    def convert(self, raw: RawDepth) -> np.ndarray:
-        """Synthetic depth needs no conversion."""
-        return raw.values
-
 
 class _Masks:
     """Observed masks of a synthetic clip."""
@@ -78,4 +74,4 @@ class _Masks:
 
 def open_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> ClipStream:
     """A synthetic clip as a stream of prepared frames, with its own depth, labels and camera."""
-    return ClipStream(SyntheticSource(clip), settings, ClipInputs(_Masks(clip), _Depth(clip), clip.camera))
+    return ClipStream(SyntheticSource(clip), settings, masks=_Masks(clip), depth=_Depth(clip), camera=clip.camera)

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import require_choices, require_numbers
 from palpate.data.cache import PreparedClip
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
@@ -64,8 +64,7 @@ class SampleSettings:
             raise ValueError(f"sequence needs observation trajectory, not {self.observation}; choose that.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
-        if not (math.isfinite(self.min_clip_deformation) and self.min_clip_deformation >= 0):
-            raise ValueError(f"min_clip_deformation is {self.min_clip_deformation}; give a length of at least 0.")
+        require_numbers(self, not_negative=("min_clip_deformation",))
 
 
 @dataclass(frozen=True)

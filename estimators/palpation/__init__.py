@@ -15,7 +15,6 @@ scene       the file that names a surface and what was pressed on it
 from palpate.common.lazy import exported
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),

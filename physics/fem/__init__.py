@@ -15,7 +15,6 @@ linear_system  symmetric sparse systems, factorised or iterated
 from palpate.common.lazy import exported
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.physics.fem.laws": ("LAWS", "Material"),
         "palpate.physics.fem.solid": ("Solid", "make_solid"),

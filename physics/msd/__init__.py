@@ -11,7 +11,6 @@ autograd      torch's view of the compiled rollout; torch_backend: every derivat
 from palpate.common.lazy import exported
 
 __getattr__ = exported(
-    __name__,
     {
         "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
         "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),

@@ -4,7 +4,3 @@ gather     what the pages show, from the files of a folder of results; texts.yam
 render     writes the pages from templates/
 own        which pages are as this program wrote them
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -62,12 +62,12 @@ def clip_of(folder: Path) -> dict[str, Any]:
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
     contacts = [_contact(run, forces) for run, forces in zip(runs + dents, report["contacts"], strict=True)]
-    encoder = record["overlay_encoder"] if (folder / store.OVERLAY).is_file() else "none"
+    shown = (folder / store.OVERLAY).is_file()
     files = [name for name in store.own_files(folder) if (folder / name).is_file()]
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return summary_of(folder) | {
-        "video": None if encoder == "none" else store.OVERLAY,
-        "video_note": TEXTS["video"][encoder],
+        "video": store.OVERLAY if shown else None,
+        "video_note": "" if shown else TEXTS["no_video"],
         "found": contacts,
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.data.cache import MARKER, CacheEntry, cache_key
+from palpate.data.cache import CacheEntry, cache_key
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.prepared import PreparedFrame
@@ -86,24 +85,6 @@ def test_interrupted_preparation_leaves_nothing_and_can_go_on(tmp_path):
         prepare(folder, SETTINGS, cache, interrupt)
     assert entries(cache) == set()
     assert len(prepare(folder, SETTINGS, cache)) == 6
-
-
-def test_leftovers_of_a_killed_process_are_removed_after_a_day(tmp_path):
-    folder, cache = write_clip(tmp_path / "clip", frames=3), tmp_path / "cache"
-    for name, age in ((".tmp-old", 90_000), (".tmp-young", 60), (".tmp-mine", 90_000), (".tmp-with-mine", 90_000)):
-        entry = cache / name / "entry"
-        entry.mkdir(parents=True)
-        (entry / "0.npz").write_bytes(b"half")
-        if name != ".tmp-mine":
-            (cache / name / MARKER).touch()
-        if name == ".tmp-with-mine":
-            (entry / "notes.txt").write_text("precious")
-        for path in (*(cache / name).rglob("*"), cache / name):
-            os.utime(path, (time.time() - age,) * 2)
-    clip = prepare(folder, SETTINGS, cache)
-    assert entries(cache) == {".tmp-young", ".tmp-mine", ".tmp-with-mine", clip.folder.name}
-    assert (cache / ".tmp-mine" / "entry" / "0.npz").read_bytes() == b"half"
-    assert (cache / ".tmp-with-mine" / "entry" / "notes.txt").read_text() == "precious"
 
 
 def test_a_user_s_file_in_a_damaged_entry_stays(tmp_path):

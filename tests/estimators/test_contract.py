@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as some
 
-from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.clip import ClipStream
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.labels import MaskError
@@ -291,9 +291,9 @@ def faulty(
     bare = np.isin(kept, without_tool)
     parts["labels"][bare] = np.where(parts["labels"][bare] == CLASSES["grasper"].grey, 0, parts["labels"][bare])
     cut = dataclasses.replace(clip, **parts)
-    inputs = ClipInputs(FaultyMasks(cut, without_mask), _Depth(cut), clip.camera)
+    inputs = {"masks": FaultyMasks(cut, without_mask), "depth": _Depth(cut), "camera": clip.camera}
     source = FaultySource(cut, kept, unreadable)
-    return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), inputs))
+    return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), **inputs))
 
 
 # The tool touches frames 7 to 14 of `pressed`.

@@ -18,7 +18,7 @@ from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 
-SETTINGS = {"window": 1, "width": 4, "residual_blocks": 1, "decoder": "direct", "head": "parameters", "picture": True}
+SETTINGS = {"window": 1, "width": 4, "residual_blocks": 1, "decoder": "direct", "head": "parameters"}
 SETTINGS |= {"bounds": asdict(Bounds()), "mechanics": asdict(Mechanics(steps=40, load_steps=10))}
 
 
@@ -42,7 +42,6 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
         ({"decoder": "residual"}, r"model\.decoder = direct"),
         ({"head": "posterior"}, r"model\.head = parameters and the configuration says posterior"),
         ({"window": 2}, r"model\.window = 1"),
-        ({"picture": False}, r"model\.picture = True"),
         ({"bounds": asdict(Bounds(force=(-6.0, 0.0)))}, r"model\.bounds\.force = \[-10\.0, 0\.0\]"),
         ({"mechanics": asdict(Mechanics(steps=60, load_steps=10))}, r"model\.mechanics\.steps = 40"),
     ],

@@ -35,19 +35,6 @@ def test_without_the_contact_s_vector_a_sentence_says_what_to_set():
         Generator(**SMALL | {"head": "other"})
 
 
-def test_without_a_picture_the_head_goes_by_the_contact_alone():
-    torch.manual_seed(0)
-    contact = torch.randn(2, 6)
-    for picture in (True, False):
-        generator = Generator(**SMALL, picture=picture)
-        if picture:
-            generator.head.posterior.picture.weight.data.normal_()
-        first, second = (generator.answer(generator.encode(torch.rand(2, 1, 16, 16)), contact) for _ in range(2))
-        assert torch.equal(first.mean, second.mean) is not picture
-    with pytest.raises(ValueError, match="picture is false and head parameters"):
-        Generator(**SMALL | {"head": "parameters"}, picture=False)
-
-
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 10_000), size=st.sampled_from([1e-2, 1.0, 1e2, 1e6]))
 def test_theta_never_leaves_the_box_and_the_covariance_is_one(seed: int, size: float):

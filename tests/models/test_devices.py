@@ -14,7 +14,7 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 
 from palpate.data.training.batches import on_device
 from palpate.models.checkpoint import load_posterior
-from palpate.models.module import AugmentationSettings, PhysicsInformedGAN
+from palpate.models.module import PhysicsInformedGAN
 from palpate.models.posterior import ContactPosterior
 from tests.models.test_module import POSTERIOR, build, dent_of
 
@@ -117,7 +117,7 @@ def _losses(module: PhysicsInformedGAN, batch: dict) -> dict[str, Tensor]:
     "settings",
     [
         {},
-        {"decoder": "physics", "augmentation": AugmentationSettings(noise=0.01)},
+        {"decoder": "physics", "noise": 0.01},
         POSTERIOR | {"decoder": "physics"},
     ],
 )

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 from palpate.models.carried_depth import change, shifted
 from palpate.models.evidence import bound_loss
 from palpate.models.losses import LossWeights, posterior_physics_loss
-from palpate.models.module import AugmentationSettings, PhysicsInformedGAN, TrainingDiverged, with_current
+from palpate.models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
 from palpate.physics.msd.batch import DepthBatch, ObservationBatch
@@ -146,7 +146,7 @@ def test_with_current_replaces_the_last_frame():
 
 def test_augmentation_disturbs_the_windows_but_not_what_they_are_compared_with(make_batch):
     batch = make_batch()
-    module = build(augmentation=AugmentationSettings(noise=0.05))
+    module = build(noise=0.05)
     seen = []
     module.generator_ab.encode, inner = lambda w: seen.append(w) or inner(w), module.generator_ab.encode
     original = batch["window_a"].clone()

@@ -113,17 +113,6 @@ def test_a_generators_posterior_takes_the_depth_window_too(tmp_path) -> None:
         model(contact)
 
 
-def test_a_generator_without_a_picture_takes_none(tmp_path) -> None:
-    generator = Generator(2, 4, 1, BOUNDS, head="posterior", contact_features=10, picture=False)
-    assert onnx_export.export(generator, tmp_path / "blind.onnx", TWO) < 1e-5
-    model = PosteriorModel(tmp_path / "blind.onnx")
-    assert (model.takes_depth, model.inputs) == (False, {"contact": (10,)})
-    contact = np.random.default_rng(0).normal(size=(3, 10)).astype(np.float32)
-    with torch.no_grad():
-        expected = generator.posterior(torch.from_numpy(contact))[0].numpy()
-    np.testing.assert_allclose(model(contact)[0], expected, atol=1e-5)
-
-
 def test_large_bounds_are_compared_relative_to_their_size(posterior: ContactPosterior, tmp_path, monkeypatch) -> None:
     """Variances of 7 can't agree to 1e-5 in float32; a difference of as many parts of 1 can."""
     with torch.no_grad():

@@ -1,14 +1,12 @@
 """The photometric depth model: closed forms under a light at the camera, robustness, and the shipped file."""
 
 import math
-import sys
 
 import numpy as np
 import onnxruntime
 import pytest
 
-from palpate.common.output import LIST
-from palpate.data.depth.photometric import DARKEST, build_photometric, main, write_photometric
+from palpate.data.depth.photometric import DARKEST, build_photometric, write_photometric
 from palpate.data.depth.preset import PRESET_FOLDER
 
 HEIGHT, WIDTH = 240, 428
@@ -148,19 +146,6 @@ def test_the_shipped_file_is_what_the_function_builds():
     path = PRESET_FOLDER.parent / "photometric.onnx"
     assert np.array_equal(session_of(str(path))(picture), session_of(built())(picture))
     assert path.stat().st_size < 20_000
-
-
-def test_the_door_writes_a_model_for_another_endoscope(tmp_path, monkeypatch, capsys):
-    path = tmp_path / "wide" / "mine.onnx"
-    monkeypatch.setattr(sys, "argv", ["photometric", "--output", str(path), "--field-of-view-deg", "90"])
-    main()
-    assert str(path) in capsys.readouterr().out
-    assert {file.name for file in path.parent.iterdir()} == {"mine.onnx", LIST}
-    monkeypatch.setattr(sys, "argv", [*sys.argv[:-1], "200"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert "The field of view is 200" in capsys.readouterr().err
 
 
 def test_writing_replaces_the_file_at_once(tmp_path):

@@ -15,7 +15,7 @@ WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
 """Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""
 
 
-def save_model(path, metadata=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=False, labels=False, values="float"):
+def save_model(path, settings=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=False, labels=False, values="float"):
     """A 1x1 convolution as a segmentation model, of a picture of `values`."""
     height, width = size
     taken = f"1, {height}, {width}, 3" if nhwc else f"1, 3, {height}, {width}"
@@ -27,8 +27,10 @@ def save_model(path, metadata=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=Fa
         logits = Conv(first, kernel)
         last = {end}logits)
     }}"""
-    held = {} if metadata is None else {"masks": json.dumps(metadata)}
-    return write_network(path, graph, held, kernel=weights.reshape(len(weights), 3, 1, 1))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if settings is not None:
+        path.with_suffix(".yaml").write_text(json.dumps(settings))  # JSON is YAML
+    return write_network(path, graph, kernel=weights.reshape(len(weights), 3, 1, 1))
 
 
 PLAIN = {"mean": [0, 0, 0], "std": [1, 1, 1]}
@@ -91,7 +93,7 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("metadata", "message"),
+    ("settings", "message"),
     [
         (None, r"has no settings; write m\.yaml next to it"),
         ({}, r"lacks 'tool'; give \[a whole number, …\]"),
@@ -105,11 +107,11 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
         ({"tool": [1], "axes": "nhwc"}, "takes w channels|not one picture|3 channels|takes"),
     ],
 )
-def test_wrong_settings_get_a_sentence(tmp_path, metadata, message):
-    path = save_model(tmp_path / "m.onnx", metadata, size=(96, 128))
+def test_wrong_settings_get_a_sentence(tmp_path, settings, message):
+    path = save_model(tmp_path / "m.onnx", settings, size=(96, 128))
     with pytest.raises(InputError, match=message) as caught:
         OnnxMasks(path)
-    assert "m.onnx" in str(caught.value)
+    assert str(tmp_path / "m.") in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.data.source.coding import coding_of, recoded
-from palpate.data.source.video import open_video
+from palpate.data.source.video import Video
 
 GENERATOR = np.random.default_rng(4)
 TEXTURE = cv2.GaussianBlur(GENERATOR.normal(0, 300, (96, 128, 1)), (0, 0), 2)[..., None]
@@ -19,7 +19,7 @@ PICTURES = [
 
 
 def written(path: Path, crf: int) -> Path:
-    opened = open_video(path, (128, 96), 25.0, crf)
+    opened = Video(path, (128, 96), 25.0, crf)
     for picture in PICTURES:
         opened.write(picture)
     opened.close()

@@ -1,20 +1,18 @@
-"""Clips, videos, splits, checks and the door."""
+"""Clips, videos, splits and the door."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from palpate.data.masks.sources import MaskClasses
 from palpate.data.source.layout import ClipLayout, InputError
-from palpate.data.training.cholecseg8k import check_clip, list_clips, main
+from palpate.data.training.cholecseg8k import list_clips, main
 from palpate.data.training.splits import FRACTIONS, part_sizes, split_by_video, video_of
 from tests.conftest import CHECKOUT
-from tests.data.clips import real_frames, remove_frame, write_clip
+from tests.data.clips import write_clip
 
 ANNOTATED = ["data", "--depth", "stored", "--masks", "annotation", "--cache", "cache"]
 
@@ -67,23 +65,6 @@ def test_splits_by_video_are_disjoint_complete_and_repeatable():
     assert split != split_by_video(videos, FRACTIONS, seed=4)
 
 
-def test_a_check_counts_what_is_wrong(tmp_path):
-    folder = write_clip(tmp_path / "clip")
-    remove_frame(folder, 5)
-    (folder / "frame_2_endo.png").write_bytes(b"\x89PNG")
-    (folder / "frame_3_endo_color_mask.png").unlink()
-    mask = cv2.imread(str(folder / "frame_4_endo_color_mask.png"))
-    mask[:48] = (1, 2, 3)  # within the tolerance of black? no: 6 away
-    mask[48:50] = (167, 160, 255)  # 2 away from gallbladder
-    cv2.imwrite(str(folder / "frame_4_endo_color_mask.png"), mask)
-    rgba = cv2.cvtColor(cv2.imread(str(folder / "frame_6_endo_color_mask.png")), cv2.COLOR_BGR2BGRA)
-    cv2.imwrite(str(folder / "frame_6_endo_color_mask.png"), rgba)
-    check = check_clip(folder, ClipLayout(), MaskClasses())
-    assert (check.size, check.unknown_share) == ((128, 96), pytest.approx(0.5 / 9))
-    assert ["frame_2_endo.png" in check.problems[0], "frame_3_endo_color_mask.png" in check.problems[1]] == [True] * 2
-    assert check.problems[2:] == ["1 frame numbers are missing between 0 and 11", "unreadable: 1 of 11 frames"]
-
-
 def test_the_door_prepares_and_reports(narrow, capsys):
     write_clip(narrow / "data" / "video01" / "video01_00000")
     assert main(ANNOTATED) == 0
@@ -133,10 +114,3 @@ sys.exit(status)
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=CHECKOUT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-
-
-def test_real_data_set_has_no_unknown_colours(real_data, tmp_path):
-    folder = real_frames(real_data, tmp_path / "clip", range(140, 160))
-    check = check_clip(folder, ClipLayout(), MaskClasses())
-    assert (check.size, check.problems) == ((854, 480), [])
-    assert 0 <= check.unknown_share < 1e-3

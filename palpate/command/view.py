@@ -25,13 +25,14 @@ from viser import ViserServer
 from palpate.common.command_line import described_parser, path_option, whole_number
 from palpate.common.doors import plain
 from palpate.common.output import replacing_own
-from palpate.physics.msd.simulation import simulate
 from palpate.results import store
 from palpate.results.field_overlay import MIDDLE, RANGE, colors
 from palpate.results.forces import ENDS
 from palpate.results.page.gather import clip_of
 from palpate.results.page.render import UNREADABLE
-from palpate.results.scene import read_scene
+from palpate.results.scene.files import read_scene
+from palpate.results.scene.kinds import simulated
+from palpate.results.scene.scene import KINDS
 from palpate.results.verdicts import digits
 
 FRAME_SECONDS, STILL_SECONDS = 0.04, 2.0
@@ -39,7 +40,7 @@ FRAME_SECONDS, STILL_SECONDS = 0.04, 2.0
 SHADES, FAR, UNKNOWN, FORCE = np.linspace(0, 1, 13)[:, None], np.array([112, 26, 117]), [[150] * 3], (190, 24, 24)
 """Levels that have a colour; RGB of the largest displacement, of stiffness that is not determined, and of the force."""
 NOTHING = "Nothing to see: palpate infer --export vtk keeps presses that are determined, --estimator online pulls."
-MOVED = """Colour: displacement, simulated by the estimate, from 0 to {} scene units, not metric.
+MOVED = """Colour: displacement, simulated by the estimate, from 0 to {} {}.
 Arrow: the force, thick up to the lower end of its 90 % interval, thin up to the upper; none where it isn't known."""
 STIFFNESS = f"Colour: stiffness over median, 1/{RANGE:g} (blue) to {RANGE:g} (red). Grey, force: not determined."
 
@@ -55,7 +56,7 @@ def motions_in(path: Path) -> Iterator[tuple[str, dict[str, Any] | None]]:
         ValueError: it is none.
     """
     if path.is_file():
-        yield path.name, _pressed(path, {}, {})
+        yield path.name, _simulated(path, {}, {})
     for folder in filter(store.read_record, (path, *sorted(path.glob("[!.]*")))):
         try:
             yield from _of_clip(folder)
@@ -70,7 +71,7 @@ def _of_clip(folder: Path) -> Iterator[tuple[str, dict[str, Any] | None]]:
     for contact in clip["found"]:
         onset, detail, motion = contact["row"]["onset_frame"], contact["row"]["detail"], None
         if onset in scenes:
-            motion = _pressed(scenes[onset], contact, newtons.get(onset, {}))
+            motion = _simulated(scenes[onset], contact, newtons.get(onset, {}))
         elif clip["estimator"] == "online" and contact["name"] != "no_estimate":
             motion = _pulled(folder / store.FIELDS, int(onset), clip["curves"])
         title = f"{folder.name}: contact from frame {onset}, numbers in scene units"
@@ -78,8 +79,8 @@ def _of_clip(folder: Path) -> Iterator[tuple[str, dict[str, Any] | None]]:
         yield "\n".join(textwrap.fill(line, 90) for line in (*lines, detail, "" if motion else NOTHING) if line), motion
 
 
-def _pressed(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str]) -> dict[str, Any]:
-    """A press as its estimate moves the tissue.
+def _simulated(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str]) -> dict[str, Any]:
+    """Tissue as its estimate moves it, and the force of a press.
 
     Args:
         path: its scene.
@@ -87,12 +88,22 @@ def _pressed(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str])
         newtons: its row of calibrated.csv, where there is one.
     """
     scene = read_scene(path)
-    rest, press, stride = scene.mesh.vertices, scene.press, max(1, round(FRAME_SECONDS / scene.mechanics.time_step))
-    moved = simulate(scene.theta, scene.mesh, press, scene.mechanics, watch=np.arange(len(rest)))
-    moved = np.concatenate([np.zeros_like(moved[:1]), moved[stride - 1 :: stride]])
-    factor = np.append(press.factor[::stride], press.factor[-1])[: len(moved)]
-    times, unit = scene.mechanics.time_step * stride * np.arange(len(moved)), "scene units, not N"
-    force = np.array([abs(scene.theta[2]), *sorted(np.abs(scene.interval[2]))])
+    rest, faces, motion = scene.parts["points"].astype(np.float64), scene.parts["triangles"], simulated(scene)
+    is_press, step = "load_factor" in scene.parts, scene.parts.get("time_step", np.ones(1)).item()
+    stride = max(1, round(FRAME_SECONDS / step)) if is_press else 1
+    moved = np.concatenate([np.zeros_like(motion[:1]), motion[stride - 1 :: stride]])
+    times = np.append(0, scene.parts["times"]) if "times" in scene.parts else step * stride * np.arange(len(moved))
+    lengths = np.linalg.norm(moved, axis=2)
+    shown = {"positions": rest + moved, "faces": faces, "ramp": MIDDLE + SHADES * (FAR - MIDDLE), "times": times}
+    shown |= {"levels": lengths[:, faces].mean(axis=2) / lengths.max()}
+    shown |= {
+        "legend": MOVED.format(digits(lengths.max(), 2), KINDS[scene.kind]["parts"]["points"][3].partition(":")[0])
+    }
+    if not is_press:
+        return shown | {"arrows": np.full((len(moved), 2, 2, 3), np.nan), "said": [""] * len(moved)}
+    press, force = scene.press, np.abs(scene.parts["force"].ravel())
+    force[1:].sort()
+    unit, factor = "scene units, not N", np.append(press.factor[::stride], press.factor[-1])[: len(moved)]
     if "force" in newtons.get("determined", "").split(";"):
         force, unit = np.array([float(newtons[f"force{end}"]) for end in ENDS]), newtons["force_unit"]
     known = factor > 0
@@ -105,11 +116,8 @@ def _pressed(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str])
     said = [words[(part > 0) + int(sure)].format(part) for part, sure in zip(factor, known, strict=True)]
     long = 0.3 * np.ptp(rest, axis=0).max() * np.outer(np.where(known, factor, np.nan), force[1:] / force[2])
     tips = np.repeat((rest + moved)[:, press.vertices[:1]], 2, axis=1)
-    arrows = np.stack([tips - np.sign(scene.theta[2]) * long[..., None] * press.direction, tips], axis=2)
-    lengths = np.linalg.norm(moved, axis=2)
-    shown = {"positions": rest + moved, "faces": scene.mesh.triangles, "ramp": MIDDLE + SHADES * (FAR - MIDDLE)}
-    shown |= {"levels": lengths[:, shown["faces"]].mean(axis=2) / lengths.max(), "times": times, "arrows": arrows}
-    return shown | {"said": said, "legend": MOVED.format(digits(lengths.max(), 2))}
+    arrows = np.stack([tips - np.sign(scene.number("force")) * long[..., None] * press.direction, tips], axis=2)
+    return shown | {"arrows": arrows, "said": said}
 
 
 def _pulled(path: Path, onset: int, curves: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,3 @@ scene    a scene's parts, whatever made it; kinds.yaml has their names and units
 kinds    the scene of a run of contact, and what each kind's simulator makes of a scene
 files    scenes written and read
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(__name__, {})

@@ -21,8 +21,8 @@ from palpate.command.view import NOTHING
 from palpate.data.synthetic.clip import write_clip
 from palpate.results.field_file import FieldFile
 from palpate.results.field_overlay import MIDDLE, STIFF
-from palpate.results.scene import read_scene
-from tests.physics.sheets import whole_field
+from palpate.results.scene.files import read_scene
+from palpate.results.scene.kinds import simulated
 from tests.results.fields import FIELD_SEEN, REST
 from tests.test_architecture import ROOT
 from tests.test_infer import SCENE
@@ -66,10 +66,10 @@ def of(nodes: list, time: float, name: str, what: str) -> list:
 
 def test_a_page_holds_the_simulated_motion_force_and_verdict(results: Path, tmp_path: Path) -> None:
     assert main(["view", str(results.parent), "--output", str(tmp_path / "view.html")]) == 0
-    (path,) = results.glob("scene_*.vtp")
+    (path,) = results.glob("scene_*.vtu")
     scene, (seconds, nodes) = read_scene(path), recorded(tmp_path / "view.html")
-    moved, rest = whole_field(scene.theta, scene.mesh, scene.press, scene.mechanics), scene.mesh.vertices
-    stride = round(0.04 / scene.mechanics.time_step)
+    moved, rest = simulated(scene), scene.parts["points"]
+    stride = round(0.04 / scene.number("time_step"))
     assert seconds == pytest.approx(0.04 * (len(moved) // stride) + 2)
     captions = [each["text"] for _, name, each in nodes if name == "/0/now" and "text" in each]
     assert len(captions) == 1 + len(moved) // stride
@@ -78,11 +78,11 @@ def test_a_page_holds_the_simulated_motion_force_and_verdict(results: Path, tmp_
         placed = rest + (moved[stride * frame - 1] if frame else 0)
         tones = [of(nodes, 0.04 * frame, r"/0/\d+", what) for what in ("vertices", "faces", "color")]
         corners = np.concatenate([points[faces] for points, faces in zip(*tones[:2], strict=True)])
-        expected = placed[scene.mesh.triangles]
+        expected = placed[scene.parts["triangles"]]
         assert {each.tobytes() for each in corners} == {each.tobytes() for each in expected.astype(np.float32)}
     # At rest all is in the lightest tone.
     assert [len(points) > 0 for points in of(nodes, 0.0, r"/0/\d+", "vertices")] == [True, *12 * [False]]
-    size, low, high = np.ptp(rest, axis=0).max(), *sorted(np.abs(scene.interval[2]))
+    size, low, high = np.ptp(rest, axis=0).max(), *sorted(np.abs(scene.parts["force"].ravel()[1:]))
     ((tail, tip),) = (each.reshape(2, 3) for each in of(nodes, 0.12, "/0/force", "points"))
     np.testing.assert_allclose(size * tip, (rest + moved[3 * stride - 1])[scene.press.vertex], atol=1e-6)
     np.testing.assert_allclose(tip - tail, -0.3 * low / high * scene.press.direction, atol=1e-6)
@@ -121,7 +121,7 @@ def test_a_field_is_coloured_where_it_is_determined_and_a_contact_without_is_sai
 
 
 def test_a_server_answers_on_this_machine_until_ctrl_c(results: Path) -> None:
-    command = [sys.executable, "-m", "palpate", "view", str(*results.glob("scene_*.vtp")), "--port", "18947"]
+    command = [sys.executable, "-m", "palpate", "view", str(*results.glob("scene_*.vtu")), "--port", "18947"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         address = re.search(r"http://127\.0\.0\.1:18947", server.stdout.readline())[0]
         with urllib.request.urlopen(address, timeout=20) as answer:
@@ -131,8 +131,8 @@ def test_a_server_answers_on_this_machine_until_ctrl_c(results: Path) -> None:
 
 
 def test_what_cannot_be_shown_is_a_sentence(tmp_path: Path, capsys, monkeypatch) -> None:
-    (tmp_path / "other.vtp").write_text("<a/>")
-    for path, sentence in ((tmp_path, NOTHING), (tmp_path / "other.vtp", "is no scene that palpate wrote")):
+    (tmp_path / "other.vtu").write_text("<a/>")
+    for path, sentence in ((tmp_path, NOTHING), (tmp_path / "other.vtu", "is no scene to simulate on that palpate wrote")):
         with pytest.raises(SystemExit, match="1"):
             main(["view", str(path), "--output", str(tmp_path / "view.html")])
         assert sentence in capsys.readouterr().err

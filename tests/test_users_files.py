@@ -5,7 +5,6 @@ import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,7 +22,6 @@ from palpate.data.depth.photometric import write_photometric
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
-from palpate.evaluation import foreign
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
@@ -50,7 +48,6 @@ PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/1-brightness.png", "figures/notes.txt"),
-    "judge_foreign": ("table.csv", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
@@ -71,8 +68,6 @@ KEPT = (".npz", ".ckpt", ".mp4")
 def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "beam_gravity.csv").touch()
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
     (tmp_path / "forces").mkdir()
@@ -98,8 +93,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "evaluate_light", lambda lit: ({"change of light": 0.1}, None))
     patch(real, "draw_summary", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
-    patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
-    patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
@@ -169,7 +162,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     own = (draw, estimate, judge_online, calibrate_curves, benchmark)
     return {run.__name__: run for run in own} | {
         "judge_pull": fixed(real.main, "--pulled", inputs),
-        "judge_foreign": fixed(foreign.main, "--data", inputs / "foreign"),
         "judge_palpation": fixed(palpation.main, "curves", "--data", inputs / "forces"),
         "judge_frank": fixed(palpation.main, "frank"),
         "calibrate_palpation": fixed(calibrate.main, "palpation", "scene.yaml"),
@@ -248,7 +240,6 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
         "judge_pull": {"table.csv", "report.html", "1.png", "1-brightness.png"},
-        "judge_foreign": {"table.csv"},
         "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},

@@ -5,18 +5,20 @@ depth_mm, fn_N) and indentations that are held (t_s, force_N, displacement_mm). 
 what the measures mean is in docs/reports/palpation.md.
 """
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
+from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
-from palpate.evaluation.harness import FileMeasurements, Row
+from palpate.evaluation.harness import Measurements, Row
 
 FOLDS = 5
 """Parts of a region, each of which is left out once."""
@@ -32,15 +34,30 @@ SUMMARISED = {
 
 
 @dataclass(frozen=True)
-class Curves(FileMeasurements):
-    """Tables of forces."""
+class Curves(Measurements):
+    """Tables of forces in a folder and below, by their paths there."""
 
-    named: ClassVar = f"CSV file with the columns of any of: {'; '.join(map(', '.join, (PROBES, HOLD)))}"
+    data: Path
+    """folder of the data"""
 
-    def measure(self, path: Path) -> Callable[[Path], Row] | None:
-        """By the columns of a table."""
-        kind = kind_of(path) if path.suffix.lower() == ".csv" else None
-        return None if kind is None else JUDGES.get(kind)
+    def __post_init__(self) -> None:
+        """Raise a ValueError where there is nothing to judge."""
+        if not self.wanted:
+            kinds = "; or ".join(map(", ".join, JUDGES))
+            raise ValueError(
+                f"{self.data} holds no CSV file with the columns of any of: {kinds}; give --data that does."
+            )
+
+    @functools.cached_property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Tables of known columns."""
+        below = all_below(self.data) if self.data.is_dir() else []
+        found = [(path, JUDGES.get(kind_of(path) or ())) for path in below if path.suffix.lower() == ".csv"]
+        return {path.relative_to(self.data).as_posix(): functools.partial(work, path) for path, work in found if work}
+
+    def record(self) -> Mapping[str, Any]:
+        """When every file was changed last."""
+        return {f"file {name}": (self.data / name).lstat().st_mtime_ns for name in self.wanted}
 
     def tabled(self, rows: Sequence[Row]) -> list[Row]:
         """Also medians over the files of a kind."""

@@ -108,7 +108,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     settings = SimpleNamespace(law="corotational")
     tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
     patch(calibrate, "read_scene", lambda path: tissue)
-    monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", lambda *arguments, report: quick_material())
+    monkeypatch.setattr(calibrate, "fit_material", lambda *arguments, report: quick_material())
     patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])

@@ -8,7 +8,6 @@ skin        a scanned surface on coarser tetrahedra, and the closest places on i
 registration depth points laid onto a surface (ICP); several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
-descent     the same by a numeric gradient after the paper's, to compare with
 scene       the file that names a surface and what was pressed on it
 """
 

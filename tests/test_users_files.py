@@ -46,7 +46,7 @@ PAGES = ("index.html", "clip/page.html")
 PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
-    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/1-brightness.png", "figures/notes.txt"),
+    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
@@ -85,8 +85,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
-    patch(real, "read_light", lambda clip, run: None)
-    patch(real, "evaluate_light", lambda lit: ({"change of light": 0.1}, None))
     patch(real, "draw_summary", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
@@ -233,7 +231,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
     expected = {
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "summary.png"},
-        "judge_pull": {"table.csv", "report.html", "1.png", "1-brightness.png"},
+        "judge_pull": {"table.csv", "report.html", "1.png"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
         "calibrate_curves": {"curves.csv"},

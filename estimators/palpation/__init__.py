@@ -4,7 +4,7 @@ curves      tables of probes and of indentations that are held
 indentation one force–depth curve: a modulus where the indenter is stated, a stiffness in N/mm otherwise
 relaxation  how a force falls while the depth is held: a standard linear solid
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
-registration depth points laid onto a surface (ICP); several depth views of a body as one surface
+registration depth points laid onto a surface (ICP)
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
 scene       the file that names a surface and what was pressed on it

@@ -10,7 +10,7 @@ alarm     whether the force has reached a limit (--force-limit)
 scene     a press to simulate further (--export), for USD, SOFA and VTK: scene.yaml has the files' texts
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
-plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
+plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
 overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
 field_file  stiffness in fields.npz
 """

@@ -41,7 +41,7 @@ from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
-from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
+from palpate.results.record import build_record, depends_on, fingerprint_of, model_of
 from palpate.results.writer import ClipResults
 
 WORDS = {
@@ -177,7 +177,7 @@ class Batch:
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)
-                results.finish(record, title=source.name, subtitle=describe(record))
+                results.finish(record, title=source.name)
         finally:
             progress.remove_task(task)
         if self._has_known_force(path):

@@ -16,7 +16,7 @@ from typing import Any
 from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
 
-TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
+TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
@@ -24,10 +24,10 @@ REPORT = "forces.json"
 SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT, COMPARISON, RECORD
+    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, "summary.png", FIT, COMPARISON, RECORD
 )  # fmt: skip
-"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
-a user's."""
+"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there (summary.png by
+earlier versions); any other file is a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"

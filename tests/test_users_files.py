@@ -85,7 +85,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
     patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
-    patch(real, "draw_summary", lambda *arguments, **options: None)
+    patch(real, "draw_fits", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
@@ -230,7 +230,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         written[name] = {path.name for path in (inputs / name).rglob("*") if path.is_file()}
     expected = {
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
-        "estimate": {"run.json", "parameters.csv", "summary.png"},
+        "estimate": {"run.json", "parameters.csv", "fit.png"},
         "judge_pull": {"table.csv", "report.html", "1.png"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},

@@ -21,6 +21,7 @@ if __name__ == "__main__":
 
 import base64
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +40,8 @@ from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, 
 from palpate.evaluation.page import as_png
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
-from palpate.results.plots import draw_summary
+from palpate.results.plots import draw_fits
+from palpate.results.verdicts import state
 
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
@@ -58,7 +60,7 @@ def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
             if asked.online is None:
                 pull = evaluate_pull(clip, row)
                 row |= pull.measures
-                figure = draw_summary(pull.frames, runs=[pull.run], title=name)
+                figure = draw_fits([pull.run], Counter([state(pull.run)]), name)
                 row["figure"] = base64.b64encode(as_png(figure)).decode()
             else:
                 row |= evaluate_prediction(clip, asked.online)

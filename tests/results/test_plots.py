@@ -53,7 +53,7 @@ def texts(figure: Figure) -> list[str]:
 
 
 def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None:
-    figure = draw_fits([dataclasses.replace(NONE, detail="a path " * 60)], Counter(), "W" * 200 + " $x_1$ \udce4 名")
+    figure = draw_fits([dataclasses.replace(GOOD, detail="a path " * 60)], Counter(), "W" * 200 + " $x_1$ \udce4 名")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         write_figure(tmp_path / "fit.png", figure)
@@ -62,7 +62,7 @@ def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None
     for side in (picture[:, :5], picture[:, -5:], picture[:4], picture[-4:]):
         assert side.min() == 255  # nothing is cut
     title, footer = figure.get_suptitle(), figure.get_supxlabel()
-    assert figure.axes[0].get_title("left").replace("\n", " ") == ("a path " * 60).strip()
+    assert figure.axes[0].get_title("left").replace("\n", " ").startswith(("a path " * 60).strip())
     assert title.replace("\n", "").startswith("W" * 200)
     assert title.replace("\n", " ").endswith(r" \$x_1\$ ? 名")
     assert footer.endswith(NOTICE)

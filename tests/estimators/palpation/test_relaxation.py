@@ -31,5 +31,6 @@ def test_a_fit_finds_the_standard_linear_solid() -> None:
     assert found.time == pytest.approx(3.0, rel=0.02)
 
 
-def test_a_force_that_stays_tells_no_solid() -> None:
-    assert fit_relaxation(ramp_and_hold(0.0, 3.0)) is None
+def test_a_force_that_goes_on_rising_tells_no_solid() -> None:
+    depth = 3 * np.minimum(TIMES / RAMP, 1)
+    assert fit_relaxation(Hold(TIMES, depth * (1 + 0.02 * TIMES), depth)) is None

@@ -306,6 +306,7 @@ class Batch:
         known = self.known if newtons is None else newtons.known
         wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
+        wanted |= {store.EARLIER: False}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:

@@ -20,14 +20,15 @@ TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
-"""Files of a clip's folder. The record is written last: a folder that has it is complete."""
+EARLIER = "summary.png"
+"""Files of a clip's folder, EARLIER by earlier versions. The record is written last: with it a folder is complete."""
 SCENE = re.compile(r"scene_\d+\.(usda|scn|vtp)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, "summary.png", FIT, COMPARISON, RECORD
+    TABLE, INTERACTIONS, FORCES, REPORT, FIELDS, CALIBRATED, COMPARED, OVERLAY, EARLIER, FIT, COMPARISON, RECORD
 )  # fmt: skip
-"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there (summary.png by
-earlier versions); any other file is a user's."""
+"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
+a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"

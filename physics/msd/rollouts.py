@@ -33,7 +33,8 @@ def rollout(
         Shape [B, T, M, 3], or [B, T, 3] without `watch` [scene units]; index i is the time (i+1)·Δt.
 
     Raises:
-        ValueError: shapes that don't belong together, or tensors that aren't on the CPU, where it is computed.
+        ValueError: shapes that don't belong together, tensors that aren't on the CPU, where it is
+            computed, or a mesh or load whose gradient is wanted: it has those by θ alone.
     """
     theta = _checked(theta, mesh, load)
     watched = _watched(mesh, load, watch)
@@ -74,6 +75,8 @@ def _checked(theta: Tensor, mesh: MeshBatch, load: PressBatch) -> Tensor:
             raise ValueError(f"{name} has shape {tuple(value.shape)}; give {shape} for {batch} meshes.")
     if any(tensor.device.type != "cpu" for tensor in (theta, mesh.vertices, load.direction)):
         raise ValueError("the rollout computes on the CPU; move theta, the meshes and the loads there.")
+    if mesh.vertices.requires_grad or load.direction.requires_grad:
+        raise ValueError("the rollout has gradients by theta only; detach the meshes and the loads.")
     return theta.to(torch.promote_types(theta.dtype, torch.float32))
 
 

@@ -117,6 +117,8 @@ def test_what_is_elsewhere_or_names_no_vertex_is_refused():
     theta = torch.tensor(THETA[:1])
     with pytest.raises(ValueError, match="computes on the CPU; move theta, the meshes and the loads there"):
         rollout(theta.to("meta"), mesh, load)
+    with pytest.raises(ValueError, match="gradients by theta only; detach the meshes and the loads"):
+        rollout(theta, dataclasses.replace(mesh, vertices=mesh.vertices.clone().requires_grad_()), load)
     with pytest.raises(ValueError, match="names vertex 36; the mesh has 36"):
         rollout(theta, mesh, dataclasses.replace(load, vertices=torch.tensor([36])))
     with pytest.raises(ValueError, match="watch names vertex -1; the mesh has 36"):

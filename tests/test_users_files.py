@@ -84,7 +84,8 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch = monkeypatch.setattr
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
-    patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
+    patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, cast(Any, None)))
+    patch(real, "state", lambda run: "undetermined")
     patch(real, "draw_fits", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})

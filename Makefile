@@ -54,8 +54,8 @@ demo: $(INSTALLED)
 	@echo
 	@echo "report:   $(DEMO)/training/evaluation/report.html"
 	@echo "network:  $(DEMO)/parameters.onnx"
-	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, summary.png, fit.png, run.json)"
-	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/summary.png
+	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, fit.png, run.json)"
+	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/fit.png
 	@echo
 	@echo "One clip compared with its truth: by the shipped network, by the one just trained, and by fitting the simulator"
 	@echo "(infer.py --estimator direct):"

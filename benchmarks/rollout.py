@@ -35,12 +35,10 @@ GRID = (120, 214)
 """Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""
 SPACING = 0.0027
 """Distance of two pixels on tissue 0.5 scene units away, seen by a 60° camera [scene units]."""
-BASELINE, TORCH = "spring list", "torch"
+BASELINE = "spring list"
 NUMBA = ("numba exact", "numba window")
 SETTINGS = {(2, 1): (1, 2), (1, 1): (1,), (16, 1): (2,), (1, 2): (1,), (1, 4): (1,), (1, 16): (1,)}
 """Threads of the contenders by batch and multiple of 14,800 vertices; the baseline has one thread."""
-SMALL = 4
-"""Batch times multiple up to which torch's graph fits into memory."""
 ROUNDS, PATIENCE = 7, 5e3
 """Times that a contender is timed, unless its turns took so long before [ms]."""
 ALLOWED = {"trajectory": 1e-3, "gradient": 1e-2}
@@ -115,7 +113,7 @@ def simulate(name: str, task: Task, theta: Tensor) -> Tensor:
     if name == BASELINE:
         return spring_list(task, theta)
     mechanics = Mechanics(window_error=1e-4 if name == "numba window" else 0.0)
-    return rollout(theta, task.mesh, task.load, mechanics, backend=name.split()[0])
+    return rollout(theta, task.mesh, task.load, mechanics)
 
 
 def forward(name: str, task: Task) -> np.ndarray:
@@ -186,8 +184,7 @@ def measure(batch: int, scale: float, threads: tuple[int, ...]) -> list[dict[str
         RuntimeError: a contender computes something else than the baseline.
     """
     task = make_task(batch, scale)
-    names = (*NUMBA, TORCH) if batch * scale <= SMALL else NUMBA
-    contenders = [(BASELINE, 1), *itertools.product(names, threads)]
+    contenders = [(BASELINE, 1), *itertools.product(NUMBA, threads)]
     turns: dict[tuple[str, int], list[Turn]] = {}
     for each in contenders:
         turns[each] = [take_turn(*each, task)]

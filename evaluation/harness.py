@@ -5,10 +5,8 @@ cases that no earlier run has done, keeps every row of results as a line of resu
 continues an interrupted run, and writes what the experiment makes of all rows: tables, pictures, a page.
 """
 
-import functools
 import json
 import os
-import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +21,7 @@ from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
-from palpate.common.files import all_below, as_json, read_file, replacing
+from palpate.common.files import as_json, read_file, replacing
 from palpate.common.options import options
 from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
@@ -159,23 +157,6 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
         say(console, text, style)
     say(console, f"written: {experiment.output}/{', '.join(names)}")
     return status or int(report.failed)
-
-
-Study = tuple[type[Experiment], str | None]
-"""An experiment with its text for `--help`."""
-
-
-def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, text: str | None) -> int:
-    """Run the one of several experiments that the first argument names.
-
-    Returns:
-        Exit status, as of `run`.
-    """
-    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
-    if name not in kinds:
-        print(text if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
-        return 0 if name == "--help" else 2
-    return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 
 class Store:
@@ -361,34 +342,3 @@ class Measurements(Experiment):
         frame = by_measure(self.tabled(found), "file")
         failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
         return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))
-
-
-@dataclass(frozen=True)
-class FileMeasurements(Measurements):
-    """Measurements of the files in a folder and below, by their paths there."""
-
-    data: Path
-    """folder of the data"""
-
-    named: ClassVar[str]
-    """What such files are, for the sentence that there are none."""
-
-    def __post_init__(self) -> None:
-        """Raise a ValueError where there is nothing to judge."""
-        if not self.wanted:
-            raise ValueError(f"{self.data} holds no {self.named}; give --data that does.")
-
-    def measure(self, path: Path) -> Callable[[Path], Row] | None:
-        """What measures a file; None for those that are left out."""
-        raise NotImplementedError
-
-    @functools.cached_property
-    def wanted(self) -> Mapping[str, Callable[[], Row]]:
-        """Files that can be measured."""
-        below = all_below(self.data) if self.data.is_dir() else []
-        found = [(path, self.measure(path)) for path in below]
-        return {path.relative_to(self.data).as_posix(): functools.partial(work, path) for path, work in found if work}
-
-    def record(self) -> Mapping[str, Any]:
-        """When every file was changed last."""
-        return {f"file {name}": (self.data / name).lstat().st_mtime_ns for name in self.wanted}

@@ -8,8 +8,7 @@ from palpate.data.source.frames import open_source
 from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.open import EstimatorOptions, preparation
 from palpate.estimators.open import open_estimator as open_by_options
-from palpate.estimators.palpation.descent import OPTIMIZERS
-from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.estimators.palpation.material_fit import MaterialFit, fit_material
 from palpate.estimators.palpation.scene import read_scene
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.session import estimates_of
@@ -74,19 +73,18 @@ def estimate(
     return [item for item in said if isinstance(item, InteractionEstimate)]
 
 
-def calibrate(scene: str | Path, optimizer: str = "gauss-newton") -> MaterialFit:
+def calibrate(scene: str | Path) -> MaterialFit:
     """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
 
     Args:
         scene: YAML file as of `palpate calibrate palpation`.
-        optimizer: `gauss-newton`, by exact derivatives, or `gradient`, the paper's numeric descent.
 
     Raises:
         InputError: the scene can't be used.
         NoEquilibrium: the body can't bear the forces.
     """
     read = read_scene(Path(scene))
-    return OPTIMIZERS[optimizer](read.skin, read.held, read.palpations, read.settings)
+    return fit_material(read.skin, read.held, read.palpations, read.settings)
 
 
 def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Plan:

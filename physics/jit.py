@@ -1,15 +1,15 @@
-"""Compilation of the simulator's loops with numba, where it is installed."""
+"""Compilation of the simulator's loops with numba."""
 
 import contextlib
 import functools
 import os
 import tempfile
 import threading
-import warnings
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 
 from palpate.common.provenance import code_digest
@@ -18,15 +18,8 @@ try:
     import fcntl
 except ImportError:  # Windows; numba's own care has to do there
     fcntl = None
-try:
-    import numba
 
-    SETTINGS: Any = numba.config  # its attributes are set at run time
-    COMPILED = not SETTINGS.DISABLE_JIT
-except ImportError:
-    COMPILED = False
-"""Whether the loops are compiled."""
-
+SETTINGS: Any = numba.config  # its attributes are set at run time
 # Contraction and reciprocals vectorise and lose nothing; reassociation would undo the displacement form, and
 # assuming that no NaN occurs would hide one.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
@@ -120,20 +113,9 @@ def _alone(folder: Path | None) -> Generator[None]:
 
 def kernel(function: Callable) -> Callable:
     """Decorator for compiled code that Python calls."""
-    return Kernel(function) if COMPILED else function
+    return Kernel(function)
 
 
 def inlined(function: Callable) -> Callable:
     """Decorator for a part of kernels: copied into its callers, so that their loops can be vectorised."""
-    return numba.njit(function, forceinline=True, **OPTIONS) if COMPILED else function
-
-
-@functools.cache
-def say_slow() -> None:
-    """Tell once a process that the plain numpy or torch version runs."""
-    warnings.warn(
-        "numba isn't installed, so the simulator runs its plain version, up to a hundred times slower; "
-        "pip install numba.",
-        RuntimeWarning,
-        stacklevel=3,
-    )
+    return numba.njit(function, forceinline=True, **OPTIONS)

@@ -11,7 +11,7 @@ bag       forces and verdicts for ROS (--bag)
 scene     what was estimated, to simulate further (--export), for USD, SOFA, VTK and PLY
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
-plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
+plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
 overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
 field_file  stiffness in fields.npz
 """

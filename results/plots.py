@@ -1,4 +1,4 @@
-"""The static pictures of a clip: `summary.png` over its frames and `fit.png` of its contacts, verdicts first.
+"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces.
 
 matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
 """
@@ -9,7 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,27 +17,23 @@ from palpate.data.contact.interaction import Interaction
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.online.particle_field import FieldEstimate
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.results.calibrated import Curve
-from palpate.results.columns import UNITS
 from palpate.results.panels import (
     FAR_COLOR,
-    GRID,
     INK,
     MUTED,
     NOTICE,
     OBSERVED,
     RELEASE,
     SIMULATED,
-    draw_curve,
     draw_explained,
     draw_field,
     draw_grip,
     lines_of,
     name_axes,
-    top_of,
 )
-from palpate.results.verdicts import COLORS, FAR, digits, in_words, is_far, numbers, state
+from palpate.results.verdicts import COLORS, FAR, digits, in_words, numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,78 +41,14 @@ if TYPE_CHECKING:
 
 WIDTH = 15.0
 """Width of the pictures [inches of 100 px]."""
-PANELS = {
-    "stiffness": ("Stiffness $k_s$", "#2563eb"),
-    "damping": ("Damping $k_d$", "#0d9488"),
-    "force": ("Force $|F|$", "#ea580c"),
-}
-"""Title and colour of the panels with intervals, by attribute of a FrameEstimate."""
 MOST_PANELS = 12
 """Runs of contact that are drawn."""
-NO_RUNS: Counter[str] = Counter()
-
-
-def draw_summary(
-    estimates: Sequence[FrameEstimate],
-    counts: Counter[str] = NO_RUNS,
-    runs: Sequence[InteractionEstimate] = (),
-    *,
-    title: str,
-    subtitle: str = "",
-) -> Figure:
-    """Draw a clip's verdicts, parameters and displacements over time, or verdicts alone where frames have no estimate.
-
-    Displacements are drawn where any is known; in plain video none is.
-
-    Below them is what is known of grips: how the force at each changed, and where the tissue is stiffer; and fields of
-    stiffness over time and on the picture.
-
-    Args:
-        estimates: one a frame, in order.
-        counts: of runs of contact by `state`; the heading begins with them.
-        runs: those whose grips and fields are drawn.
-        title: name of the clip.
-        subtitle: what made the numbers.
-    """
-    estimated = any(estimate.estimate is not None for estimate in estimates)
-    moved = any(np.isfinite(_column(estimates, f"{name}_displacement")).any() for name in ("observed", "simulated"))
-    heights = [1.1, 2.8, 2.8, 2.8, *[3.0] * moved] if estimated else [2.2]
-    gripped = [
-        (run, found)
-        for run in runs
-        if isinstance(found := run.main_estimate, FieldEstimate)
-        or (isinstance(found, GripEstimate) and found.determined)
-    ]
-    figure, rows = _figure([*heights, *[4.0] * len(gripped)], title, subtitle)
-    strip, *panels = rows[: len(heights)]
-    for axes in panels:
-        axes.sharex(strip)
-    for axes in rows[: len(heights) - 1]:
-        axes.tick_params(labelbottom=False)
-    for axes, (run, found) in zip(rows[len(heights) :], gripped, strict=True):
-        axes.set_title("\n".join(lines_of(_described_run(run)[0], 120)), loc="left", fontsize=12)
-        if isinstance(found, GripEstimate):
-            draw_grip(axes, found)
-        elif isinstance(found, FieldEstimate):
-            draw_field(axes, found)
-    times = _column(estimates, "time_s")
-    interval = max(float(np.median(np.diff(times))), 1e-3) if len(times) > 1 else 0.04
-    edges = np.append(times, times[-1] + interval) if len(times) else np.array([0.0, 1.0])
-    _draw_states(strip, edges, estimates, below=0.5 if estimated else 4.5)
-    _head(strip, *_described(estimates, counts))
-    if estimated:
-        for axes, (name, (label, color)) in zip(panels, PANELS.items(), strict=False):
-            _draw_parameter(axes, times, estimates, name, color)
-            _finish(axes, label, name)
-        if moved:
-            _draw_displacements(panels[-1], times, estimates)
-            _finish(panels[-1], "Displacement of the contact", "displacement")
-    rows[len(heights) - 1].set(xlim=(edges[0], edges[-1]), xlabel="time [s]")
-    return figure
 
 
 def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: str) -> Figure:
     """Draw runs of contact one below the other: in words, and with their motion where there is an estimate.
+
+    Below a field's motion are its course and its map.
 
     Args:
         runs: those that are drawn.
@@ -129,12 +61,23 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         subtitle += f" {len(runs)} are drawn, interactions.csv has all."
     panels = list(runs) or [None]
     words = [_described_run(run) for run in panels]
-    heights = [_height(run, sentences) for run, (_, sentences, _) in zip(panels, words, strict=True)]
-    figure, rows = _figure(heights, title, subtitle)
-    for axes, words_of, run in zip(rows, words, panels, strict=True):
-        _head(axes, *words_of)
-        _draw_motion(axes, run)
+    heights = []
+    for run, (_, sentences, _) in zip(panels, words, strict=True):
+        heights += [_height(run, sentences), *[4.0] * (_field_of(run) is not None)]
+    figure, axes = _figure(heights, title, subtitle)
+    rows = iter(axes)
+    for words_of, run in zip(words, panels, strict=True):
+        row = next(rows)
+        _head(row, *words_of)
+        _draw_motion(row, run)
+        if (found := _field_of(run)) is not None:
+            draw_field(next(rows), found)
     return figure
+
+
+def _field_of(run: InteractionEstimate | None) -> FieldEstimate | None:
+    found = None if run is None else run.main_estimate
+    return found if isinstance(found, FieldEstimate) else None
 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
@@ -213,71 +156,6 @@ def _head(axes: Axes, heading: str, sentence: str, state: str) -> None:
     )  # fmt: skip
 
 
-def _finish(axes: Axes, label: str, quantity: str) -> None:
-    """Title with unit, a grid, and a legend above on the right."""
-    axes.set_title(f"{label}   [{UNITS[quantity]}]", loc="left", fontsize=12, color=INK)
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, fontsize=10, borderaxespad=0.2)
-    axes.grid(color=GRID, lw=0.8)
-
-
-def _draw_states(axes: Axes, edges: np.ndarray, estimates: Sequence[FrameEstimate], below: float) -> None:
-    """What is said first about every frame, as a strip of colours with their counts, `below` [lines] under it."""
-    states = np.array([state(estimate) for estimate in estimates])
-    narrowest = (edges[-1] - edges[0]) / (100 * WIDTH)
-    begin, width = np.minimum(edges[:-1], edges[-1] - narrowest), np.maximum(np.diff(edges), narrowest)
-    for name in (name for name in COLORS if name in states):
-        hit = states == name
-        axes.broken_barh(
-            list(zip(begin[hit], width[hit], strict=True)), (0, 1), color=_color(name), lw=0, antialiased=False,
-            zorder=1 + 1 / hit.sum(), label=f"{in_words(name)}: {hit.sum()}",
-        )  # fmt: skip
-    axes.set(ylim=(0, 1), yticks=[])
-    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0, 0), "borderaxespad": below}
-    axes.legend(handles=axes.collections, ncols=6, frameon=False, fontsize=10, **place)
-
-
-def _described(estimates: Sequence[FrameEstimate], runs: Counter[str]) -> tuple[str, str, str]:
-    """Heading of a clip, sentences about it, and the one verdict of its runs of contact or frames in contact."""
-    touching = [estimate for estimate in estimates if estimate.status == "ok"]
-    counts = Counter(map(state, touching))
-    found = ", ".join(f"{in_words(name)} on {counts[name]}" for name in COLORS if counts[name] and name != "ok")
-    among = f"{len(touching)} frames in contact" if touching else "no frame is in contact"
-    heading = f"{found} of {among}" if found else among
-    if runs:
-        of_runs = ", ".join(f"{in_words(name)} on {runs[name]}" for name in COLORS if runs[name])
-        frames = heading if any(estimate.estimate is not None for estimate in estimates) else among
-        heading, counts = f"{of_runs} of {runs.total()} runs of contact; {frames}", runs
-    far, remarks = sum(map(is_far, touching)), [row for row in touching or estimates if row.detail]
-    sentences = [f"The simulated displacement is {FAR} on {far} of these frames (×)."] if far else []
-    if remarks:
-        last = remarks[-1]
-        sentences.append(f"Frames with a remark: {len(remarks)}; the last, frame {last.frame}: {last.detail}")
-    return heading, " ".join(sentences), next(iter(counts)) if len(counts) == 1 else ""
-
-
-def _draw_parameter(axes: Axes, times: np.ndarray, estimates: Sequence[FrameEstimate], name: str, color: str) -> None:
-    """A parameter's values, as rings where they are not determined, and its intervals."""
-    value, low, high = (_column(estimates, f"{name}{end}") for end in ("", "_low", "_high"))
-    sure = [estimate.verdict == "determined" for estimate in estimates]
-    axes.plot(times, value, "o-", ms=4, lw=1, color=(color, 0.5), mfc="white", label="not determined")
-    axes.plot(times, np.where(sure, value, np.nan), "o", ms=4, color=color, label="determined")
-    top = top_of(value, np.minimum(high, 5 * value))  # a hundredfold interval would flatten the rest
-    if np.isfinite(high).any():
-        beyond = f", up to {digits(np.nanmax(high), 2)}" if np.nanmax(high) > top else ""
-        axes.fill_between(times, low, high, color=color, alpha=0.2, lw=0, label=f"90 % interval{beyond}")
-    axes.set_ylim(0, top)
-
-
-def _draw_displacements(axes: Axes, times: np.ndarray, estimates: Sequence[FrameEstimate]) -> None:
-    """Observed and simulated displacement, crosses where they are far from each other."""
-    observed, simulated = (_column(estimates, f"{name}_displacement") for name in ("observed", "simulated"))
-    far = np.where([is_far(estimate) for estimate in estimates], simulated, np.nan)
-    draw_curve(axes, times, observed, OBSERVED, "observed")
-    draw_curve(axes, times, simulated, SIMULATED, "simulated")
-    axes.plot(times, far, "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")
-    axes.set_ylim(0, top_of(observed, simulated))
-
-
 def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     """Heading of a run of contact, the verdict first and no number surer than it, sentences, and a key of COLORS."""
     if run is None:
@@ -346,8 +224,3 @@ def _far(contact: Interaction, simulated: tuple[np.ndarray, np.ndarray], noise: 
     observed, at = contact.along, np.interp(contact.observation.times, *simulated)
     apart = np.abs(at - 1.25 * observed) > 0.75 * np.abs(observed)  # beyond half and twice, of either sign
     return at, apart & (np.abs(at - observed) > 2 * noise)
-
-
-def _column(estimates: Sequence[FrameEstimate], attribute: str) -> np.ndarray:
-    """One of the values of all frames, shape [n], NaN where there is none."""
-    return np.array([estimate.values.get(attribute) for estimate in estimates], dtype=float)

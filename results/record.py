@@ -153,17 +153,6 @@ def _left_out(clip: ClipStream) -> list[str]:
     return ([SELDOM] if seldom else []) + ([LEAVES_OUT] if clip.guesses_depth else [])
 
 
-def describe(record: Mapping[str, Any]) -> str:
-    """One line about what made a clip's results, for its summary."""
-    given, model = record["input"], record["model"]
-    network = "" if model is None else f", {Path(model['path']).name} ({model['sha256'][:8]})"
-    return (
-        f"{given['frames']} frames, {given['width']}×{given['height']}, {given['fps']:.4g} fps · "
-        f"estimator {record['estimator']['name']}{network} · "
-        f"depth {record['depth_model']['identity'].split(':')[0]} · masks {record['masks']['source']}"
-    )
-
-
 def warnings_of(
     source: FrameSource,
     frames: Sequence[FrameEstimate],

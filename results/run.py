@@ -43,7 +43,7 @@ from palpate.results.bag import write_bag
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
-from palpate.results.record import build_record, depends_on, describe, fingerprint_of, model_of
+from palpate.results.record import build_record, depends_on, fingerprint_of, model_of
 from palpate.results.writer import ClipResults
 
 WORDS = {
@@ -184,7 +184,7 @@ class Batch:
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)
-                results.finish(record, title=source.name, subtitle=describe(record))
+                results.finish(record, title=source.name)
         finally:
             progress.remove_task(task)
         if self._has_known_force(path):
@@ -312,6 +312,7 @@ class Batch:
         wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
+        wanted |= {store.EARLIER: False}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:

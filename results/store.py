@@ -16,17 +16,18 @@ from typing import Any
 from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
 
-TABLE, OVERLAY, SUMMARY, RECORD = "parameters.csv", "overlay.mp4", "summary.png", "run.json"
+TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
-"""Files of a clip's folder. The record is written last: a folder that has it is complete."""
+EARLIER = "summary.png"
+"""Files of a clip's folder, EARLIER by earlier versions. The record is written last: with it a folder is complete."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 SCENE = re.compile(r"scene_\d+\.(usda|scn|vtu|ply)")
 """Names of the scenes that --export writes there."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, SUMMARY, FIT,
+    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, EARLIER, FIT,
     COMPARISON, RECORD,
 )  # fmt: skip
 """All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is

@@ -26,14 +26,14 @@ from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
-from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, draw_summary, write_figure
+from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
 from palpate.results.scene.files import scene_text
 from palpate.results.scene.kinds import scene_of
 from palpate.results.scene.scene import FORMATS
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
-from palpate.results.verdicts import in_words, state
+from palpate.results.verdicts import state
 
 MOST_UNDRAWN = 4
 """Pictures that wait to be drawn."""
@@ -215,17 +215,13 @@ class ClipResults:
         if self.calibration is not None:
             self.calibration.conclude(length)
 
-    def finish(self, record: Mapping[str, Any], *, title: str, subtitle: str) -> None:
+    def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
             self._draw_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
             self._open.close()
-            runs = ", ".join(f"{count} {in_words(name)}" for name, count in self.counts.items())
-            described = f"{subtitle} · runs of contact: {runs or 'none'}"
-            summary = draw_summary(self.estimates, self.counts, self.drawn, title=title, subtitle=described)
-            write_figure(self._partial / store.SUMMARY, summary)
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:
                 self._write_newtons(self.calibration, title)

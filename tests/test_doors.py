@@ -19,7 +19,6 @@ MODULES = [
     "estimators.network.light_calibration",
     "evaluation.benchmark",
     "evaluation.compare_with_truth",
-    "evaluation.foreign",
     "evaluation.model_errors",
     "evaluation.online",
     "evaluation.palpation",

@@ -43,7 +43,6 @@ from tests.tables import read_rows
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = [
     "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
-    "summary.png",
 ]  # fmt: skip
 SCENE = SceneSettings(
     width=214, height=120, frames=22, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.0005,
@@ -135,7 +134,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     assert call(inputs, tmp_path, clips="clips/folder") == 0
     (tmp_path / "folder" / "notes.txt").write_text("mine")
     (tmp_path / "folder" / "figures").mkdir()
-    (tmp_path / "folder" / "figures" / "summary.png").write_bytes(b"mine too")
+    (tmp_path / "folder" / "figures" / "fit.png").write_bytes(b"mine too")
     before = contents(tmp_path / "folder")
     assert direct(inputs / "clips" / "folder", tmp_path) == 1
     assert "holds results of other settings, of another model" in capsys.readouterr().err
@@ -151,7 +150,7 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     after = contents(tmp_path / "folder")
     assert before.keys() - after.keys() == {"overlay.mp4"}
     assert after["run.json"] != before["run.json"]
-    theirs = ("notes.txt", "figures/summary.png")
+    theirs = ("notes.txt", "figures/fit.png")
     assert [after[name] for name in theirs] == [before[name] for name in theirs] == [b"mine", b"mine too"]
 
 

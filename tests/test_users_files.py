@@ -5,7 +5,6 @@ import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -21,14 +20,12 @@ from palpate.common.output import LIST, ForeignFile
 from palpate.data import InputError, prepare
 from palpate.data.depth.photometric import write_photometric
 from palpate.data.synthetic import __main__ as synthetic
-from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
-from palpate.evaluation import foreign
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.palpation import __main__ as palpation
-from palpate.evaluation.palpation import curves, surfaces
+from palpate.evaluation.palpation import surfaces
 from palpate.evaluation.real import __main__ as real
 from palpate.evaluation.real.pulled import Pull
 from palpate.evaluation.recovery import figures
@@ -49,9 +46,7 @@ PAGES = ("index.html", "clip/page.html")
 PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
-    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/1-brightness.png", "figures/notes.txt"),
-    "judge_foreign": ("table.csv", "notes.txt"),
-    "judge_palpation": ("table.csv", "notes.txt"),
+    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
@@ -71,12 +66,8 @@ KEPT = (".npz", ".ckpt", ".mp4")
 def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "beam_gravity.csv").touch()
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
-    (tmp_path / "forces").mkdir()
-    (tmp_path / "forces" / "hold.csv").write_text("t_s,force_N,displacement_mm\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
     trainer = {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False}
@@ -93,14 +84,10 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch = monkeypatch.setattr
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
-    patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, [], cast(Any, None)))
-    patch(real, "read_light", lambda clip, run: None)
-    patch(real, "evaluate_light", lambda lit: ({"change of light": 0.1}, None))
-    patch(real, "draw_summary", lambda *arguments, **options: None)
+    patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, cast(Any, None)))
+    patch(real, "state", lambda run: "undetermined")
+    patch(real, "draw_fits", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
-    patch(foreign, "judge_beams", lambda runs: {"beam": {"E (Pa)": random.random()}})
-    patch(foreign, "measure_ringing", lambda path: {"ringing": asdict(foreign.Ringing(0.0, 7.7, 2.5, 0.0))})
-    monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
     pull = SimpleNamespace(body=SimpleNamespace(count=9))
@@ -115,7 +102,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     settings = SimpleNamespace(law="corotational")
     tissue = SimpleNamespace(notes=[], skin=None, held=None, palpations=[], settings=settings)
     patch(calibrate, "read_scene", lambda path: tissue)
-    monkeypatch.setitem(calibrate.OPTIMIZERS, "gauss-newton", lambda *arguments, report: quick_material())
+    monkeypatch.setattr(calibrate, "fit_material", lambda *arguments, report: quick_material())
     patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
     patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
@@ -169,9 +156,7 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     own = (draw, estimate, judge_online, calibrate_curves, benchmark)
     return {run.__name__: run for run in own} | {
         "judge_pull": fixed(real.main, "--pulled", inputs),
-        "judge_foreign": fixed(foreign.main, "--data", inputs / "foreign"),
-        "judge_palpation": fixed(palpation.main, "curves", "--data", inputs / "forces"),
-        "judge_frank": fixed(palpation.main, "frank"),
+        "judge_frank": fixed(palpation.main),
         "calibrate_palpation": fixed(calibrate.main, "palpation", "scene.yaml"),
         "plan_way": lambda chance, out: fixed(plan.main, SHIPPED, "--alpha", chance.random())(chance, out),
         "train_network": lambda _, out: train.main(
@@ -246,10 +231,8 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         written[name] = {path.name for path in (inputs / name).rglob("*") if path.is_file()}
     expected = {
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
-        "estimate": {"run.json", "parameters.csv", "summary.png"},
-        "judge_pull": {"table.csv", "report.html", "1.png", "1-brightness.png"},
-        "judge_foreign": {"table.csv"},
-        "judge_palpation": {"table.csv"},
+        "estimate": {"run.json", "parameters.csv", "fit.png"},
+        "judge_pull": {"table.csv", "report.html", "1.png"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
         "calibrate_curves": {"curves.csv"},

@@ -2,13 +2,11 @@
 
 curves      tables of probes and of indentations that are held
 indentation one force–depth curve: a modulus where the indenter is stated, a stiffness in N/mm otherwise
-region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
-relaxation  how a force falls while the depth is held: standard linear solids
+relaxation  how a force falls while the depth is held: a standard linear solid
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
-registration depth points laid onto a surface (ICP); several depth views of a body as one surface
+registration depth points laid onto a surface (ICP)
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
-descent     the same by a numeric gradient after the paper's, to compare with
 scene       the file that names a surface and what was pressed on it
 """
 
@@ -18,7 +16,6 @@ __getattr__ = exported(
     {
         "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),
-        "palpate.estimators.palpation.region": ("fit_region",),
         "palpate.estimators.palpation.relaxation": ("fit_relaxation",),
         "palpate.estimators.palpation.skin": ("Skin", "cover"),
         "palpate.estimators.palpation.bench": ("Palpation",),

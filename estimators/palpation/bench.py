@@ -14,8 +14,6 @@ FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
-SHOWN = 0.02
-"""As in `registration`: motions that a body's facets alone show are the tool's to tell."""
 GRAZING = 0.2
 """Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
 
@@ -42,33 +40,19 @@ class Palpation:
     """Standard deviation of its direction [rad]."""
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Where a fit stood after one of its steps, and what it had cost."""
-
-    young: float
-    """E [Pa]."""
-    poisson: float
-    """ν."""
-    solves: int
-    """Equilibria that were computed, those that failed included."""
-    systems: int
-    """Linear systems, each with a stiffness matrix of its own, that equilibria and derivatives took; without those of
-    equilibria that failed."""
-
-
 class Bench:
     """A body with its palpations, that counts what it simulates."""
 
     def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
         self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
-        self.solves = self.systems = 0
+        self.solves = 0
+        """Equilibria that were computed, those that failed included."""
         self.near: LinearSystem | None = None
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
-        self.poses = [register(thinned(each.points), surface, each.pose, shown=SHOWN) for each in palpations]
+        self.poses = [register(thinned(each.points), surface, each.pose) for each in palpations]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []
@@ -105,18 +89,8 @@ class Bench:
             if self.near is None and (solver := rest.solver) is not None and body.rest.size < FACTORED:
                 _ = solver.factors  # once, for all that are solved from here on
             self.near = rest.solver
-            self.systems += rest.iterations
             found[forces.tobytes()] = rest
         return [found[forces.tobytes()] for forces in self.forces]
-
-    def slopes(self, rest: Equilibrium) -> np.ndarray:
-        """Derivatives of a body's displacement by E and ν, shape [N, 3, 2] [m/Pa, m]."""
-        self.systems += 1
-        return rest.tangents()
-
-    def progress(self, young: float, poisson: float) -> Progress:
-        """What it took to come to an E [Pa] and ν."""
-        return Progress(float(young), float(poisson), self.solves, self.systems)
 
     def matched(self, vertices: np.ndarray, which: int, pose: np.ndarray) -> tuple[Match, np.ndarray]:
         """Where a palpation's sights meet the surface in a state, and the cosines of their angles to it [P].

@@ -3,8 +3,8 @@
 The residual is the distance of a measured point from the simulated surface along its line of sight, with what the tool
 hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses: between two
 simulations displacements are linear in the former, and points are matched anew as often as it takes. It begins at the
-linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. A descent
-after the paper's: `estimators/palpation/descent.py`.
+linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. The paper's descent
+takes ten times as many simulations (docs/reports/palpation.md).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, Progress
+from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation
 from palpate.estimators.palpation.registration import turned
 from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Equilibrium, NoEquilibrium
@@ -63,7 +63,7 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
     for rest in rests:
         if id(rest) in states:  # one press seen several times
             continue
-        by_young, by_poisson = np.moveaxis(bench.slopes(rest), -1, 0)
+        by_young, by_poisson = np.moveaxis(rest.tangents(), -1, 0)
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
         slopes = np.stack([-float(np.mean(rest.material.young)) * by_young, by_poisson], axis=-1)
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
@@ -180,10 +180,6 @@ class System:
             found[free] = np.linalg.solve(normal[free][:, free], right[free])
         return found, sd
 
-    def progress(self, young: float) -> Progress:
-        """By the derivatives, from what was simulated with that E [Pa]."""
-        return self.bench.progress(young / (1 + self.change[0]), self.poisson + self.change[1])
-
     def still(self) -> bool:
         """Whether what was simulated is as good."""
         sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
@@ -251,20 +247,15 @@ class MaterialFit:
     """[Pa]."""
     poisson: float
     covariance: np.ndarray
-    """Of (log E, ν), shape [2, 2]; of `descend` not a number."""
+    """Of (log E, ν), shape [2, 2]."""
     poses: list[np.ndarray]
     """Of the sensors, aligned, each of shape [4, 4]."""
     rests: list[Equilibrium]
     """The body under each force, as it was simulated last."""
     noise: float
     """Root mean square distance that is left [m]."""
-    path: list[Progress]
-    """The estimate after every step, the end last."""
-
-    @property
-    def solves(self) -> int:
-        """Equilibria that were computed."""
-        return self.path[-1].solves
+    solves: int
+    """Equilibria that were computed."""
 
     @property
     def young_sd(self) -> float:
@@ -311,7 +302,6 @@ def fit_material(
     scale = _scale(bench, rests)
     young = settings.young / scale
     system = found = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
-    path = [found.progress(young)]
     steps, trust, stiffer = 0, 1.0, 1.0
     while True:
         aim = stiffer * young / (1 + trust * found.change[0]), poisson + trust * float(found.change[1])
@@ -338,12 +328,13 @@ def fit_material(
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
-        path.append(found.progress(young))
         report(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             break
     covariance = found.covariance(settings.model_error)
-    return MaterialFit(path[-1].young, path[-1].poisson, covariance, found.poses, rests, found.noise, path)
+    # By the derivatives, from what was simulated last.
+    young, poisson = float(young / (1 + found.change[0])), float(poisson + found.change[1])
+    return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
 
 
 def require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:

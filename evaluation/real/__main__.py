@@ -6,11 +6,10 @@
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
-fitted included; `contact_frame_N` is the probability that tissue moves with the instrument; `skill of light` is that of
-the change of light in these frames, and `skill of motion` says what light adds to predicted motion. With `--estimator
-online` it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes
-table.csv (clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not
-a medical device.
+fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
+it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes table.csv
+(clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not a medical
+device.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ if __name__ == "__main__":
 
 import base64
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,10 +38,10 @@ from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, run
 from palpate.evaluation.page import as_png
-from palpate.evaluation.real.brightness import evaluate_light, read_light
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
-from palpate.results.plots import draw_summary
+from palpate.results.plots import draw_fits
+from palpate.results.verdicts import state
 
 TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
@@ -52,7 +52,7 @@ KNOWN = {
 
 
 def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
-    """What is measured of a clip, by name, as far as it comes; `figures` are PNG files in base 64, by their names."""
+    """What is measured of a clip, by name, as far as it comes; `figure` is a PNG file in base 64."""
     asked, (name,) = case
     clip, row = asked.wanted[name,], Row(clip=name, status="")
     try:
@@ -60,13 +60,8 @@ def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
             if asked.online is None:
                 pull = evaluate_pull(clip, row)
                 row |= pull.measures
-                figures = {"": draw_summary(pull.frames, runs=[pull.run], title=name)}
-                try:
-                    lit, figures["-brightness"] = evaluate_light(read_light(clip, pull.run))
-                except (NoEstimate, NothingMoves) as error:
-                    lit = {"brightness": str(error)}
-                row |= lit
-                row["figures"] = {name: base64.b64encode(as_png(each)).decode() for name, each in figures.items()}
+                figure = draw_fits([pull.run], Counter([state(pull.run)]), name)
+                row["figure"] = base64.b64encode(as_png(figure)).decode()
             else:
                 row |= evaluate_prediction(clip, asked.online)
     except Exception as error:  # of one clip; the others still are judged
@@ -135,9 +130,7 @@ class Real(Experiment):
     @property
     def writes(self) -> list[str]:  # ty: ignore[incompatible-property-override]  nobody sets it
         """Files of the results."""
-        numbers = range(1, len(self.wanted) + 1)
-        figures = [f"figures/{number}{name}.png" for number in numbers for name in ("", "-brightness")]
-        return ["table.csv", "report.html", *figures]
+        return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.wanted) + 1))]
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
@@ -148,12 +141,10 @@ class Real(Experiment):
         return super().cases({key: row for key, row in done.items() if row["status"] == OK}, progress)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """A row a clip and measure, and figures a clip: what the session says, and what brightness adds."""
+        """A row a clip and measure, and a figure a clip of what the session says."""
         found = [dict(rows[key]) for key in self.wanted if key in rows]
-        drawn = [row.pop("figures") for row in found if "figures" in row]
-        figures: dict[str, bytes] = {}
-        for number, each in enumerate(drawn, 1):
-            figures |= {f"{number}{name}.png": base64.b64decode(content) for name, content in each.items()}
+        drawn = [row.pop("figure") for row in found if "figure" in row]
+        figures = {f"{number}.png": base64.b64decode(content) for number, content in enumerate(drawn, 1)}
         frame = by_measure(found, "clip")
         failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
         lines = [[to_cell(cell, ".3g") for cell in line] for line in frame.itertuples(index=False)]

@@ -47,8 +47,6 @@ class Pull:
 
     measures: dict[str, object]
     """Numbers and words by name."""
-    frames: list[FrameEstimate]
-    """One a frame."""
     run: InteractionEstimate
     """The run of contact that is reported."""
 
@@ -77,7 +75,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
     if not gripped:
         raise NoEstimate(" ".join(run.detail for run in runs) or "No run of contact was found.")
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
-    return Pull({"status": "ok"} | grip_measures(run, grip), frames, run)
+    return Pull({"status": "ok"} | grip_measures(run, grip), run)
 
 
 def opened(clip: PulledClip) -> tuple[Estimator, ClipStream]:

@@ -1,13 +1,13 @@
 """From measured forces to material constants.
 
-    palpate calibrate palpation SCENE.yaml --output OUT [--optimizer gradient]
+    palpate calibrate palpation SCENE.yaml --output OUT
     palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU]
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
             (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
             errors.png, where these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
-            probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
+            probes (probe, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
             displacement_mm). Writes curves.csv.
 
 Not a medical device.
@@ -32,8 +32,7 @@ from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
 from palpate.estimators.palpation.curves import HOLD, kind_of
-from palpate.estimators.palpation.descent import OPTIMIZERS
-from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit
+from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
@@ -57,8 +56,6 @@ def build_parser() -> argparse.ArgumentParser:
     doors = parser.add_subparsers(dest="what", required=True)
     palpation = doors.add_parser("palpation", help="surfaces under forces")
     palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
-    text = "gauss-newton: exact derivatives (default); gradient: a numeric descent after the paper's"
-    palpation.add_argument("--optimizer", choices=list(OPTIMIZERS), default="gauss-newton", help=text)
     text = "of the sheet that the tissue's surface is on video, for infer.py --calibration"
     thickness = real_number("a positive number", 1e-6)
     palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
@@ -101,27 +98,24 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _palpation(options: argparse.Namespace, console: Console) -> int:
-    path, optimizer, thickness, output = options.scene, options.optimizer, options.sheet_thickness, options.output
+    path, thickness, output = options.scene, options.sheet_thickness, options.output
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
     make_output(output)  # before what takes minutes
     try:
         problem = scene.skin, scene.held, scene.palpations, scene.settings
-        found = OPTIMIZERS[optimizer](*problem, report=lambda line: say(console, line))
+        found = fit_material(*problem, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
-    verdict = found.verdict if optimizer == "gauss-newton" else None
-    nothing = verdict == NOTHING
+    nothing = found.verdict == NOTHING
     young, poisson = (None, None) if nothing else (found.young, found.poisson)
-    record: dict[str, object] = {"law": scene.settings.law, "optimizer": optimizer}
+    record: dict[str, object] = {"law": scene.settings.law, "verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
     if thickness is not None:
         record["thickness_m"] = thickness / 1000
-    if verdict is not None:
-        record["verdict"] = verdict
-    if verdict is not None and not nothing:
+    if not nothing:
         half = NINETY * found.young_sd
         record |= {
             "young_low_pa": found.young * np.exp(-half),
@@ -142,10 +136,8 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
         return 0
-    interval = doubt = ""
-    if verdict is not None:
-        interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
-        doubt = f" ± {found.poisson_sd:.2g}" + ("" if verdict == "determined" else ", not determined")
+    interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
+    doubt = f" ± {found.poisson_sd:.2g}" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
     return 0
 
@@ -173,11 +165,11 @@ def _curves(files: list[Path], indenter: Indenter | None, output: Path, console:
     for path in files:
         try:
             if kind_of(path) == HOLD:
-                fit = fit_relaxation(read_hold(path), branches=1)
-                if fit.solid is None:
+                solid = fit_relaxation(read_hold(path))
+                if solid is None:
                     raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
-                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None))
-                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s"))
+                rows.append((path.name, "hold", "relaxing share", solid.ratio / (1 + solid.ratio), None, None, None))
+                rows.append((path.name, "hold", "relaxation time", solid.time, None, None, "s"))
                 continue
             for probe in read_probes(path):
                 found = fit_indentation(probe.depth, probe.force, indenter)

@@ -96,9 +96,8 @@ def _simulated(path: Path, contact: Mapping[str, Any], newtons: Mapping[str, str
     lengths = np.linalg.norm(moved, axis=2)
     shown = {"positions": rest + moved, "faces": faces, "ramp": MIDDLE + SHADES * (FAR - MIDDLE), "times": times}
     shown |= {"levels": lengths[:, faces].mean(axis=2) / lengths.max()}
-    shown |= {
-        "legend": MOVED.format(digits(lengths.max(), 2), KINDS[scene.kind]["parts"]["points"][3].partition(":")[0])
-    }
+    unit = KINDS[scene.kind]["parts"]["points"][3].partition(":")[0].replace("units", "units, not metric")
+    shown |= {"legend": MOVED.format(digits(lengths.max(), 2), unit)}
     if not is_press:
         return shown | {"arrows": np.full((len(moved), 2, 2, 3), np.nan), "said": [""] * len(moved)}
     press, force = scene.press, np.abs(scene.parts["force"].ravel())

@@ -1,11 +1,11 @@
-"""Mass–spring–damper sheets (Bini 2026, section 3.3): one set of equations, written three times for three purposes.
+"""Mass–spring–damper sheets (Bini 2026, section 3.3): one set of equations, written twice for two purposes.
 
 reference     the equations in plain numpy: read this one
 simulation    the numpy door: simulate, simulate_sensitivities; one sample through the kernels
 rollouts      the torch door: rollout, rollout_sensitivities; batch: what it takes
 likelihoods   the paper's squared error of a batch, and its likelihood
 grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
-autograd      torch's view of the compiled rollout; torch_backend: every derivative, any device
+autograd      torch's view of the compiled rollout
 """
 
 from palpate.common.lazy import exported

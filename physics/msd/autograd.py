@@ -76,9 +76,7 @@ class FirstOrder(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
         """Refuse."""
-        raise RuntimeError(
-            "the compiled rollout has first derivatives only; pass backend='torch' to differentiate it twice."
-        )
+        raise RuntimeError("the compiled rollout has first derivatives only; differentiate it once.")
 
 
 def _reliable(case: Case, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:

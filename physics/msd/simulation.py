@@ -1,4 +1,4 @@
-"""Forward simulation: numpy in, numpy out, no torch; presses on grid meshes are compiled where numba is installed.
+"""Forward simulation: numpy in, numpy out, no torch; presses on grid meshes are compiled.
 
 Source: Bini 2026, section 3.4.4 (forward simulation with the estimated parameters) and equation 9.
 """
@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palpate.physics import jit
 from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
@@ -112,9 +111,7 @@ def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
 
     Grips, decimated meshes and whatever else the compiled stencil can't do run in the plain version.
     """
-    if not jit.COMPILED:
-        jit.say_slow()
-    elif isinstance(case.load, Press):
+    if isinstance(case.load, Press):
         found = _on_grid(case, case.load, sensitive)
         if found is not None:
             return found

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from palpate.common.settings import require_numbers
-from palpate.physics.jit import COMPILED, say_slow
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import unturned
@@ -107,8 +106,6 @@ def simulate(
     inverse_mass = body.inverse_mass(gripped)
     inverse_mass /= 1 + inverse_mass * foundation
     arguments = (weight, inverse_mass, body.rest, gripped, path, foundation, stepping.iterations)
-    if not COMPILED:
-        say_slow()
     sweep_forward(body.layout, *arguments, unturned(body, batch), positions)
     return Motion(body, positions, arguments, stepping.time_step)
 

@@ -73,7 +73,6 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
     assert (whole.log, whole.variance) == pytest.approx((scale.log, 0.01))
     with pytest.raises(InputError, match="holds no thickness_m"):
         read_calibration(tmp_path / "calibration.json")
-    # The numeric descent's file knows no interval.
     (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4, "thickness_m": 0.004}))
     with pytest.raises(InputError, match="holds no E with an interval"):
         read_calibration(tmp_path / "calibration.json")

@@ -132,7 +132,10 @@ def test_a_server_answers_on_this_machine_until_ctrl_c(results: Path) -> None:
 
 def test_what_cannot_be_shown_is_a_sentence(tmp_path: Path, capsys, monkeypatch) -> None:
     (tmp_path / "other.vtu").write_text("<a/>")
-    for path, sentence in ((tmp_path, NOTHING), (tmp_path / "other.vtu", "is no scene to simulate on that palpate wrote")):
+    for path, sentence in (
+        (tmp_path, NOTHING),
+        (tmp_path / "other.vtu", "is no scene to simulate on that palpate wrote"),
+    ):
         with pytest.raises(SystemExit, match="1"):
             main(["view", str(path), "--output", str(tmp_path / "view.html")])
         assert sentence in capsys.readouterr().err

@@ -8,19 +8,12 @@ import textwrap
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from palpate.physics import Mechanics, jit
 from palpate.physics.jit import Kernel
 from palpate.physics.msd.grid_kernel import MOBILE
-from palpate.physics.msd.simulation import simulate, simulate_sensitivities
-from tests.physics.sheets import gripped, pressed, sheet
 
 ROOT = Path(__file__).resolve().parents[2]
-THETA, MESH = (0.7, 0.05, -0.1), sheet(6, 6)
-ARGUMENTS = (THETA, MESH, pressed(MESH, 14, 10, 40, np.array([0.0, 0.0, -1.0])), Mechanics())
-GRIPPED = (THETA, MESH, gripped(MESH, [14, 15], 0.1, 40), Mechanics(scheme="dkd"))
 
 
 def test_numba_is_installed_with_the_program():
@@ -29,37 +22,6 @@ def test_numba_is_installed_with_the_program():
     assert [name for name in needed if name.startswith("numba")]
 
 
-def test_without_numba_everything_works_and_says_once_that_it_is_slower():
-    code = """
-        import sys, warnings
-        sys.modules["numba"] = None
-        warnings.simplefilter("always")
-        import numpy as np, torch
-        from tests.physics.batches import batch_of
-        from tests.physics.test_jit import ARGUMENTS, GRIPPED
-        from palpate.physics.msd.rollouts import rollout
-        from palpate.physics.msd.simulation import simulate, simulate_sensitivities
-        found = [simulate(*ARGUMENTS, dtype=np.float64)[-1]]
-        for arguments in (ARGUMENTS, GRIPPED):
-            found += [each[-1] for each in simulate_sensitivities(*arguments, dtype=np.float64)]
-        mesh, load = batch_of([ARGUMENTS[1]], [14])
-        theta = torch.tensor([ARGUMENTS[0]], requires_grad=True)
-        rollout(theta, mesh, load).sum().backward()
-        assert torch.isfinite(theta.grad).all()
-        print([each.tolist() for each in found])
-    """
-    command = [sys.executable, "-c", textwrap.dedent(code)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("numba isn't installed") == 1
-    expected = [simulate(*ARGUMENTS, dtype=np.float64)]
-    expected += [*simulate_sensitivities(*ARGUMENTS, dtype=np.float64)]
-    expected += [*simulate_sensitivities(*GRIPPED, dtype=np.float64)]
-    for seen, own in zip(eval(done.stdout), expected, strict=True):
-        np.testing.assert_allclose(seen, own[-1], rtol=1e-10, atol=1e-12 * np.abs(own).max())
-
-
-@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_code_that_cannot_be_kept_is_compiled_for_this_process(monkeypatch):
     def double(value):
         return 2 * value
@@ -137,7 +99,6 @@ def expected(dtype: str, mobile: int = MOBILE) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_code_does_not_outlive_a_constant_of_another_file(copied):
     assert MOBILE == 9
     [(folder, before)] = shown(start(copied))
@@ -157,7 +118,6 @@ def test_code_does_not_outlive_a_constant_of_another_file(copied):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_processes_that_start_together_and_find_no_code_compute_the_same(copied):
     kinds = ["float32", "float64", "float32", "float64"]
     results = shown(*(start(copied, kind) for kind in kinds))
@@ -167,7 +127,6 @@ def test_processes_that_start_together_and_find_no_code_compute_the_same(copied)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 def test_a_checkout_that_cannot_be_written_keeps_its_code_elsewhere_or_nowhere(copied, tmp_path):
     (copied / "physics" / "__pycache__").write_text("a file where the folder would be: nothing can be kept here")
     home = tmp_path / "home"

@@ -10,12 +10,11 @@ import pytest
 import torch
 
 from palpate.benchmarks.rollout import make_task, memory_above, take_turn
-from palpate.physics import jit
 from palpate.physics.msd.rollouts import rollout
 from tests.physics.batches import batch_of
 from tests.physics.sheets import sheet
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")]
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 

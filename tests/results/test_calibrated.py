@@ -168,7 +168,7 @@ def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> Non
     with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, known=told.known, calibration=told) as output:
         output.add(GOOD)
         output.calibrate(UNKNOWN)
-        output.finish({"program": "infer.py"}, title="clip", subtitle="")
+        output.finish({"program": "infer.py"}, title="clip")
     for name, columns, count in (("calibrated.csv", CALIBRATED, 1), ("compared.csv", COMPARED, 8)):
         rows = read_rows(tmp_path / "clip" / name)
         assert tuple(rows[0]) == tuple(columns)

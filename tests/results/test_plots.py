@@ -1,7 +1,6 @@
 """What the pictures of a clip and of its contacts hold."""
 
 import dataclasses
-import math
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -16,26 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from palpate.estimators.grip.stiffness_fit import StiffnessField
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.physics.load import held
-from palpate.results.columns import UNITS
-from palpate.results.panels import INK, NOTICE, OBSERVED
-from palpate.results.plots import MOST_PANELS, draw_fits, draw_summary, write_figure
+from palpate.results.panels import NOTICE, OBSERVED
+from palpate.results.plots import MOST_PANELS, draw_fits, write_figure
 from palpate.results.surface_plot import draw_surface_errors
 from palpate.results.verdicts import COLORS, state
-from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE, frame_in_contact
+from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE
 from tests.results.fields import FIELD_SEEN, GRIP, PULL, SOLID, TIMES, WIDE
-
-
-def clip(count=20, contact_from=10, verdict="undetermined", factors=(1.6, 40.0, 1.2)) -> list[FrameEstimate]:
-    moved = {"observed_displacement": 0.01, "simulated_displacement": 0.012}
-    seen = frame_in_contact(verdict, (0.5, 0.1, -3.0), factors, **moved)
-    return [
-        FrameEstimate(i, i / 25, "no_tool", "0 tool pixels, fewer than 8.")
-        if i < contact_from
-        else dataclasses.replace(seen, frame=i, time_s=i / 25)
-        for i in range(count)
-    ]
 
 
 def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
@@ -61,158 +48,24 @@ def color_of(name: str) -> tuple[float, ...]:
     return tuple(channel / 255 for channel in COLORS[name])
 
 
-def test_the_verdict_is_the_heading_and_the_strip_shows_every_frame() -> None:
-    strip = draw_summary(clip(), title="clip").axes[0]
-    assert heading(strip) == "undetermined on 10 of 10 frames in contact"
-    assert to_rgb(strip.texts[0].get_color()) == pytest.approx(color_of("undetermined"))
-    assert legend(strip) == ["undetermined: 10", "no tool: 10"]
-    boxes = {tuple(area.get_facecolor()[0][:3]): extent(area) for area in strip.collections}
-    assert boxes[color_of("no_tool")].intervalx == pytest.approx((0.0, 0.4))
-    assert boxes[color_of("undetermined")].intervalx == pytest.approx((0.4, 0.8))
-
-
-def test_a_mixed_clip_counts_its_verdicts_and_is_not_green() -> None:
-    rows = clip(10, 2, "determined")[:6] + clip(10, 2)[6:]
-    strip = draw_summary(rows, title="clip").axes[0]
-    assert heading(strip) == "determined on 4, undetermined on 4 of 8 frames in contact"
-    assert to_rgb(strip.texts[0].get_color()) != pytest.approx(color_of("determined"))
-    alone = draw_summary(clip(10, 2, "determined"), title="clip").axes[0]
-    assert to_rgb(alone.texts[0].get_color()) == pytest.approx(color_of("determined"))
-
-
-def test_one_bad_frame_of_many_is_wide_enough_to_see() -> None:
-    for place in (4000, 8999):
-        rows = clip(9000, 9000)
-        rows[place] = FrameEstimate(place, place / 25, "bad_depth")
-        strip = draw_summary(rows, title="clip").axes[0]
-        bad, good = (
-            next(area for area in strip.collections if area.get_label().startswith(name)) for name in ("bad", "no")
-        )
-        begin, end = extent(bad).intervalx
-        assert end - begin == pytest.approx(360.0 / 1500)
-        assert end < 360.001
-        assert bad.get_zorder() > good.get_zorder()
-
-
-def test_curves_have_values_intervals_titles_and_units() -> None:
-    axes = draw_summary(clip(), title="clip").axes
-    titles = [panel.get_title("left") for panel in axes[1:]]
-    assert titles == [
-        f"Stiffness $k_s$   [{UNITS['stiffness']}]",
-        f"Damping $k_d$   [{UNITS['damping']}]",
-        f"Force $|F|$   [{UNITS['force']}]",
-        f"Displacement of the contact   [{UNITS['displacement']}]",
-    ]
-    assert axes[-1].get_xlabel() == "time [s]"
-    assert axes[-1].get_xlim() == pytest.approx((0.0, 0.8))
-    for panel, value in zip(axes[1:4], (0.5, 0.1, 3.0), strict=True):
-        times, values = curve(panel, "not determined")
-        np.testing.assert_allclose(times, np.arange(10, 20) / 25)
-        np.testing.assert_allclose(values, value)
-    assert legend(axes[1]) == ["not determined", "determined", "90 % interval"]
-    band = extent(axes[1].collections[0])
-    assert (band.y0, band.y1) == pytest.approx((0.5 / 1.6, 0.8))
-    # Intervals far above the values run out of the axes, and the legend says how far.
-    assert axes[2].get_ylim() == pytest.approx((0, 1.12 * 0.5))
-    assert legend(axes[2]) == ["not determined", "determined", "90 % interval, up to 4"]
-    assert axes[3].get_ylim() == pytest.approx((0, 1.12 * 3.6))
-    assert legend(axes[3]) == ["not determined", "determined", "90 % interval"]
-    assert curve(axes[4], "observed")[1] == pytest.approx(0.01)
-    assert curve(axes[4], "simulated")[1] == pytest.approx(0.012)
-
-
-def test_an_estimator_without_uncertainty_has_no_intervals() -> None:
-    for panel, value in zip(draw_summary(clip(factors=None), title="clip").axes[1:4], (0.5, 0.1, 3.0), strict=True):
-        assert panel.get_ylim() == pytest.approx((0, 1.12 * value))
-        assert legend(panel) == ["not determined", "determined"]
-        assert not panel.collections
-
-
-def test_only_determined_values_are_filled_and_a_missing_one_is_a_gap_in_the_curve() -> None:
-    rows = clip(10, 2, "determined")[:6] + clip(10, 2)[6:]
-    rows[7] = FrameEstimate(7, 0.28, "no_contact")
-    panel = draw_summary(rows, title="clip").axes[1]
-    faces = {line.get_label(): line.get_markerfacecolor() for line in panel.lines}
-    assert faces["not determined"] == "white"
-    assert faces["determined"] != "white"
-    np.testing.assert_allclose(curve(panel, "determined")[0], [0.08, 0.12, 0.16, 0.2])
-    line = next(line for line in panel.lines if line.get_label() == "not determined")
-    np.testing.assert_array_equal(np.isnan(line.get_ydata()[6:]), [False, True, False, False])
-
-
-def test_far_motions_and_remarks_are_said_whole() -> None:
-    rows, detail = clip(4, 1), "The model does not explain the motion. " * 12
-    rows[2] = dataclasses.replace(rows[2], simulated_displacement=0.03, detail=detail)
-    axes = draw_summary(rows, title="clip").axes
-    told = axes[0].get_title("left").replace("\n", " ")
-    assert "more than twice or less than half the observed one on 1 of these frames (×)" in told
-    assert told.endswith(f"Frames with a remark: 1; the last, frame 2: {detail.strip()}")
-    assert curve(axes[4], "far from the observed one") == (pytest.approx([0.08]), pytest.approx([0.03]))
-
-
-@pytest.mark.parametrize("rows", [[], clip(1, 1), clip(3, 3)])
-def test_clips_without_contact_say_so(rows: list[FrameEstimate]) -> None:
-    axes = draw_summary(rows, title="clip").axes
-    assert heading(axes[0]) == "no frame is in contact"
-    told = f"Frames with a remark: {len(rows)}; the last, frame {len(rows) - 1}: 0 tool pixels, fewer than 8."
-    assert axes[0].get_title("left") == (told if rows else "")
-    assert len(axes) == 1
-
-
-def test_where_only_whole_runs_are_estimated_no_frame_seems_to_have_a_verdict() -> None:
-    rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
-    (strip,) = draw_summary(rows, title="clip").axes
-    assert (heading(strip), legend(strip)) == ("6 frames in contact", ["in contact: 6", "no tool: 4"])
-
-
-@pytest.mark.parametrize(
-    ("runs", "told", "color"),
-    [
-        ({"undetermined": 2}, "undetermined on 2 of 2 runs of contact; 6 frames in contact", "undetermined"),
-        ({"determined": 1}, "determined on 1 of 1 runs of contact; 6 frames in contact", "determined"),
-        (
-            {"no_estimate": 1, "determined": 2},
-            "determined on 2, no estimate on 1 of 3 runs of contact; 6 frames in contact",
-            None,
-        ),
-    ],
-)
-def test_the_heading_begins_with_the_verdicts_of_whole_runs(runs, told, color) -> None:
-    rows = [dataclasses.replace(row, estimate=None, verdict="") for row in clip(10, 4)]
-    (strip,) = draw_summary(rows, Counter(runs), title="clip").axes
-    assert heading(strip) == told
-    assert to_rgb(strip.texts[0].get_color()) == pytest.approx(to_rgb(INK) if color is None else color_of(color))
-    # Frames' own verdicts follow where they have some.
-    strip = draw_summary(clip(), Counter(runs), title="clip").axes[0]
-    both = told.replace("6 frames in contact", "undetermined on 10 of 10 frames in contact")
-    assert heading(strip) == both
-
-
-def test_displacements_are_drawn_only_where_one_is_known() -> None:
-    unknown = {"observed_displacement": math.nan, "simulated_displacement": math.nan}
-    axes = draw_summary([dataclasses.replace(row, **unknown) for row in clip()], title="clip").axes
-    assert len(axes) == 4
-    assert axes[-1].get_title("left").startswith("Force")
-    assert axes[-1].get_xlabel() == "time [s]"
-
-
 def texts(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.findobj(lambda item: hasattr(item, "get_text"))]
 
 
 def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None:
-    figure = draw_summary(clip(), title="W" * 200 + " $x_1$ \udce4 名", subtitle="a path " * 60)
+    figure = draw_fits([dataclasses.replace(GOOD, detail="a path " * 60)], Counter(), "W" * 200 + " $x_1$ \udce4 名")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        write_figure(tmp_path / "summary.png", figure)
-    picture = cv2.imread(str(tmp_path / "summary.png"))
+        write_figure(tmp_path / "fit.png", figure)
+    picture = cv2.imread(str(tmp_path / "fit.png"))
     assert picture.shape[1] == 1500
     for side in (picture[:, :5], picture[:, -5:], picture[:4], picture[-4:]):
         assert side.min() == 255  # nothing is cut
     title, footer = figure.get_suptitle(), figure.get_supxlabel()
+    assert figure.axes[0].get_title("left").replace("\n", " ").startswith(("a path " * 60).strip())
     assert title.replace("\n", "").startswith("W" * 200)
     assert title.replace("\n", " ").endswith(r" \$x_1\$ ? 名")
-    assert footer.replace("\n", " ") == f"{('a path ' * 60)}{NOTICE}"
+    assert footer.endswith(NOTICE)
     assert not any("…" in text for text in texts(figure))
 
 
@@ -344,16 +197,6 @@ def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
     assert shown.get_title("left").endswith("darkened: unknown")
     assert curve_axes.lines
     assert "stiffness_ratios" in grip.determined
-    run = dataclasses.replace(NONE, grip=grip)
-    *panels, below = draw_summary(clip(), runs=[run, NONE], title="clip").axes
-    assert len(panels) == len(draw_summary(clip(), title="clip").axes)
-    on_summary, force = sorted(below.child_axes, key=lambda item: not item.images)
-    np.testing.assert_array_equal(np.ma.filled(on_summary.images[2].get_array(), np.nan), ratio)
-    *_, plain = draw_summary(clip(), runs=[dataclasses.replace(run, grip=GRIP)], title="clip").axes
-    for shown in (force, plain):
-        np.testing.assert_allclose(curve(shown, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
-    nothing = dataclasses.replace(grip, skill=0.0, stiffness=None)
-    assert len(draw_summary(clip(), runs=[dataclasses.replace(run, grip=nothing)], title="clip").axes) == len(panels)
     off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))
     assert "stiffness_ratios" not in off.determined
 
@@ -383,7 +226,7 @@ def test_the_picture_counts_the_runs_that_are_not_drawn() -> None:
 def test_a_field_that_was_found_is_told_and_shown() -> None:
     run = dataclasses.replace(NONE, field=PULL, detail=PULL.explanation)
     assert run.verdict == "stiffness_ratios"
-    (axes,) = fits(run)
+    axes, _ = fits(run)
     assert heading(axes) == "stiffness ratios, 75% of the motion explained: contact from frame 1 (0.000 s)"
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("stiffness_ratios"))
     assert "leaves 25% of the motion; stiffness is determined at 75% of the particles" in axes.get_title("left")
@@ -398,13 +241,8 @@ def test_a_field_that_was_found_is_told_and_shown() -> None:
     assert figure.get_supxlabel().startswith("Runs of contact: 1, with an estimate: 1.")
 
 
-def test_a_field_is_on_the_summary_with_its_map_and_its_course() -> None:
-    run = dataclasses.replace(NONE, field=PULL)
-    verdicts = ("undetermined", "stiffness_ratios")
-    frames = [FrameEstimate(1 + index, 0.04 * index, "ok", verdict=told) for index, told in enumerate(verdicts)]
-    strip, below = draw_summary(frames, Counter({"stiffness_ratios": 1}), [run], title="clip").axes
-    assert heading(strip) == "stiffness ratios on 1 of 1 runs of contact; 2 frames in contact"
-    assert legend(strip) == ["stiffness ratios: 1", "undetermined: 1"]
+def test_below_a_field_are_its_course_and_its_map() -> None:
+    _, below = fits(dataclasses.replace(NONE, field=PULL))
     shares, course, mapped = below.child_axes
     np.testing.assert_allclose(curve(shares, "motion explained so far"), (TIMES[1:], [0.7, 0.75]))
     np.testing.assert_allclose(curve(shares, "particles determined against stretch"), (TIMES, [0, 0.5, 0.75]))
@@ -415,7 +253,7 @@ def test_a_field_is_on_the_summary_with_its_map_and_its_course() -> None:
     nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), skill=0.2)
     run = dataclasses.replace(NONE, field=dataclasses.replace(PULL, last=nothing))
     assert run.verdict == "undetermined"
-    _, below = draw_summary(frames, Counter({"undetermined": 1}), [run], title="clip").axes
+    _, below = fits(run)
     shares, mapped = below.child_axes
     assert not mapped.collections
     assert mapped.get_title("left") == "stiffness: determined nowhere"

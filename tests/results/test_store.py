@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from palpate.results import store as results
 
-FILES = (results.TABLE, results.SUMMARY, results.RECORD)
+FILES = (results.TABLE, results.FIT, results.RECORD)
 
 
 def write_results(folder: Path, fingerprint: str = "abc", origin: str = "clip.mp4", *, overlay: bool = True) -> None:
     folder.mkdir(parents=True)
-    for name in (results.TABLE, results.SUMMARY) + ((results.OVERLAY,) if overlay else ()):
+    for name in (results.TABLE, results.FIT) + ((results.OVERLAY,) if overlay else ()):
         (folder / name).write_text(f"{name} of {fingerprint}")
     results.write_record(folder, {"program": "infer.py", "fingerprint": fingerprint, "input": {"path": origin}})
 
@@ -103,7 +103,7 @@ DEAD = 2**22 + 1
 """Above the largest process id of Linux."""
 SCENE = "scene_4.vtp"
 PLACES = ("clip", ".", f".clip.partial-{DEAD}", f".clip.partial-{os.getpid()}", ".clip.old-1", "clip/sub")
-NAMES = (results.TABLE, results.OVERLAY, results.SUMMARY, results.RECORD, results.FIT, "notes.txt", ".a", SCENE)
+NAMES = (results.TABLE, results.OVERLAY, results.RECORD, results.FIT, "notes.txt", ".a", SCENE)
 RUNS = st.tuples(
     st.just("run"),
     st.sampled_from(("first", "second")),  # settings
@@ -129,7 +129,7 @@ def interrupted_at(step: int | None) -> Iterator[None]:
 
 def run_once(output: Path, clip: Path, fingerprint: str, overlay: bool, overwrite: bool, steps: Iterator[None]) -> Path:
     """What a door does with a clip, with files that tell their settings."""
-    names = (SCENE, results.TABLE, results.SUMMARY, *((results.OVERLAY,) if overlay else ()))
+    names = (SCENE, results.TABLE, results.FIT, *((results.OVERLAY,) if overlay else ()))
     folder = results.ResultStore(output).folder("clip", clip)
     if results.is_up_to_date(folder, fingerprint, (*names, results.RECORD), overwrite=overwrite):
         return folder

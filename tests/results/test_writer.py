@@ -33,7 +33,7 @@ SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
 FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
 NONE_SEEN = FrameEstimate(8, 0.32, "no_tool")
-NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json", "summary.png"]
+NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json"]
 
 
 def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:
@@ -41,7 +41,7 @@ def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) 
         output.write(FRAME, ESTIMATE)
         output.add(GOOD)
         record = {"program": PROGRAM, "fingerprint": fingerprint, "input": {"path": "clip.mp4"}}
-        output.finish(record, title="clip", subtitle="")
+        output.finish(record, title="clip")
 
 
 def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
 
 def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) -> None:
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
-        output.finish({}, title="clip", subtitle="")
+        output.finish({}, title="clip")
     for name, columns in (("parameters.csv", FRAMES), ("interactions.csv", INTERACTIONS)):
         with (tmp_path / "clip" / name).open(encoding="utf-8", newline="") as stream:
             assert list(csv.reader(stream)) == [list(columns)]
@@ -72,7 +72,7 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, known=known) as output:
         for item in (run, NONE, late):
             output.add(item)
-        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+        output.finish({"program": PROGRAM}, title="clip")
     found = read_rows(tmp_path / "clip" / "forces.csv")
     assert tuple(found[0]) == tuple(FORCES)
     assert [float(row["time_s"]) for row in found] == pytest.approx(0.5 + times)
@@ -92,7 +92,7 @@ def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) ->
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, alarm=alarm) as output:
         for item in (ESTIMATE, sure, less, GOOD, less, dataclasses.replace(NONE_SEEN, contact=False)):
             output.add(item) if item is GOOD else output.write(FRAME, item)
-        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+        output.finish({"program": PROGRAM}, title="clip")
     found = read_rows(tmp_path / "clip" / "parameters.csv")
     assert tuple(found[0]) == (*FRAMES, "alarm")
     assert [row["alarm"] for row in found] == ["unknown", "above", "above", "below", ""]
@@ -114,7 +114,7 @@ def test_frames_of_a_run_wait_for_its_map_of_stiffness(tmp_path: Path) -> None:
                 prepared = dataclasses.replace(FRAME, frame=frame, picture_labels=labels)
                 output.write(prepared, estimate)
             output.add(run)
-            output.finish({"program": PROGRAM}, title="clip", subtitle="")
+            output.finish({"program": PROGRAM}, title="clip")
         assert "overlay.mp4" in own_files(folder)
         video = cv2.VideoCapture(str(folder / "overlay.mp4"))
         return [video.read()[1].astype(int) for _ in estimates]
@@ -154,7 +154,7 @@ def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> Non
 def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     write_clip(tmp_path / "clip", "earlier")
     killed = partial_folder(tmp_path / "clip")
-    for name in ("parameters.csv", ".summary.png.partial"):
+    for name in ("parameters.csv", ".fit.png.partial"):
         (killed / name).write_text("unfinished")
     killed.rename(tmp_path / f".clip.partial-{2**22 + 1}")  # above the largest process id of Linux
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False):
@@ -211,7 +211,7 @@ def test_fields_that_are_not_explained_or_not_determined_are_gathered_as_doubts(
         assert output.counts == {"stiffness_ratios": 1, "undetermined": 4}
         assert output.stretched
         first, second = output.doubts
-        output.finish({"program": PROGRAM}, title="clip", subtitle="")
+        output.finish({"program": PROGRAM}, title="clip")
     assert first.startswith("contact from frame 1: The fit does not explain the motion: tissue simulated under the")
     assert "leaves 100% of the motion (65% at most count as explained), so no stiffness is given or coloured." in first
     assert "leaves 40% of the motion, but no place's stiffness is determined" in second

@@ -12,10 +12,8 @@ import pytest
 from palpate.common.options import options
 from palpate.common.output import LIST
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.records import InteractionEstimate
 from palpate.evaluation.harness import write
 from palpate.evaluation.real.__main__ import KNOWN, Real, main
-from palpate.evaluation.real.brightness import LitPull, evaluate_light, read_light
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip
 from tests.tables import read_measures
@@ -43,14 +41,6 @@ def judged(clip: PulledClip) -> tuple[dict, Pull | NoEstimate]:
         return measures, error
 
 
-@functools.cache
-def light_of(clip: PulledClip) -> LitPull:
-    return read_light(clip, judged(clip)[1].run)
-
-
-lit_once = functools.cache(evaluate_light)
-
-
 def twin(clip: PulledClip) -> PulledClip:
     """Of the same pictures: `other` is drawn as `pull` is."""
     same = {name: getattr(clip, name) for name in ("path", "layout_file")}
@@ -67,12 +57,7 @@ def evaluate_once(clip: PulledClip, row: dict) -> Pull:
 
 @pytest.fixture(autouse=True)
 def judging_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, once in (
-        ("evaluate_pull", evaluate_once),
-        ("read_light", lambda clip, run: light_of(twin(clip))),
-        ("evaluate_light", lit_once),
-    ):
-        monkeypatch.setattr(f"palpate.evaluation.real.__main__.{name}", once)
+    monkeypatch.setattr("palpate.evaluation.real.__main__.evaluate_pull", evaluate_once)
 
 
 def pulled(inputs: Path, name: str) -> list[str]:
@@ -101,13 +86,10 @@ def test_two_known_clips_are_judged(inputs, tmp_path, monkeypatch, capsys) -> No
     for each in found.values():
         assert each["status"] == "ok"
         assert float(each["skill in frames kept back"]) > 0.5
-        assert each["skill of motion: sheet"] == each["skill in frames kept back"]
-        assert float(each["skill of light: nothing moves"]) == 0
-        assert float(each["skill of light: sheet, places"]) > 0.5
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Not a medical device" in page
     assert "<td>skill in frames kept back</td>" in page
-    for name in ("1.png", "1-brightness.png", "2.png", "2-brightness.png"):
+    for name in ("1.png", "2.png"):
         content = (tmp_path / "figures" / name).read_bytes()
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         assert picture.std() > 10
@@ -136,7 +118,7 @@ def test_a_clip_where_nothing_moves_is_a_sentence_and_the_other_is_judged(inputs
     assert all(0.5 < float(found["still"][name]) < 0.9 for name in contact)  # nothing moves: outlines decide
     assert sentence in found["still"]["status"]
     assert found["pull"]["status"] == "ok"
-    assert sorted(path.name for path in (tmp_path / "figures").glob("*.png")) == ["1-brightness.png", "1.png"]
+    assert sorted(path.name for path in (tmp_path / "figures").glob("*.png")) == ["1.png"]
     assert sentence in (tmp_path / "report.html").read_text(encoding="utf-8")
     told = capsys.readouterr().err
     assert told.count(f"still: {found['still']['status']}") == 1
@@ -156,17 +138,6 @@ def test_what_nobody_expected_of_a_clip_is_a_sentence_and_the_other_is_judged(in
     assert found["pull"]["status"] == told
     assert found["other"]["status"] == "ok"
     assert "pull: unexpected ZeroDivisionError" in capsys.readouterr().err
-
-
-def test_where_light_tells_nothing_the_grip_is_judged(inputs, tmp_path, monkeypatch) -> None:
-    def fail(clip: PulledClip, run: InteractionEstimate) -> LitPull:
-        raise NoEstimate("It is too dark.")
-
-    monkeypatch.setattr("palpate.evaluation.real.__main__.read_light", fail)
-    assert main([*pulled(inputs, "pull"), "--output", str(tmp_path)]) == 0
-    found = rows(tmp_path)["pull"]
-    assert (found["status"], found["brightness"]) == ("ok", "It is too dark.")
-    assert [path.name for path in (tmp_path / "figures").glob("*.png")] == ["1.png"]
 
 
 def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

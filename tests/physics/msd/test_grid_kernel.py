@@ -1,13 +1,10 @@
 """The compiled stencil at the edge of single precision, and how often it is compiled."""
 
 import numpy as np
-import pytest
 
-from palpate.physics import Mechanics, jit
+from palpate.physics import Mechanics
 from palpate.physics.msd.grid_kernel import specialised
 from tests.physics.sheets import pressed, sheet, whole_field
-
-pytestmark = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 
 
 def test_nothing_denormal_is_left_ahead_of_the_wave():

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.physics import Bounds, Mechanics, Press, contact_normal, jit, ramped
+from palpate.physics import Bounds, Mechanics, Press, contact_normal, ramped
 from palpate.physics.msd import MeshBatch, reference, rollout, rollout_sensitivities, simulate_sensitivities
 from tests.physics.batches import batch_of, joined
 from tests.physics.sheets import hand_mesh, loose, pressed, sheet
@@ -22,19 +22,16 @@ LOADS = {
 }
 """A load for each of up to two meshes."""
 
-BACKENDS = [pytest.param("numba", marks=pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")), "torch"]
 
-
-@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
-def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
+def test_rollouts_equal_numpy_over_a_mixed_batch(kind, mechanics):
     meshes = [sheet(9, 8), sheet(9, 8, keep=0.5)]
     theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
     watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
     mesh, load = joined(meshes, LOADS[kind](meshes))
-    first = rollout(theta, mesh, load, mechanics, backend)
-    seen = rollout(theta, mesh, load, mechanics, backend, watch)
+    first = rollout(theta, mesh, load, mechanics)
+    seen = rollout(theta, mesh, load, mechanics, watch)
     for index in range(2):
         acts = load.split()[index]
         plain = reference.steps(theta[index].numpy(), meshes[index], acts, mechanics)
@@ -43,17 +40,16 @@ def test_backends_equal_numpy_over_a_mixed_batch(kind, mechanics, backend):
         np.testing.assert_allclose(first[index].numpy(), expected[:, acts.vertex], atol=1e-12)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mechanics", [Mechanics(), Mechanics(scheme="dkd")], ids=["euler", "dkd"])
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
 @pytest.mark.parametrize("keep", [1.0, 0.5], ids=["grids", "mixed"])
-def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, keep, mechanics, backend):
+def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, keep, mechanics):
     """Those of numpy are compared with finite differences where numpy's simulation is tested."""
     meshes = [sheet(9, 8), sheet(9, 8, keep=keep)]
     loads = LOADS[kind](meshes)
     theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64, requires_grad=True)
     for watch in (None, torch.tensor([[31, 30, 3], [5, 6, 20]])):
-        path, slopes = rollout_sensitivities(theta, *joined(meshes, loads), mechanics, backend, watch)
+        path, slopes = rollout_sensitivities(theta, *joined(meshes, loads), mechanics, watch)
         assert not path.requires_grad
         assert not slopes.requires_grad
         for index, sample in enumerate(zip(meshes, loads, strict=True)):
@@ -62,19 +58,18 @@ def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, kee
             for values, others in zip((path, slopes), expected, strict=True):
                 np.testing.assert_allclose(values[index], others, atol=1e-7 * np.abs(others).max())
         weights = torch.randn(path.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-        moved = rollout(theta, *joined(meshes, loads), mechanics, backend, watch)
+        moved = rollout(theta, *joined(meshes, loads), mechanics, watch)
         (gradient,) = torch.autograd.grad((weights * moved).sum(), theta)
         product = (weights[..., None] * slopes).flatten(1, -2).sum(dim=1)
         torch.testing.assert_close(gradient, product, rtol=1e-7, atol=1e-7 * float(product.abs().max()))
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_gradient_in_single_precision_agrees_with_double(backend):
+def test_gradient_in_single_precision_agrees_with_double():
     mesh, load = batch_of([sheet(10, 10)], [44])
     gradients = []
     for dtype in (torch.float32, torch.float64):
         theta = torch.tensor([[0.7, 0.05, -0.1]], dtype=dtype, requires_grad=True)
-        rollout(theta, mesh, load, backend=backend)[:, :, 2].mean().backward()
+        rollout(theta, mesh, load)[:, :, 2].mean().backward()
         gradients.append(theta.grad.double())
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=0)
 
@@ -87,23 +82,21 @@ box = st.tuples(*(st.floats(low, high) for low, high in zip(Bounds().lower, Boun
     theta=box,
     scheme=st.sampled_from(["euler", "dkd"]),
     mesh=st.sampled_from([sheet(7, 7), loose(sheet(7, 7))]),
-    backend=st.sampled_from(["auto", "torch"]),
 )
-def test_motion_is_finite_on_the_whole_box(theta, scheme, mesh, backend):
+def test_motion_is_finite_on_the_whole_box(theta, scheme, mesh):
     mesh, load = batch_of([mesh], [24])
     values = torch.tensor([theta], dtype=torch.float32, requires_grad=True)
-    trajectory = rollout(values, mesh, load, Mechanics(scheme=scheme), backend)
+    trajectory = rollout(values, mesh, load, Mechanics(scheme=scheme))
     assert trajectory.shape == (1, 200, 3)
     assert torch.isfinite(trajectory).all()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertices(backend):
+def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertices():
     mesh = hand_mesh([[0, 0, 1], [0, 0, 1], [0.01, 0, 1]], [[0, 1], [0, 2], [1, 2]])
     joined, load = batch_of([mesh], [0])
     for values in ([0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.5, 0.1, -1.0]):
         theta = torch.tensor([values], requires_grad=True)
-        rollout(theta, joined, load, Mechanics(), backend).square().sum().backward()
+        rollout(theta, joined, load, Mechanics()).square().sum().backward()
         assert torch.isfinite(theta.grad).all()
 
 

@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.integrate import solve_ivp
 
-from palpate.physics import jit
 from palpate.physics.load import Grip, Load, Press, held, ramped
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 from palpate.physics.msd import grid_kernel, reference
 from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
 from tests.physics import sheets
-
-compiled = pytest.mark.skipif(not jit.COMPILED, reason="numba isn't installed")
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -364,7 +361,6 @@ def load_of(kind: str, mesh: Mesh, vertex: int, steps: int) -> Load:
 @pytest.mark.parametrize(("mechanics", "steps"), MECHANICS.values(), ids=MECHANICS)
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
-@compiled
 def test_compiled_equals_plain(kind, mesh, mechanics, steps):
     vertex = len(mesh.vertices) // 2
     load, watch = load_of(kind, mesh, vertex, steps), np.unique([vertex, 0, vertex // 2, len(mesh.vertices) - 1])
@@ -383,7 +379,6 @@ def test_compiled_equals_plain(kind, mesh, mechanics, steps):
 
 
 @pytest.mark.parametrize("kind", ["vertex", "patch"])
-@compiled
 def test_cone_equals_whole_mesh_to_round_off(kind):
     mesh, mechanics = sheets.sheet(50, 60), Mechanics()
     vertex = 25 * 60 + 30

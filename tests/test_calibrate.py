@@ -21,24 +21,8 @@ from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
 from palpate.results.scene.files import read_scene
 from palpate.results.scene.kinds import simulated
-from tests.estimators.palpation.test_relaxation import ramp_and_hold
+from tests.evaluation.palpation.test_curves import write_hold, write_probes
 from tests.tables import read_rows
-
-
-def write_probes(path: Path) -> None:
-    """Twelve of growing stiffness."""
-    depths, chance = np.linspace(0, 3, 8), np.random.default_rng(2)
-    rows = ["probe,step,depth_mm,fn_N"]
-    for number in range(12):
-        forces = (0.3 + 0.02 * number) * (depths + 0.3 * depths**2) + chance.normal(0, 0.01, len(depths))
-        rows += [f"{number},{step},{d},{f}" for step, (d, f) in enumerate(zip(depths, forces, strict=True))]
-    path.write_text("\n".join(rows))
-
-
-def write_hold(path: Path) -> None:
-    hold = ramp_and_hold(1.0, 2.0)
-    rows = zip(hold.times, hold.force, hold.depth, strict=True)
-    path.write_text("t_s,force_N,displacement_mm\n" + "\n".join(f"{t},{f},{d}" for t, f, d in rows))
 
 
 @functools.cache
@@ -160,8 +144,6 @@ def test_curves_say_what_their_numbers_are(tmp_path):
         assert all(float(row["low"]) < float(row["value"]) < float(row["high"]) for row in probes)
         (time,) = [row for row in rows if row["quantity"] == "relaxation time"]
         assert float(time["value"]) == pytest.approx(2.0, rel=0.05)
-        (share,) = [row for row in rows if row["quantity"] == "relaxing share"]
-        assert float(share["value"]) == pytest.approx(0.5, rel=0.02)
 
 
 PRESS = {"contact": [0, 0, 0.1], "points": "observed.csv"}

@@ -20,12 +20,13 @@ from palpate.common.output import LIST, ForeignFile
 from palpate.data import InputError, prepare
 from palpate.data.depth.photometric import write_photometric
 from palpate.data.synthetic import __main__ as synthetic
+from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.palpation import __main__ as palpation
-from palpate.evaluation.palpation import surfaces
+from palpate.evaluation.palpation import curves, surfaces
 from palpate.evaluation.real import __main__ as real
 from palpate.evaluation.real.pulled import Pull
 from palpate.evaluation.recovery import figures
@@ -47,6 +48,7 @@ PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
     "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
+    "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
@@ -68,6 +70,8 @@ def inputs(tmp_path: Path) -> Path:
     write_tiny(tmp_path / "tiny", frames=2)
     rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
     (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
+    (tmp_path / "forces").mkdir()
+    (tmp_path / "forces" / "hold.csv").write_text("t_s,force_N,displacement_mm\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
     trainer = {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False}
@@ -88,6 +92,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(real, "state", lambda run: "undetermined")
     patch(real, "draw_fits", lambda *arguments, **options: None)
     patch(real, "as_png", lambda figure: os.urandom(8))
+    monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
     pull = SimpleNamespace(body=SimpleNamespace(count=9))
@@ -156,7 +161,8 @@ def runs_of(inputs: Path) -> dict[str, Run]:
     own = (draw, estimate, judge_online, calibrate_curves, benchmark)
     return {run.__name__: run for run in own} | {
         "judge_pull": fixed(real.main, "--pulled", inputs),
-        "judge_frank": fixed(palpation.main),
+        "judge_palpation": fixed(palpation.main, "curves", "--data", inputs / "forces"),
+        "judge_frank": fixed(palpation.main, "frank"),
         "calibrate_palpation": fixed(calibrate.main, "palpation", "scene.yaml"),
         "plan_way": lambda chance, out: fixed(plan.main, SHIPPED, "--alpha", chance.random())(chance, out),
         "train_network": lambda _, out: train.main(
@@ -233,6 +239,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "fit.png"},
         "judge_pull": {"table.csv", "report.html", "1.png"},
+        "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
         "calibrate_curves": {"curves.csv"},

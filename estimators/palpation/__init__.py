@@ -2,7 +2,8 @@
 
 curves      tables of probes and of indentations that are held
 indentation one force–depth curve: a modulus where the indenter is stated, a stiffness in N/mm otherwise
-relaxation  how a force falls while the depth is held: a standard linear solid
+region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
+relaxation  how a force falls while the depth is held: standard linear solids
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP)
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
@@ -16,6 +17,7 @@ __getattr__ = exported(
     {
         "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),
+        "palpate.estimators.palpation.region": ("fit_region",),
         "palpate.estimators.palpation.relaxation": ("fit_relaxation",),
         "palpate.estimators.palpation.skin": ("Skin", "cover"),
         "palpate.estimators.palpation.bench": ("Palpation",),

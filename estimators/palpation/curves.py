@@ -10,7 +10,7 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.table import MOST_BYTES, read_columns
 
-PROBES = ("probe", "depth_mm", "fn_N")
+PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
 HOLD = ("t_s", "force_N", "displacement_mm")
 KINDS = (PROBES, HOLD)
 """Columns by which a table is known."""
@@ -26,6 +26,8 @@ class Probe:
 
     name: str
     """Its number in the table."""
+    place: np.ndarray
+    """Where the surface was touched, shape [3] [mm]."""
     depth: np.ndarray
     """Along the surface's normal, rising, shape [D] [mm]."""
     force: np.ndarray
@@ -69,14 +71,14 @@ def read_probes(path: Path) -> list[Probe]:
         InputError: it can't be read, or holds no probe.
     """
     table = read_columns(path, PROBES, "table of probes")
-    depth = table[:, 1]
+    depth = table[:, 4]
     table = table[np.isfinite(table).all(axis=1) & (depth > SHALLOWEST) & (depth < DEEPEST)]
     found = []
     for number in np.unique(table[:, 0]):
         rows = table[table[:, 0] == number]
-        rows = rows[np.argsort(rows[:, 1], kind="stable")]
-        if len(rows) >= LEAST and np.ptp(rows[:, 1]) > 0:
-            found.append(Probe(f"{number:g}", rows[:, 1], rows[:, 2]))
+        rows = rows[np.argsort(rows[:, 4], kind="stable")]
+        if len(rows) >= LEAST and np.ptp(rows[:, 4]) > 0:
+            found.append(Probe(f"{number:g}", rows[0, 1:4], rows[:, 4], rows[:, 5]))
     if not found:
         raise InputError(f"{printable(path)} holds no probe of {LEAST} depths; give a table that does.")
     return found

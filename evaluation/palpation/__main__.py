@@ -1,9 +1,8 @@
-"""Young's modulus and Poisson's ratio from palpations of bodies with known truth, as Frank 2010 does (section VIII-A).
+"""Measured forces on tissue, each study judged on known truth or on what was kept back.
 
-    python -m evaluation.palpation --output OUT [--body ball|slab]
+    python -m evaluation.palpation curves --data DIR --output OUT
+    python -m evaluation.palpation frank --output OUT [--body ball|slab]
 
-A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and observed from one side by two sensors; E and ν
-are fitted by the co-rotational law, from starts a factor of thirty off; then E from each of the paper's six forces.
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
 
@@ -14,13 +13,15 @@ if __name__ == "__main__":
 
 from collections.abc import Sequence
 
-from palpate.evaluation.harness import run
-from palpate.evaluation.palpation.surfaces import Frank
+from palpate.evaluation.harness import run_named
+from palpate.evaluation.palpation import curves, surfaces
+
+STUDIES = {"curves": (curves.Curves, curves.__doc__), "frank": (surfaces.Frank, surfaces.__doc__)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what the command line asks for; returns the exit status."""
-    return run(Frank, arguments, "evaluation.palpation", __doc__)
+    """Run the study that the command line asks for; returns the exit status."""
+    return run_named(STUDIES, arguments, "evaluation.palpation", __doc__)
 
 
 if __name__ == "__main__":

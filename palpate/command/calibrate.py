@@ -7,7 +7,7 @@ palpation   Young's modulus and Poisson's ratio from a surface, and forces with 
             (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
             errors.png, where these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
-            probes (probe, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
+            probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
             displacement_mm). Writes curves.csv.
 
 Not a medical device.
@@ -165,11 +165,11 @@ def _curves(files: list[Path], indenter: Indenter | None, output: Path, console:
     for path in files:
         try:
             if kind_of(path) == HOLD:
-                solid = fit_relaxation(read_hold(path))
-                if solid is None:
+                fit = fit_relaxation(read_hold(path), branches=1)
+                if fit.solid is None:
                     raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
-                rows.append((path.name, "hold", "relaxing share", solid.ratio / (1 + solid.ratio), None, None, None))
-                rows.append((path.name, "hold", "relaxation time", solid.time, None, None, "s"))
+                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None))
+                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s"))
                 continue
             for probe in read_probes(path):
                 found = fit_indentation(probe.depth, probe.force, indenter)

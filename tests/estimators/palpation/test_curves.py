@@ -18,6 +18,7 @@ def test_probes_are_sorted_by_depth_and_slips_left_out(tmp_path: Path) -> None:
     assert probe.name == "7"
     assert probe.depth.tolist() == [0, 1, 2, 3]
     assert probe.force.tolist() == [0, 0.5, 1, 1.5]
+    assert probe.place.tolist() == [1, 2, 3]
 
 
 def test_a_hold_begins_where_the_depth_is_reached(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ indentation one force–depth curve: a modulus where the indenter is stated, a s
 region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
 relaxation  how a force falls while the depth is held: standard linear solids
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
-registration depth points laid onto a surface (ICP)
+registration depth points laid onto a surface (ICP); several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
 scene       the file that names a surface and what was pressed on it

@@ -14,6 +14,8 @@ FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
+SHOWN = 0.02
+"""As in `registration`: motions that a body's facets alone show are the tool's to tell."""
 GRAZING = 0.2
 """Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
 
@@ -52,7 +54,7 @@ class Bench:
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
-        self.poses = [register(thinned(each.points), surface, each.pose) for each in palpations]
+        self.poses = [register(thinned(each.points), surface, each.pose, shown=SHOWN) for each in palpations]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []

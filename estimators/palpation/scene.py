@@ -16,6 +16,7 @@ from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
+from palpate.estimators.palpation.registration import View, join_views, placed
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
@@ -49,14 +50,16 @@ class SceneFile:
         ValueError: numbers that can't be.
     """
 
-    surface: str
-    """The surface at rest, an .obj file next to this one [m]."""
     held_axis: Literal["x", "y", "z"]
     """Along which `held_below` counts."""
     held_below: float
     """What lies lower stands still, as on a table [m]."""
     palpations: tuple[dict[str, Any], ...]
     """Each with the fields of `PalpationFile`."""
+    surface: str | None = None
+    """The surface at rest, an .obj file next to this one [m]; none = `views` show it."""
+    views: tuple[dict[str, Any], ...] = ()
+    """Depth views of it, each with the fields of `ViewFile`; they are registered and joined."""
     cells: int = 8
     """Of the mesh along the surface's longest side."""
     thickness: float | None = None
@@ -73,33 +76,52 @@ class SceneFile:
             raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
         if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
             raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
+        if (self.surface is None) == (not self.views):
+            raise ValueError("surface and views both show the body at rest; give one of them.")
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PalpationFile:
-    """Fields of a palpation; the rest is `Palpation`'s.
+class SensorFile:
+    """What all that a sensor saw has.
 
     Raises:
         ValueError: numbers that can't be.
     """
 
+    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    """Of the sensor as it is believed; the first view's is kept."""
+
+    def __post_init__(self) -> None:
+        turn = np.array(self.pose)[:3, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
+            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewFile(SensorFile):
+    """Fields of a view."""
+
+    surface: str
+    """What the sensor saw, an .obj file next to the scene, in the sensor's frame [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PalpationFile(SensorFile):
+    """Fields of a palpation; the rest is `Palpation`'s."""
+
     force: tuple[float, float, float]
     contact: tuple[float, float, float]
     points: str
     """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
-    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-    """Of the sensor as it is believed."""
     tool_radius: float = Palpation.tool_radius
     hole: float = Palpation.hole
     pose_shift: float = Palpation.pose_shift
     pose_turn: float = Palpation.pose_turn
 
     def __post_init__(self) -> None:
-        turn = np.array(self.pose)[:3, :3]
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
-            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
+        super().__post_init__()
         if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
         if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
@@ -126,9 +148,8 @@ def read_scene(path: Path) -> Scene:
         InputError: it, or a file that it names, can't be read or can't be.
     """
     scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
-    vertices, triangles = read_obj(path.parent / scene.surface)
-    _require_body(printable(path.parent / scene.surface), vertices)
-    extent = _Extent(vertices)
+    views = _views(scene, path)
+    extent = _Extent(np.concatenate([placed(each.pose, each.vertices) for each in views]))
     axis = "xyz".index(scene.held_axis)
     inside, along = np.clip(np.zeros(3), extent.low, extent.high), np.eye(3, dtype=bool)[axis]
     said = f"{printable(path)}: held_below, {scene.held_below:g},"
@@ -141,6 +162,7 @@ def read_scene(path: Path) -> Scene:
         _palpation(values, f"{printable(path)}, palpation {number}", path.parent, extent)
         for number, values in enumerate(scene.palpations, start=1)
     ]
+    vertices, triangles, notes = _surface(scene, views)
     try:
         floor = axis, scene.held_below
         radius = min(each.tool_radius for each in palpations)
@@ -148,7 +170,7 @@ def read_scene(path: Path) -> Scene:
         how = {"cells": scene.cells, "thickness": scene.thickness}
         meshed = mesh_surface(vertices, triangles, **how, floor=floor, longest=crowded)
     except NoBody as error:
-        raise InputError(f"{printable(path.parent / scene.surface)}: {error}") from error
+        raise InputError(f"{printable(path.parent / (scene.surface or path.name))}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
     low = body.rest[:, floor[0]]
     # Nodes at a body's own base are drawn to it only nearly.
@@ -164,7 +186,7 @@ def read_scene(path: Path) -> Scene:
         )
     settings = FitSettings(scene.law, scene.young, scene.poisson)
     below = vertices[:, floor[0]] <= scene.held_below + slack
-    return Scene(cover(body, vertices, triangles, below), held, palpations, settings, meshed.notes)
+    return Scene(cover(body, vertices, triangles, below), held, palpations, settings, (*notes, *meshed.notes))
 
 
 class _Extent:
@@ -185,7 +207,7 @@ def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent
     for name in ("tool_radius", "hole"):
         _require_size(f"{where}: {name}", getattr(each, name), extent.size)
     _require_size(f"{where}: pose_shift", each.pose_shift, REACH / 10)
-    _require_size(f"{where}: the shift of pose", math.hypot(*(row[3] for row in each.pose[:3])), REACH)
+    _require_pose(where, each.pose)
     contact = np.array(each.contact)
     said = f"{where}: contact, {list(each.contact)},"
     _require_metres(said, lambda unit: extent.near(unit * contact, 3 if unit == 1 else 0.1))
@@ -199,6 +221,19 @@ def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent
     return Palpation(np.array(each.force), contact, points, np.array(each.pose, np.float64), *sizes)
 
 
+def _views(scene: SceneFile, path: Path) -> list[View]:
+    """What shows the body at rest: one surface, or views."""
+    views, values = [], scene.views if scene.surface is None else ({"surface": scene.surface},)
+    for number, fields in enumerate(values, start=1):
+        where = f"{printable(path)}, view {number}"
+        each = from_mapping(ViewFile, fields, where)
+        _require_pose(where, each.pose)
+        vertices, triangles = read_obj(path.parent / each.surface)
+        _require_body(printable(path.parent / each.surface), vertices)
+        views.append(View(vertices, triangles, np.array(each.pose, np.float64)))
+    return views
+
+
 def _require_metres(what: str, fits: Callable[[float], bool]) -> None:
     """Require a length that fits as it is; raises InputError where it fits in another unit, over a metre, instead."""
     likely = [name for name, unit in UNITS.items() if not fits(1.0) and fits(unit)]
@@ -210,6 +245,10 @@ def _require_size(what: str, length: float, most: float) -> None:
     _require_metres(f"{what}, {length:g},", lambda unit: unit * length <= most)
 
 
+def _require_pose(where: str, pose: tuple[Row, Row, Row, Row]) -> None:
+    _require_size(f"{where}: the shift of pose", math.hypot(*(row[3] for row in pose[:3])), REACH)
+
+
 def _require_body(what: str, points: np.ndarray) -> None:
     """Of points on a body [P, 3]; a few that are far off count no more than the rest."""
     size = float(np.ptp(np.quantile(points, (0.05, 0.95), axis=0), axis=0).max())
@@ -217,6 +256,15 @@ def _require_body(what: str, points: np.ndarray) -> None:
     _require_metres(
         f"{what}, {size:.3g} m wide,", lambda unit: size <= BODY if unit == 1 else low <= unit * size <= high
     )
+
+
+def _surface(scene: SceneFile, views: list[View]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Vertices [V, 3] and triangles [F, 3] of the body at rest, and what is to be said of them."""
+    if scene.surface is not None:
+        return views[0].vertices, views[0].triangles, ()
+    joined = join_views(views)
+    said = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
+    return joined.vertices, joined.triangles, (said,)
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""A scene's file, and what is wrong with it in a sentence."""
+"""A scene's file: a surface or views of it, and what is wrong with it in a sentence."""
 
 from pathlib import Path
 
@@ -10,8 +10,8 @@ from scipy.spatial import ConvexHull
 from palpate.data.source.layout import InputError
 from palpate.estimators.palpation import scene
 from palpate.estimators.palpation.scene import FEWEST, read_scene
-from palpate.evaluation.palpation.synthetic import sphere
 from palpate.physics.fem import NoBody
+from tests.estimators.palpation.test_registration import RADII, views
 
 PRESS = {"force": [0, 0, -1], "contact": [0, 0, 0.045], "points": "seen.csv"}
 
@@ -33,14 +33,17 @@ def write_slab(folder: Path, unit: float = 1.0, **fields: object) -> Path:
     """Ten centimetres in length, in so many units a metre."""
     nodes = unit * np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.06) for z in (0, 0.03)])
     write_surface(folder / "slab.obj", nodes, ConvexHull(nodes).simplices)
-    return write(folder, **{"surface": "slab.obj", "held_below": 0.001} | fields)
+    return write(folder, surface="slab.obj", **{"held_below": 0.001} | fields)
 
 
-def test_a_body_is_held_at_its_floor(tmp_path: Path) -> None:
-    vertices, triangles = sphere(4)
-    write_surface(tmp_path / "ellipsoid.obj", vertices * [0.05, 0.04, 0.045], triangles)
-    found = read_scene(write(tmp_path, surface="ellipsoid.obj"))
-    np.testing.assert_allclose(np.ptp(found.skin.vertices, axis=0), [0.1, 0.08, 0.09], rtol=1e-6)
+def test_views_are_joined_and_the_body_is_held_at_its_floor(tmp_path: Path) -> None:
+    told = []
+    for number, view in enumerate(views(0.0)[0]):
+        write_surface(tmp_path / f"view{number}.obj", view.vertices, view.triangles)
+        told.append({"surface": f"view{number}.obj", "pose": view.pose.tolist()})
+    found = read_scene(write(tmp_path, views=told))
+    np.testing.assert_allclose(np.ptp(found.skin.vertices, axis=0), 2 * RADII, rtol=0.1)
+    assert found.notes[0].startswith("6 views were joined; where they overlap they lie")
     rest = found.skin.body.rest
     assert rest[:, 2].min() == pytest.approx(-0.03)
     np.testing.assert_array_equal(found.held, np.repeat(rest[:, 2:] <= -0.03 + 1e-9, 3, axis=1))
@@ -53,13 +56,16 @@ def test_a_body_is_held_at_its_floor(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
-        ({"surface": "none.obj"}, "none.obj is no .obj surface"),
-        ({"palpations": [PRESS | {"pose": (2 * np.eye(4)).tolist()}]}, "pose is no rotation and shift"),
+        ({}, "surface and views both show the body at rest; give one of them."),
+        ({"surface": "a.obj", "views": [{"surface": "a.obj"}]}, "give one of them."),
+        ({"views": [{"pose": np.eye(4).tolist()}]}, "view 1 lacks 'surface'"),
+        ({"views": [{"surface": "a.obj", "pose": (2 * np.eye(4)).tolist()}]}, "pose is no rotation and shift"),
+        ({"views": [{"surface": "none.obj"}]}, "none.obj is no .obj surface"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, fields: dict[str, object], told: str) -> None:
     with pytest.raises(InputError) as error:
-        read_scene(write_slab(tmp_path, **fields))
+        read_scene(write(tmp_path, **fields))
     assert told in str(error.value)
     assert "\n" not in str(error.value)
 

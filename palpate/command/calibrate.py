@@ -84,8 +84,6 @@ def main(arguments: list[str] | None = None) -> int:
             indenter = Indenter(options.indenter, options.size, options.poisson)
         except ValueError as error:
             parser.error(str(error))
-    if not curves and options.export is not None and options.optimizer == "gradient":
-        parser.error("--export writes E with its interval, which --optimizer gradient does not give; leave one out.")
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in (("curves.csv",) if curves else PALPATION)))

@@ -207,6 +207,9 @@ function showCurves(data) {
   }
   new ResizeObserver(drawAll).observe(box);
   drawAll();
+  /* page.html#frame=12 opens there. */
+  const asked = /^#frame=(\d+)$/.exec(location.hash);
+  if (asked) seek(Number(asked[1]));
 }
 
 if (document.getElementById("clips")) showClips(document.getElementById("clips"));

@@ -9,5 +9,5 @@ plain_video  presses in drawn videos, from the pictures alone; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 online       the online estimator on simulated pulls, as its paper judges it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own
-page         Markdown and figures as one HTML page; result_figure: the README's picture, a door of its own
+page         Markdown and figures as one HTML page
 """

@@ -26,7 +26,6 @@ MODULES = [
     "evaluation.paper.recovered",
     "evaluation.plain_video",
     "evaluation.real",
-    "evaluation.result_figure",
 ]
 """Programs that `python -m` starts."""
 

@@ -43,7 +43,7 @@ class Lattice:
         Raises:
             NothingMoves: they do in none.
         """
-        shown = [(frame, self._nearby(frame)) for frame in frames]
+        shown = [(frame, self.nearby(frame)) for frame in frames]
         shown = [(frame, near) for frame, near in shown if near.gripped.any() and _moves(near)]
         if not shown:
             raise NothingMoves(
@@ -72,7 +72,7 @@ class Lattice:
         found[visible] = equilibrium(springs, *alike, gripped, frame.moved[frame.gripped]).displacement
         return found
 
-    def _nearby(self, frame: GripFrame) -> GripFrame:
+    def nearby(self, frame: GripFrame) -> GripFrame:
         """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
         around = frame.around
         nearby = around & (self.distance < np.percentile(self.distance[around | frame.gripped], NEARBY))

@@ -7,7 +7,8 @@ import pytest
 
 from palpate.data.source.layout import InputError
 from palpate.estimators.grip.lattice import GripFrame
-from palpate.evaluation.real.predicted import follow_clip, nearby_frame, read_views
+from palpate.estimators.online.forecast import Lattice
+from palpate.evaluation.real.predicted import follow_clip, read_views
 from palpate.evaluation.real.pulled import Pull, PulledClip, evaluate_pull
 from tests.evaluation.real_clips import pull_clip, tissue_motion, tool_mask, write
 
@@ -52,7 +53,7 @@ def test_tissue_is_followed_where_it_goes(clip: PulledClip) -> None:
     follow = follow_clip(clip)
     assert len(follow.frames) == 8
     for share, frame in list(zip(SHARES[1:], follow.frames, strict=True))[::3]:
-        off = np.linalg.norm(frame.moved - tissue_motion(follow.points.astype(float), share), axis=1)
+        off = np.linalg.norm(frame.moved - tissue_motion(follow.lattice.points.astype(float), share), axis=1)
         assert np.median(off[frame.around]) < 0.15
         assert (frame.around | frame.gripped).mean() > 0.85
     assert 20 <= follow.frames[0].gripped.sum() < 80
@@ -76,7 +77,7 @@ def test_nearby_are_the_nearest_third_of_the_points_that_are_seen() -> None:
     distance = np.arange(120.0)[::-1]
     moved = np.ones((120, 2))
     moved[distance >= 100] = np.nan
-    nearby = nearby_frame(GripFrame(moved, distance < 10), distance)
+    nearby = Lattice(np.zeros((120, 2)), 8, distance).nearby(GripFrame(moved, distance < 10))
     np.testing.assert_array_equal(nearby.around, (distance >= 10) & (distance < 35))
     np.testing.assert_array_equal(nearby.gripped, distance < 10)
 

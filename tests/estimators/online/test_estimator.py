@@ -246,7 +246,8 @@ def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agre
         assert row["status"] == "ok"
         assert float(row["skill"]) > 0.35
         said = " ".join(capsys.readouterr().err.split())
-        assert ("sheet of one number predicts later frames from earlier ones better" in said) == (row["verdict"] == "undetermined")
+        unsure = "no place's stiffness is determined" in said or "where it is stiffer is not determined" in said
+        assert unsure == (row["verdict"] == "undetermined")
         with np.load(output / "recover_tissue" / "fields.npz", allow_pickle=False) as fields:
             found.append((fields["frame_20/distance"], fields["frame_20/known"]))
     (one, first), (other, second) = found

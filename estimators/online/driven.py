@@ -32,10 +32,20 @@ class DrivenTissue:
         points: places of the followed points there, shape [P, 2] [px].
         distance: theirs from the tool there, shape [P] [px].
         settings: how.
+        in_space: whether it is known, too, how far the points go away from the camera: all displacements then have a
+            third axis, likewise in pixels, as long as those across the line of sight are at a point's depth at rest.
     """
 
-    def __init__(self, surface: Surface, points: np.ndarray, distance: np.ndarray, settings: OnlineSettings) -> None:
+    def __init__(
+        self,
+        surface: Surface,
+        points: np.ndarray,
+        distance: np.ndarray,
+        settings: OnlineSettings,
+        in_space: bool = False,
+    ) -> None:
         self.surface, self.settings = surface, settings
+        self._in_space = in_space
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
@@ -50,7 +60,7 @@ class DrivenTissue:
         """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or with a
         path in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
-        self._resting = surface.project(self._shares @ body.rest)
+        self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
         self._driving = np.flatnonzero(distance < surface.reach)
         self._points = np.asarray(points, np.float64)
         self._fixed = body.pinned.copy()
@@ -174,7 +184,7 @@ class DrivenTissue:
                 matches += self._tracks(moved)
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
-        seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
+        seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)
         self._past.append(self._places)
@@ -209,17 +219,24 @@ class DrivenTissue:
 
     def shown(self, states: np.ndarray) -> np.ndarray:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""
-        return np.stack([self.surface.project(self._shares @ state) - self._resting for state in states])
+        if not self._in_space:
+            return np.stack([self.surface.project(self._shares @ state) - self._resting for state in states])
+        places = np.stack([self._shares @ state for state in states])
+        away = (places[..., 2] - self._depth) * (self.surface.camera.fx / self._depth)
+        return np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)
 
     def _tracks(self, moved: np.ndarray) -> list[Match]:
         """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.
 
-        Depth from one picture is off by far more than the motion.
+        Depth from one picture is off by far more than the motion; where that has three axes it counts.
         """
-        places = self._resting + moved[self.around]
+        places = self._resting + moved[self.around, :2]
         if not np.isfinite(places).all(axis=1).any():
             return []
-        depth = (self._shares @ self.session.positions)[:, 2]
+        if self._in_space:
+            depth = self._depth * (1 + moved[self.around, 2] / self.surface.camera.fx)
+        else:
+            depth = (self._shares @ self.session.positions)[:, 2]
         return [Tracks(self._shares, self.surface.lift(places, depth))]
 
     def _nearer(self, moved: np.ndarray, cloud: np.ndarray) -> float:

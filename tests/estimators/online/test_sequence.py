@@ -1,0 +1,75 @@
+"""A sequence beside a robot: its field and its particles, in whatever frame and unit, as of a pull that is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import LinearNDInterpolator
+from scipy.stats import spearmanr
+
+from palpate.data.source.layout import InputError
+from palpate.data.source.sequence import open_sequence
+from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.online.sequence import SequenceTissue
+from palpate.estimators.online.session import Method
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.evaluation.online.sequences import SIDE
+from tests.sequences import SHIFT, TURN, placed, pull, write_sequence
+
+NEWTON = Method(optimizer="gauss-newton")
+
+
+def followed(path: Path, **settings) -> ParticleField:
+    """The last frame's field."""
+    chosen = OnlineSettings(**{"particles": 100, "fitted": 0, "method": NEWTON} | settings)
+    return list(SequenceTissue(open_sequence(path), chosen).fields())[-1][1]
+
+
+def test_the_field_does_not_depend_on_frame_and_unit(tmp_path: Path) -> None:
+    """Turned by a right angle about the sheet's own diagonal, and in millimetres."""
+    turn = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    one = followed(write_sequence(tmp_path / "one", 6, turn=turn))
+    other = followed(write_sequence(tmp_path / "other", 6, length=1000.0, unit="mm"))
+    np.testing.assert_allclose(one.distance, other.distance, rtol=1e-3)
+    np.testing.assert_allclose((one.positions - SHIFT) @ turn, (other.positions - SHIFT) @ TURN, atol=1e-6)
+    assert np.ptp(one.distance) > 0.05
+
+
+@pytest.mark.slow
+def test_the_field_ranks_and_moves_as_the_truth(tmp_path: Path) -> None:
+    """As well as the session that is given the simulated sheet itself: 0.80."""
+    drawn, field = pull(60), followed(write_sequence(tmp_path, 60), particles=150)
+    rest, now = ((places - SHIFT) @ TURN for places in (field.rest, field.positions))
+    assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7
+    assert field.skill > 0.8
+    inner = (drawn.body.rest[:, :2] > 0.01).all(axis=1) & (drawn.body.rest[:, :2] < SIDE - 0.01).all(axis=1)
+    found = LinearNDInterpolator(rest[:, :2], now - rest)(drawn.body.rest[inner, :2])
+    true = drawn.truth[-1] - drawn.body.rest
+    assert np.sqrt(np.square(found - true[inner]).mean()) < 0.15 * np.sqrt(np.square(true[inner]).mean())
+    pinned = rest[:, 0] < 0.002
+    np.testing.assert_allclose(now[pinned], rest[pinned], atol=1e-9)
+    tip = np.linalg.norm(rest - (SIDE, SIDE / 2, 0), axis=1) < 0.012
+    np.testing.assert_allclose((now - rest)[tip], np.broadcast_to(true[drawn.gripped[0]], (tip.sum(), 3)), atol=1e-6)
+
+
+def test_clouds_alone_move_the_particles_but_determine_nothing(tmp_path: Path) -> None:
+    field = followed(write_sequence(tmp_path, 6, points=None))
+    assert not field.known.any()
+    assert np.linalg.norm(field.positions - field.rest, axis=1).max() > 0.002
+
+
+def test_a_volume_lies_below_what_the_camera_sees(tmp_path: Path) -> None:
+    field = followed(write_sequence(tmp_path, 2), thickness=0.01)
+    heights = ((field.rest - SHIFT) @ TURN)[:, 2]
+    assert len(field.tetrahedra) > 0
+    np.testing.assert_allclose([heights.min(), heights.max()], [-0.01, 0.0], atol=2e-4)
+
+
+def test_what_the_file_stands_for_is_no_setting(tmp_path: Path) -> None:
+    path = write_sequence(tmp_path, 2)
+    with pytest.raises(InputError, match=r"pins in --settings is for videos; leave it out, .*sequence\.yaml tells it"):
+        followed(path, pins="mask.png")
+    nowhere = [{"low": [5, 5, 5], "high": [6, 6, 6]}]
+    with pytest.raises(InputError, match="holds none of the tissue in its pins' boxes"):
+        followed(write_sequence(tmp_path, 2, pins=nowhere))
+    assert placed(np.zeros(3)).tolist() == SHIFT.tolist()

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from palpate.evaluation.online.sequences import SEQUENCES, SIDE, Pull
+from palpate.evaluation.online.sequences import NOISE, SEQUENCES, SIDE, Pull
 
 TURN, SHIFT = Rotation.from_euler("xyz", (40, -25, 110), degrees=True).as_matrix(), np.array([0.4, -0.1, 0.25])
 """Of the simulated sheet in the robot's frame; the camera stands half a metre above it."""
@@ -38,8 +38,10 @@ def write_sequence(
         changed: fields of the file; None leaves one out.
     """
     drawn, random = pull(frames), np.random.default_rng(1)
-    flat = np.column_stack([random.uniform(0, SIDE, (3000, 2)), np.zeros(3000)])
-    clouds = [*[flat] * (1 + still), *drawn.clouds]
+    flat = [
+        np.column_stack([random.uniform(0, SIDE, (3000, 2)), random.normal(0, NOISE, 3000)]) for _ in range(1 + still)
+    ]
+    clouds = [*flat, *drawn.clouds]
     points = np.concatenate([drawn.points[:1]] * (1 + still) + [drawn.tracks])
     way = drawn.places[:, 0] - drawn.body.rest[drawn.gripped[0]]
     tips = np.array([SIDE, SIDE / 2, 0.0]) + np.concatenate([np.zeros((1 + still, 3)), way])
@@ -57,7 +59,7 @@ def write_sequence(
     eye = np.eye(4)
     eye[:3, :3], eye[:3, 3] = turn @ EYE[:3, :3], length * placed(EYE[:3, 3], turn)
     edge = length * placed(np.column_stack([np.zeros(25), np.linspace(0, SIDE, 25), np.zeros(25)]), turn)
-    boxes = [{"low": (place - 0.003 * length).tolist(), "high": (place + 0.003 * length).tolist()} for place in edge]
+    boxes = [{"low": (place - 0.006 * length).tolist(), "high": (place + 0.006 * length).tolist()} for place in edge]
     given = {"clouds": "clouds/{number}.npz", "poses": "poses.csv", "fps": FPS, "points": "followed.npz"}
     given |= {"hand_eye": eye.tolist(), "grip_radius": 0.012 * length, "pins": boxes}
     given = {name: value for name, value in (given | changed).items() if value is not None}

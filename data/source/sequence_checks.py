@@ -15,7 +15,7 @@ NEAR = 0.01
 """A tip that never comes so near to the tissue, while it holds it, is in another frame [m]."""
 LATE, LATEST, LAGS = 0.3, 3.0, 121
 """Clocks may differ by the first; up to the second a lag is looked for, at so many values [s]."""
-ALIKE, BETTER = 0.8, 0.3
+ALIKE, BETTER = 0.6, 0.3
 """Correlation of two speeds at the lag that is told, and by how much it exceeds that without one."""
 AROUND = 4
 """Points at the tip that tell when tissue moves."""

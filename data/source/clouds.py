@@ -19,30 +19,27 @@ MOST_HEAD = 2**14
 """Of a file, in which it says what follows [bytes]."""
 
 
-def read_cloud(path: Path) -> np.ndarray:
+def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
     """Points of a file, by its ending: .ply, .pcd, or .npz with `points` or a single array.
 
-    Points that are not finite, as sensors write them where they see nothing, are left out.
+    Args:
+        path: the file.
+        shape: of a point, or of all that is known of one.
 
     Returns:
-        Shape [m, 3], float64, in the file's own unit.
+        Shape [m, *shape], float64, in the file's own unit; not seen = NaN.
 
     Raises:
-        InputError: it can't be read, or holds no point.
+        InputError: it can't be read, or holds no point of that shape.
     """
-    give = "give a PLY, PCD (text or binary) or NPZ file of x, y, z"
     try:
-        content = read_file(path, MOST_BYTES)
-        points = np.asarray(_READERS[path.suffix.lower()](content), np.float64)
-        points = points[np.isfinite(points).all(axis=1)] if points.ndim == 2 else points
-    except ImportError as error:
-        raise InputError(f"{printable(path)} is a PLY file, which needs meshio; install 'palpate[robot]'.") from error
+        points = np.asarray(_READERS[path.suffix.lower()](read_file(path, MOST_BYTES)), np.float64)
+        if points.shape[1:] != shape or not np.isfinite(points).any():
+            raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
-        raise InputError(
-            f"{printable(path)} can't be read as a cloud ({reason(error).rstrip('.')}); {give}."
-        ) from error
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise InputError(f"{printable(path)} holds no cloud but {points.shape} numbers; {give}.")
+        why = "PLY needs meshio, of palpate[robot]" if isinstance(error, ImportError) else reason(error).rstrip(".")
+        said = f"can't be read as points ({why}); give a PLY, PCD (text or binary) or NPZ file of x, y, z"
+        raise InputError(f"{printable(path)} {said}.") from error
     return points
 
 
@@ -60,16 +57,15 @@ def _pcd(content: bytes) -> np.ndarray:
     if found is None or found[1] not in (b"ascii", b"binary"):
         raise ValueError("it is compressed or has no line DATA")
     lines = content[: found.start()].decode().splitlines()
-    head = {words[0]: words[1:] for line in lines if (words := line.split())}
-    stored, fields = io.BytesIO(content[found.end() :]), head["FIELDS"]
-    counts = [int(count) for count in head.get("COUNT", ["1"] * len(fields))]
-    starts = np.cumsum([0, *counts])
+    head, stored = {line.split()[0]: line.split()[1:] for line in lines if line.split()}, content[found.end() :]
+    columns, counts = [head["FIELDS"].index(axis) for axis in "xyz"], [int(count) for count in head["COUNT"]]
     if found[1] == b"ascii":
-        return np.loadtxt(stored, usecols=[int(starts[fields.index(axis)]) for axis in "xyz"], ndmin=2)
-    kinds = [f"<{kind.lower()}{size}" for kind, size in zip(head["TYPE"], head["SIZE"], strict=True)]
-    layout = np.dtype([(f"{at}", *each) for at, each in enumerate(zip(kinds, counts, strict=True))])
-    rows: np.ndarray = np.frombuffer(stored.getvalue(), layout, int(head["POINTS"][0]))
-    return np.stack([rows[str(fields.index(axis))].reshape(-1) for axis in "xyz"], axis=1)
+        starts = np.cumsum([0, *counts])[columns].tolist()
+        return np.loadtxt(io.BytesIO(stored), usecols=starts, ndmin=2)
+    kinds = map("<{}{}".format, map(str.lower, head["TYPE"]), head["SIZE"])
+    layout = [(str(at), *each) for at, each in enumerate(zip(kinds, counts, strict=True))]
+    rows: np.ndarray = np.frombuffer(stored, np.dtype(layout), int(head["POINTS"][0]))
+    return np.stack([rows[str(column)].reshape(-1) for column in columns], axis=1)
 
 
 def _npz(content: bytes) -> np.ndarray:

@@ -3,22 +3,22 @@
 Everything is in metres there, whatever unit and frame the files have.
 """
 
-import io
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.common.files import read_file
+from palpate.common.settings import require_numbers
 from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
 from palpate.data.source.clouds import read_cloud
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import InputError, from_mapping, matches, read_mapping
-from palpate.data.source.table import MOST_BYTES, read_series, reason
+from palpate.data.source.table import MOST_BYTES, read_series
 
 Row = tuple[float, float, float, float]
 Place = tuple[float, float, float]
@@ -33,14 +33,6 @@ GRIPPED = 6e-3
 """What a gripper holds around its tip, where nobody says [m]."""
 STILL = 5e-4
 """A tip that has moved by less since the first row of forces is at rest, where they are the sensor's bias [m]."""
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box along the axes of the poses' frame."""
-
-    low: Place
-    high: Place
 
 
 @dataclass(frozen=True)
@@ -77,7 +69,7 @@ class SequenceFile:
     """Tissue around the tip that moves with it; none = GRIPPED."""
     gripped_s: tuple[float, float] | None = None
     """From when to when the tool holds tissue [s]; none = throughout."""
-    pins: tuple[dict[str, Any], ...] = ()
+    pins: tuple[dict[str, Place], ...] = ()
     """Boxes in the robot's frame, each with `low` and `high`: tissue in them stands still. None = its far edge does."""
     points: str | None = None
     """NPZ file with `points`, followed on the tissue, ids × frames × 3, where clouds are; not seen = NaN."""
@@ -89,12 +81,10 @@ class SequenceFile:
             raise ValueError("give clouds, or depth with camera.")
         if (self.times is None) == (self.fps is None):
             raise ValueError("give times or fps.")
-        if any(value is not None and not value > 0 for value in (self.fps, self.depth_factor, self.grip_radius)):
-            raise ValueError("fps, depth_factor and grip_radius are to be positive.")
-        if self.gripped_s is not None and not self.gripped_s[0] < self.gripped_s[1]:
-            raise ValueError(f"gripped_s is {list(self.gripped_s)}; give a beginning before an end.")
-        turn = np.array(self.hand_eye)[:3, :3]
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
+        if any({*pin} != {"low", "high"} for pin in self.pins):
+            raise ValueError("each of pins is to have low and high.")
+        require_numbers(self, positive=("fps", "depth_factor", "grip_radius"))
+        if not is_rigid(np.array(self.hand_eye)):
             raise ValueError("hand_eye is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
 
 
@@ -128,7 +118,8 @@ class Sequence:
         """
         file, camera = self.files[frame], self.camera
         if camera is None:
-            return moved(read_cloud(file) * UNITS[self.given.unit], self.eye(frame))
+            points = read_cloud(file) * UNITS[self.given.unit]
+            return moved(points[np.isfinite(points).all(axis=1)], self.eye(frame))
         depth = read_image(file, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(self.given.depth_factor)
         if depth.shape != (camera.height, camera.width) or not (depth > 0).any():
             said = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
@@ -145,18 +136,8 @@ class Sequence:
         """
         if self.given.points is None:
             return None
-        file = self.path.parent / self.given.points
-        try:
-            found = np.load(io.BytesIO(read_file(file, MOST_BYTES)), allow_pickle=False)["points"].astype(np.float64)
-        except Exception as error:  # whatever NumPy ends with on other files
-            raise InputError(
-                f"{printable(file)} can't be read ({reason(error)}); give an NPZ file with points."
-            ) from error
-        if found.ndim != 3 or found.shape[1:] != (len(self.times), 3):
-            said = f"has points of shape {found.shape}; give ids × frames × 3 with {len(self.times)} frames"
-            raise InputError(f"{printable(file)} {said}.")
-        rows = enumerate(UNITS[self.given.unit] * found.transpose(1, 0, 2))
-        return np.stack([moved(row, self.eye(frame)) for frame, row in rows])
+        found = read_cloud(self.path.parent / self.given.points, (len(self.times), 3)) * UNITS[self.given.unit]
+        return np.stack([moved(found[:, frame], self.eye(frame)) for frame in range(len(self.times))])
 
     @cached_property
     def forces(self) -> np.ndarray | None:
@@ -171,17 +152,11 @@ class Sequence:
             return None
         file = self.path.parent / self.given.forces
         times, *forces = read_series(file, WRENCH, "table of forces", 2).T
-        forces = np.stack(forces, axis=1)
-        if times[0] > self.times[0] + ROUNDED or times[-1] < self.times[-1] - ROUNDED:
-            said = f"reaches from {times[0]:g} to {times[-1]:g} s, the frames from {self.times[0]:g} to "
-            raise InputError(f"{printable(file)} {said}{self.times[-1]:g} s; put both on one clock.")
-        early = np.flatnonzero(times <= self.times[self.held[0]])
-        inside = early[(times[early] >= self.tool.times[0]) & (times[early] <= self.tool.times[-1])]
-        tips = self.tool.tips(times[inside]) if len(inside) else np.empty((0, 3))
-        still = inside[np.linalg.norm(tips - tips[:1], axis=1) < STILL]
-        bias = forces[still].mean(axis=0) if len(still) else forces[0]
-        found = [np.interp(self.times, times, values) for values in (forces - bias).T]
-        return np.einsum("tij,tj->ti", self.tool.at(self.times)[:, :3, :3], np.stack(found, axis=1))
+        require_reach(file, times, self.times)
+        way = np.linalg.norm(self.tool.tips(self.times) - self.tool.tips(self.times[:1]), axis=1)
+        still = times <= max(self.times[way < STILL].max(), times[0])
+        found = np.stack([np.interp(self.times, times, each - each[still].mean()) for each in forces], axis=1)
+        return np.einsum("tij,tj->ti", self.tool.at(self.times)[:, :3, :3], found)
 
     def eye(self, frame: int) -> np.ndarray:
         """Pose of the camera in a frame, shape [4, 4]."""
@@ -208,10 +183,7 @@ class Tool:
         Raises:
             InputError: the rows don't reach there.
         """
-        low, high = float(np.min(times)), float(np.max(times))
-        if low < self.times[0] - ROUNDED or high > self.times[-1] + ROUNDED:
-            said = f"reaches from {self.times[0]:g} to {self.times[-1]:g} s, not from {low:g} to {high:g} s"
-            raise InputError(f"{printable(self.path)} {said}, as the frames do; put both on one clock.")
+        require_reach(self.path, self.times, times)
         inside = np.clip(times, self.times[0], self.times[-1])
         found = np.zeros((*np.shape(times), 4, 4))
         found[..., :3, :3] = Slerp(self.times, Rotation.from_matrix(self.poses[:, :3, :3]))(inside).as_matrix()
@@ -234,8 +206,23 @@ def is_sequence(path: Path) -> bool:
     return path.suffix.lower() in (".yaml", ".yml") and path.is_file()
 
 
+def require_reach(path: Path, rows: np.ndarray, times: np.ndarray | float) -> None:
+    """Raise an InputError unless a table's rows [s] reach over times of frames [s]."""
+    low, high = float(np.min(times)), float(np.max(times))
+    if low < rows[0] - ROUNDED or high > rows[-1] + ROUNDED:
+        said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, not from {low:g} to {high:g} s, as the frames do"
+        raise InputError(f"{printable(path)} {said}; put both on one clock.")
+
+
+def is_rigid(poses: np.ndarray) -> bool:
+    """Whether matrices [..., 4, 4] turn and shift alone."""
+    turns = poses[..., :3, :3]
+    apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
+    return bool(apart < 1e-3 and (np.linalg.det(turns) > 0).all())
+
+
 def open_sequence(path: Path) -> Sequence:
-    """Read what a sequence's file says; whether it fits together is `sequence_checks`' to see.
+    """Read what a sequence's file says; whether it fits together is for `sequence_checks` to see.
 
     Raises:
         InputError: it, or a file that it names, can't be read or can't be.
@@ -244,43 +231,38 @@ def open_sequence(path: Path) -> Sequence:
     given = from_mapping(SequenceFile, read_mapping(path, "a sequence"), where)
     scale, found = UNITS[given.unit], matches(folder, given.clouds or given.depth or "")
     numbers, files = [int(digits) for digits, _ in found], [file for _, file in found]
-    if given.fps is not None:
-        times = (np.array(numbers) - numbers[0]) / given.fps if numbers else np.zeros(0)
+    if given.times is not None:
+        times = read_series(folder / given.times, ("time_s",), "table of times", 2)[:, 0]
     else:
-        times = read_series(folder / str(given.times), ("time_s",), "table of times", 2)[:, 0]
+        times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
     if len(files) < 2 or len(times) != len(files):
         said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
         raise InputError(f"{where} {said}; give 2 frames at least, and a time for each.")
-    boxes = [from_mapping(Box, box, f"{where}, pin {at}") for at, box in enumerate(given.pins, start=1)]
-    pins = scale * np.array([[box.low, box.high] for box in boxes], float).reshape(-1, 2, 3)
     low, high = given.gripped_s or (times[0], times[-1])
     held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
-    tool, camera = _tool(folder / given.poses, scale, given), None
-    if given.camera is not None:
-        camera = load_camera(folder / given.camera)
+    pins = scale * np.array([[pin["low"], pin["high"]] for pin in given.pins], float).reshape(-1, 2, 3)
+    camera = None if given.camera is None else load_camera(folder / given.camera)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
+    tool = _tool(folder / given.poses, scale, np.array(given.tip, float))
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)
 
 
-def _tool(path: Path, scale: float, given: SequenceFile) -> Tool:
-    try:
-        by_matrix = b"m00" in read_file(path, MOST_BYTES).partition(b"\n")[0]
-    except OSError:  # said below
-        by_matrix = False
+def _tool(path: Path, scale: float, tip: np.ndarray) -> Tool:
+    by_matrix = path.is_file() and b"m00" in read_file(path, MOST_BYTES).partition(b"\n")[0]
     times, *rows = read_series(path, ("time_s", *(MATRIX if by_matrix else QUATERNION)), "table of poses", 2).T
-    poses = np.tile(np.eye(4), (len(times), 1, 1))
-    try:
-        if by_matrix:
-            poses[:] = np.stack(rows, axis=1).reshape(-1, 4, 4)
-            turned = np.abs(poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max() < 1e-3
-            if not turned or not np.linalg.det(poses[:, :3, :3]).min() > 0:
-                raise ValueError
-        else:
-            poses[:, :3, 3] = np.stack(rows[:3], axis=1)
-            poses[:, :3, :3] = Rotation.from_quat(np.stack(rows[3:], axis=1)).as_matrix()
-    except ValueError as error:  # a quaternion of length 0
-        raise InputError(f"{printable(path)} holds a pose that turns nothing rigidly; correct that row.") from error
+    table = np.stack(rows, axis=1)
+    if by_matrix:
+        poses = table.reshape(-1, 4, 4)
+    else:
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        length = np.linalg.norm(table[:, 3:], axis=1, keepdims=True)
+        poses[:, :3, 3] = table[:, :3]
+        poses[:, :3, :3] = (
+            Rotation.from_quat(np.where(length > 0, table[:, 3:], 1.0)).as_matrix() * np.sign(length)[..., None]
+        )
+    if not is_rigid(poses):
+        raise InputError(f"{printable(path)} holds a pose that is no rotation and shift; correct that row.")
     poses[:, :3, 3] *= scale
-    return Tool(path, times, poses, scale * np.array(given.tip, float))
+    return Tool(path, times, poses, scale * tip)

@@ -39,7 +39,9 @@ def test_pcd_is_read_in_binary_and_in_text(tmp_path: Path, binary: bool) -> None
     else:
         stored = "".join(f"7 {x} 0 0 1 {y} {z}\n" for x, y, z in places).encode()
     (tmp_path / "a.pcd").write_bytes(head.encode() + stored)
-    np.testing.assert_allclose(read_cloud(tmp_path / "a.pcd"), POINTS, rtol=1e-6)
+    found = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_allclose(found[:2], POINTS, rtol=1e-6)
+    assert np.isnan(found[2]).all()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +58,7 @@ def test_pcd_is_read_in_binary_and_in_text(tmp_path: Path, binary: bool) -> None
 def test_a_cloud_that_is_none_is_a_sentence(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(
-        InputError, match=rf"{name} can't be read as a cloud .*; give a PLY, PCD .text or binary. or NPZ"
+        InputError, match=rf"{name} can't be read as points .*; give a PLY, PCD .text or binary. or NPZ"
     ):
         read_cloud(tmp_path / name)
 
@@ -115,14 +117,14 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"unit": "mm"}, r"is 0.000\d+ m wide, which looks like metres; give unit: m"),
         ({"hand_eye": None}, r"the tip stays 0\.\d+ m from the tissue: .* different frames; check hand_eye"),
         ({"fps": None}, "give times or fps"),
-        ({"grip_radius": -1.0}, "fps, depth_factor and grip_radius are to be positive"),
+        ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
         ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
         ({"clouds": "{number}.ply"}, "names 0 frames"),
         ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, not from 0 to 12 s, as the frames do; put both on one"),
-        ({"pins": [{"low": [0, 0, 0]}]}, "pin 1 lacks 'high'"),
-        ({"points": "clouds/000.npz"}, r"has points of shape \(3000, 3\); give ids × frames × 3 with 13 frames"),
+        ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
+        ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),
     ],
 )
 def test_what_does_not_fit_is_a_sentence(tmp_path: Path, changed: dict, sentence: str) -> None:

@@ -8,6 +8,7 @@ forces    of every run of contact: mean, peak, what is unknown (forces.json)
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)
 scene     a press to simulate further (--export), for USD, SOFA and VTK: scene.yaml has the files' texts
+sequence  of a sequence beside a robot: particles in its frame
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     summary.png and fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py

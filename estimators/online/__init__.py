@@ -8,5 +8,6 @@ surface    particles of the tissue in a frame, and which the camera sees; driven
 determined what the instrument alone explains of the motion, by one number each (time step, foundation and bending) and
            place by place, and where that tells the stiffness
 particle_field what is said of the field in a frame and over a run
+sequence   tissue of a sequence beside a robot, with its clouds, followed points and a gripper's poses, in metres
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

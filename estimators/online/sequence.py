@@ -48,11 +48,10 @@ class SequenceTissue:
     """
 
     def __init__(self, sequence: Sequence, settings: OnlineSettings) -> None:
+        where = printable(sequence.path)
         for name in OF_VIDEO:
             if getattr(settings, name) != getattr(OnlineSettings, name):
-                raise InputError(
-                    f"{name} in --settings is for videos; leave it out, {printable(sequence.path)} tells it."
-                )
+                raise InputError(f"{name} in --settings is for videos; leave it out, {where} tells it.")
         self._sequence, self._begin = sequence, sequence.held[0]
         cloud = sequence.cloud(self._begin)
         self._tip = sequence.tool.tips(sequence.times[[self._begin]])[0]

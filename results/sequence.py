@@ -4,6 +4,7 @@
 `parameters.csv` a line a frame. What isn't known is not a number there.
 """
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
     with writing(folder):
         require_own(folder / "particles.csv", folder / "parameters.csv")
         for frame, field in tissue.fields():
-            number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
+            number, verdict, values = sequence.numbers[frame], field.verdict, _values(field, tissue.kilopascals(field))
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
             cells = {"triangle": field.faces.astype(np.int32), "tetra": field.tetrahedra.astype(np.int32)}
             for ending, kept in (("vtk", cells), ("ply", {"triangle": cells["triangle"]})):
@@ -75,8 +76,13 @@ def _columns(rows: list[dict[str, object]]) -> list[str]:
     return [*COLUMNS, *sorted({name for row in rows for name in row} - {*COLUMNS})]
 
 
-def _values(field: ParticleField) -> dict[str, Any]:
-    """Of every particle: both stiffnesses with the ends of their intervals where they are known, and as simulated."""
+def _values(field: ParticleField, unit: tuple[float, float] | None) -> dict[str, Any]:
+    """Of every particle: both stiffnesses with the ends of their intervals where they are known, and as simulated.
+
+    Args:
+        field: in a frame.
+        unit: of stiffness against stretch [kPa], and the deviation of its logarithm; None = unknown.
+    """
     found: dict[str, Any] = {}
     for name, fitted, log_sd, known in (
         ("stiffness", field.distance, field.distance_log_sd, field.known),
@@ -85,4 +91,7 @@ def _values(field: ParticleField) -> dict[str, Any]:
         value, factor = np.where(known, fitted, np.nan), np.exp(NINETY * log_sd)
         found |= {name: value, f"{name}_low": value / factor, f"{name}_high": value * factor}
         found[f"simulated_{name}"] = fitted
-    return found
+    kilopascals, own_sd = unit or (math.nan, 0.0)
+    factor = np.exp(NINETY * np.hypot(field.distance_log_sd, own_sd))
+    young = kilopascals * found["stiffness"]
+    return found | {"young_kPa": young, "young_kPa_low": young / factor, "young_kPa_high": young * factor}

@@ -5,6 +5,8 @@ then doesn't depend on that frame, and what is said of it is turned back.
 """
 
 import dataclasses
+import math
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,14 +15,18 @@ from scipy.spatial import KDTree
 from palpate.data.source.camera import Camera
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import Sequence, moved
+from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
-from palpate.estimators.online.driven import Cloud, DrivenTissue
+from palpate.estimators.calibration_file import SHEET_FACTOR, palpated
+from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
+from palpate.estimators.online.driven import PAST, Cloud, DrivenTissue
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.pbd.body import make_body
+from palpate.physics.pbd.potential import Potential
+from palpate.physics.pbd.stiffness import spread
 
 DISTANCE = 10.0
 """From which tissue is looked at, over its size."""
@@ -63,6 +69,9 @@ class SequenceTissue:
         match = "both" if len(self._followed) else "chamfer"
         how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
         pixels = self.surface.project(rest[self._followed])
+        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=PAST)
+        if sequence.given.thickness is not None and settings.thickness is not None:
+            raise InputError(f"thickness in {where} is a sheet's, and --settings make a volume; leave one of them out.")
         self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how, in_space=True)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
@@ -72,7 +81,42 @@ class SequenceTissue:
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
+            self._past.append((frame, self.driven.session.positions))
             yield frame, self._field(gap)
+
+    def kilopascals(self, field: ParticleField) -> tuple[float, float] | None:
+        """A unit of a frame's stiffness against stretch [kPa], and the deviation of its logarithm; None = unknown.
+
+        By E where that was palpated, or by the forces along the tool's way in the last frames, which the simulated
+        sheet is to hold: its springs are of SHEET_FACTOR times E times thickness. Stiffness that isn't determined
+        tells nothing of that.
+
+        Raises:
+            InputError: the palpation's file can't be used.
+        """
+        given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
+        if given.palpation is not None and given.palpated_at is not None:
+            young, log_sd = palpated(self._sequence.path.parent / given.palpation)
+            at = int(np.linalg.norm(field.rest - scale * np.array(given.palpated_at), axis=1).argmin())
+            own = math.hypot(log_sd, float(field.distance_log_sd[at]))
+            return (young / 1000 / float(field.distance[at]), own) if field.known[at] else None
+        forces = self._sequence.forces
+        if forces is None or given.thickness is None or len(self._past) < LEAST_KNOWN or not field.known.any():
+            return None
+        session, body, gripped = self.driven.session, self.surface.body, self.surface.gripped
+        energy, foundation = Potential(body, spread(body, session.fields)[0]), session.objective.stepping.foundation
+        pulls = []
+        for frame, state in self._past:
+            away = state[gripped] - body.rest[gripped]
+            way = away.mean(axis=0) / max(float(np.linalg.norm(away.mean(axis=0))), 1e-12)
+            pull = energy.slope(state)[1][gripped].sum(axis=0) + foundation * away.sum(axis=0)
+            pulls.append((pull @ way, -(self._view[:3, :3] @ forces[frame]) @ way))
+        factor, variance, _ = fit_factor(*np.array(pulls).T)
+        if factor**2 <= variance or factor < 0:
+            return None
+        spread_of = float(np.median(field.distance_log_sd[field.known]))
+        unit = factor / (SHEET_FACTOR * scale * given.thickness) / 1000
+        return unit, math.hypot(math.sqrt(variance) / factor, spread_of)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""

@@ -210,10 +210,9 @@ class Batch:
         """The same of a sequence beside a robot."""
         if not isinstance(self.estimator, OnlineEstimator):
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        for name in OF_VIDEO:
-            if getattr(self.options, name) is not None:
-                option = f"--{name.replace('_', '-')}"
-                raise ValueError(f"{option} is for videos, and {printable(path)} is a sequence; leave it out.")
+        for name in (name for name in OF_VIDEO if getattr(self.options, name) is not None):
+            said = f"is for videos, and {printable(path)} is a sequence; leave it out"
+            raise ValueError(f"--{name.replace('_', '-')} {said}.")
         name = path.resolve().parent.name if path.stem == "sequence" else path.stem
         folder = self.store.output / store.safe_name(name)
         if folder in self.followed:

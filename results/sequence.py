@@ -23,8 +23,8 @@ from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.results.store import make_output, writing
 
-COLUMNS = ("frame", "time_s", "verdict", "skill", "gap", "field_known", "shape_known")
-"""Of parameters.csv, before the quantiles of both stiffnesses."""
+PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
+"""Of particles.csv, before what is found at each [m]."""
 
 
 def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Callable[[], None]) -> tuple[str, int]:
@@ -47,7 +47,7 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
         from meshio import Mesh
     except ImportError as error:
         raise InputError(f"{printable(path)} is a sequence, which needs meshio; install 'palpate[robot]'.") from error
-    sequence, rows, table, verdict = open_sequence(path), [], "", ""
+    sequence, rows, columns, verdict = open_sequence(path), [], {}, ""
     require_fit(sequence)
     tissue = SequenceTissue(sequence, settings)
     make_output(folder)
@@ -56,24 +56,20 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
         for frame, field in tissue.fields():
             number, verdict, values = sequence.numbers[frame], field.verdict, _values(field, tissue.kilopascals(field))
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
-            cells = {"triangle": field.faces.astype(np.int32), "tetra": field.tetrahedra.astype(np.int32)}
-            for ending, kept in (("vtk", cells), ("ply", {"triangle": cells["triangle"]})):
+            cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
+            inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
+            for ending, kept in (("vtk", cells | inner), ("ply", cells)):
                 with replacing_own(folder / f"particles_{number:06d}.{ending}") as partial:
-                    Mesh(field.positions, {kind: each for kind, each in kept.items() if len(each)}, values).write(
-                        partial
-                    )
-            places = np.column_stack([field.rest, field.positions]).T
-            columns = dict(zip(("rest_x", "rest_y", "rest_z", "x", "y", "z"), places, strict=True)) | values
-            table = to_csv([dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()])
+                    Mesh(field.positions, kept, values).write(partial)
+            columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
             done()
-        for name, text in (("particles.csv", table), ("parameters.csv", to_csv(rows, _columns(rows)))):
+        particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
+        for name, table in (("particles.csv", particles), ("parameters.csv", rows)):
             with replacing_own(folder / name) as partial:
-                partial.write_text(text, encoding="utf-8")
+                partial.write_text(
+                    to_csv(table, [*dict.fromkeys(name for row in table for name in row)]), encoding="utf-8"
+                )
     return verdict, len(rows)
-
-
-def _columns(rows: list[dict[str, object]]) -> list[str]:
-    return [*COLUMNS, *sorted({name for row in rows for name in row} - {*COLUMNS})]
 
 
 def _values(field: ParticleField, unit: tuple[float, float] | None) -> dict[str, Any]:

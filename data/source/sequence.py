@@ -162,9 +162,9 @@ class Sequence:
             return None
         file = self.path.parent / self.given.forces
         times, *forces = read_series(file, WRENCH, "table of forces", 2).T
-        require_reach(file, times, self.times)
+        _require_reach(file, times, self.times)
         way = np.linalg.norm(self.tool.tips(self.times) - self.tool.tips(self.times[:1]), axis=1)
-        still = times <= max(self.times[way < STILL].max(), times[0])
+        still = times <= self.times[max(int(np.argmax(way > STILL)) - 1, 0)] + ROUNDED
         found = np.stack([np.interp(self.times, times, each - each[still].mean()) for each in forces], axis=1)
         return np.einsum("tij,tj->ti", self.tool.at(self.times)[:, :3, :3], found)
 
@@ -188,12 +188,7 @@ class Tool:
     """Where it touches tissue, in its own frame, shape [3] [m]."""
 
     def at(self, times: np.ndarray | float) -> np.ndarray:
-        """Its poses by times [...] between the rows', shape [..., 4, 4].
-
-        Raises:
-            InputError: the rows don't reach there.
-        """
-        require_reach(self.path, self.times, times)
+        """Its poses by times [...] [s] between the rows', beyond them those of the ends, shape [..., 4, 4]."""
         inside = np.clip(times, self.times[0], self.times[-1])
         found = np.zeros((*np.shape(times), 4, 4))
         found[..., :3, :3] = Slerp(self.times, Rotation.from_matrix(self.poses[:, :3, :3]))(inside).as_matrix()
@@ -202,7 +197,7 @@ class Tool:
         return found
 
     def tips(self, times: np.ndarray) -> np.ndarray:
-        """Where its tip is by times [T] [s], shape [T, 3] [m]; raises as `at`."""
+        """Where its tip is by times [T] [s], shape [T, 3] [m]."""
         return self.at(times) @ np.append(self.tip, 1.0) @ np.eye(4, 3)
 
 
@@ -216,11 +211,10 @@ def is_sequence(path: Path) -> bool:
     return path.suffix.lower() in (".yaml", ".yml") and path.is_file()
 
 
-def require_reach(path: Path, rows: np.ndarray, times: np.ndarray | float) -> None:
+def _require_reach(path: Path, rows: np.ndarray, times: np.ndarray) -> None:
     """Raise an InputError unless a table's rows [s] reach over times of frames [s]."""
-    low, high = float(np.min(times)), float(np.max(times))
-    if low < rows[0] - ROUNDED or high > rows[-1] + ROUNDED:
-        said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, not from {low:g} to {high:g} s, as the frames do"
+    if times[0] < rows[0] - ROUNDED or times[-1] > rows[-1] + ROUNDED:
+        said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
         raise InputError(f"{printable(path)} {said}; put both on one clock.")
 
 
@@ -256,6 +250,7 @@ def open_sequence(path: Path) -> Sequence:
     camera = None if given.camera is None else load_camera(folder / given.camera)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
     tool = _tool(folder / given.poses, scale, np.array(given.tip, float))
+    _require_reach(tool.path, tool.times, times)
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)
 
 
@@ -267,11 +262,9 @@ def _tool(path: Path, scale: float, tip: np.ndarray) -> Tool:
         poses = table.reshape(-1, 4, 4)
     else:
         poses = np.tile(np.eye(4), (len(times), 1, 1))
-        length = np.linalg.norm(table[:, 3:], axis=1, keepdims=True)
+        whole = table[:, 3:].any(axis=1).all()  # no quaternion of length 0
+        poses[:, :3, :3] = Rotation.from_quat(table[:, 3:]).as_matrix() if whole else 0.0
         poses[:, :3, 3] = table[:, :3]
-        poses[:, :3, :3] = (
-            Rotation.from_quat(np.where(length > 0, table[:, 3:], 1.0)).as_matrix() * np.sign(length)[..., None]
-        )
     if not is_rigid(poses):
         raise InputError(f"{printable(path)} holds a pose that is no rotation and shift; correct that row.")
     poses[:, :3, 3] *= scale

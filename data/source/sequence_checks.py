@@ -80,7 +80,7 @@ def _require_clock(tool: Tool, times: np.ndarray, motion: np.ndarray, origin: np
     step = max(1, round(LATE / float(np.median(np.diff(times)))))
 
     def alike(lag: float) -> float:
-        way = np.linalg.norm(tool.tips(np.clip(times + lag, *tool.times[[0, -1]])) - origin, axis=1)
+        way = np.linalg.norm(tool.tips(times + lag) - origin, axis=1)
         speeds = np.stack([each[step:] - each[:-step] for each in (way, motion)])
         speeds = speeds[:, np.isfinite(speeds).all(axis=0)]
         return float(np.corrcoef(speeds)[0, 1]) if speeds.shape[1] > FEWEST and speeds.std(axis=1).all() else 0.0

@@ -29,23 +29,16 @@ class DrivenTissue:
 
     Args:
         surface: the tissue in the picture where following began.
-        points: places of the followed points there, shape [P, 2] [px].
+        points: places of the followed points there, shape [P, 2] [px]. Of points that are known in space, shape [P, 3]:
+            all displacements have a third axis then, away from the camera, in pixels that are as long as those across
+            the line of sight at the point's depth at rest.
         distance: theirs from the tool there, shape [P] [px].
         settings: how.
-        in_space: whether it is known, too, how far the points go away from the camera: all displacements then have a
-            third axis, likewise in pixels, as long as those across the line of sight are at a point's depth at rest.
     """
 
-    def __init__(
-        self,
-        surface: Surface,
-        points: np.ndarray,
-        distance: np.ndarray,
-        settings: OnlineSettings,
-        in_space: bool = False,
-    ) -> None:
+    def __init__(self, surface: Surface, points: np.ndarray, distance: np.ndarray, settings: OnlineSettings) -> None:
         self.surface, self.settings = surface, settings
-        self._in_space = in_space
+        points, self._in_space = points[:, :2], points.shape[1] == 3
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
@@ -218,12 +211,12 @@ class DrivenTissue:
         return self.shown(session.positions[None]) + simulated[1:] - simulated[0]
 
     def shown(self, states: np.ndarray) -> np.ndarray:
-        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""
-        if not self._in_space:
-            return np.stack([self.surface.project(self._shares @ state) - self._resting for state in states])
+        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""
         places = np.stack([self._shares @ state for state in states])
         away = (places[..., 2] - self._depth) * (self.surface.camera.fx / self._depth)
-        return np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)
+        return np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)[
+            ..., : 2 + self._in_space
+        ]
 
     def _tracks(self, moved: np.ndarray) -> list[Match]:
         """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.

@@ -19,7 +19,7 @@ from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
 from palpate.estimators.calibration_file import SHEET_FACTOR, palpated
 from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
-from palpate.estimators.online.driven import PAST, Cloud, DrivenTissue
+from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
@@ -38,6 +38,8 @@ ONE_SIDED = 0.75
 """How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
 STEEPEST = 3.0
 """Longest edge of a triangle, over the distance of particles across the line of sight."""
+PULLS = 10
+"""Last frames whose forces tell kilopascals."""
 OF_VIDEO = ("match", "background", "pins", "path")
 """Settings that a sequence's own file stands for."""
 
@@ -68,11 +70,11 @@ class SequenceTissue:
         self._followed = np.flatnonzero(np.isfinite(rest).all(axis=1))
         match = "both" if len(self._followed) else "chamfer"
         how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
-        pixels = self.surface.project(rest[self._followed])
-        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=PAST)
+        pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
+        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=PULLS)
         if sequence.given.thickness is not None and settings.thickness is not None:
             raise InputError(f"thickness in {where} is a sheet's, and --settings make a volume; leave one of them out.")
-        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how, in_space=True)
+        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""

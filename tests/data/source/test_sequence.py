@@ -122,7 +122,7 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
         ({"clouds": "{number}.ply"}, "names 0 frames"),
-        ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, not from 0 to 12 s, as the frames do; put both on one"),
+        ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, the frames from 0 to 12 s; put both on one"),
         ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
         ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),
     ],

@@ -36,6 +36,8 @@ NEIGHBOURS, SPARSE = 16, 4.0
 """Points of a cloud that give a particle its height; over their usual distance, how near one must be."""
 ONE_SIDED = 0.75
 """How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
+MOST_NODES = 20
+"""Places of the grid over particles: more are of a cloud that has some points far off."""
 STEEPEST = 3.0
 """Longest edge of a triangle, over the distance of particles across the line of sight."""
 PULLS = 10
@@ -145,26 +147,28 @@ class SequenceTissue:
 
     def _meshed(self, cloud: np.ndarray, settings: OnlineSettings) -> Surface:
         """Particles on a cloud in the view's frame."""
-        sequence, tree = self._sequence, KDTree(cloud[:, :2])
-        apart = SPARSE * float(np.median(tree.query(cloud[:, :2], 2)[0][:, 1]))
-        area = len(np.unique(np.floor(cloud[:, :2] / max(apart, 1e-9)), axis=0)) * apart**2
+        sequence = self._sequence
+        said = f"{printable(sequence.files[self._begin])} has too few points for a surface, or some far off"
+        sparse = InputError(f"{said}; give a denser cloud of tissue alone.")
+        if len(cloud) < NEIGHBOURS:
+            raise sparse
+        tree, (low, high) = KDTree(cloud[:, :2]), (cloud[:, :2].min(axis=0), cloud[:, :2].max(axis=0))
+        apart = max(SPARSE * float(np.median(tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
+        area = len(np.unique(np.floor(cloud[:, :2] / apart), axis=0)) * apart**2
         layers = 1 if settings.thickness is None else layers_below(area, settings.thickness, settings.particles)
         wide = np.sqrt(area * layers / settings.particles)
-        low, high = cloud[:, :2].min(axis=0), cloud[:, :2].max(axis=0)
-        across = [
-            np.linspace(*ends, max(2, round((ends[1] - ends[0]) / wide) + 1)) for ends in zip(low, high, strict=True)
-        ]
+        counts = np.maximum(np.round((high - low) / wide), 1) + 1
+        if counts.prod() > MOST_NODES * settings.particles:
+            raise sparse
+        across = [np.linspace(low[axis], high[axis], int(count)) for axis, count in enumerate(counts)]
         nodes = np.stack(np.meshgrid(*across), axis=-1)
-        away, near = tree.query(nodes, min(NEIGHBOURS, len(cloud)))
+        away, near = tree.query(nodes, NEIGHBOURS)
         beside = np.linalg.norm(cloud[near, :2].mean(axis=2) - nodes, axis=2) > ONE_SIDED * away.mean(axis=2)
         heights = np.average(cloud[near, 2], axis=2, weights=1 / (away**2 + apart**2))
-        mesh = grid_mesh(
-            np.dstack([nodes, heights]), (away[..., 0] <= apart) & ~beside, max_edge=STEEPEST * wide, alternating=True
-        )
+        covered = (away[..., 0] <= apart) & ~beside
+        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=STEEPEST * wide, alternating=True)
         if len(mesh.vertices) < 3:
-            raise InputError(
-                f"{printable(sequence.files[self._begin])} is too sparse for a surface; give a denser cloud."
-            )
+            raise sparse
         places = moved(mesh.vertices.astype(np.float64), np.linalg.inv(self._view))
         from_tip = np.linalg.norm(places - self._tip, axis=1)
         driven = from_tip <= max(sequence.grip_radius, from_tip.min())
@@ -172,18 +176,16 @@ class SequenceTissue:
         if len(sequence.pins):
             boxes = sequence.pins[:, :, None]
             pinned = ((boxes[:, 0] <= places) & (places <= boxes[:, 1])).all(axis=2).any(axis=0)
-        if not (pinned & ~driven).any():
-            said = (
-                "holds none of the tissue in its pins' boxes but what is gripped; make them larger, in the poses' frame"
-            )
-            raise InputError(f"{printable(sequence.path)} {said}.")
         pinned &= ~driven
+        if not pinned.any():
+            said = "holds no free tissue in its pins' boxes; make them larger, in the poses' frame"
+            raise InputError(f"{printable(sequence.path)} {said}.")
         if settings.thickness is None:
             body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
         else:
             body = volume_below(mesh, pinned, settings.thickness, layers)
-        width, height = (int(PIXELS * len(line)) for line in across)
-        camera = Camera.from_focal(PIXELS * float(cloud[:, 2].mean()) / wide, width, height)
+        focal = PIXELS * float(cloud[:, 2].mean() / wide)
+        camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in counts))
         surface = Surface(body, mesh.triangles, np.flatnonzero(driven), np.empty((0, 2)), camera, 0.0)
         return dataclasses.replace(surface, pixels=surface.project(body.rest))
 

@@ -11,7 +11,7 @@ from palpate.data.source.clouds import read_cloud
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import Sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from tests.sequences import FPS, SHIFT, TURN, placed, pull, write_sequence
+from tests.sequences import FPS, TURN, placed, pull, write_sequence
 
 POINTS = np.array([[0.1, -0.2, 0.3], [1.5, 2.5, -3.5]])
 
@@ -154,4 +154,3 @@ def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Pa
             np.testing.assert_allclose(checked(path).forces, pulled @ TURN.T, atol=1e-6)
     with pytest.raises(InputError, match=r"forces\.csv .* acts along the tool's motion, .*; reverse Fx, Fy and Fz"):
         checked(path)
-    assert SHIFT.shape == (3,)

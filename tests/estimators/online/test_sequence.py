@@ -71,9 +71,13 @@ def test_what_the_file_stands_for_is_no_setting(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"pins in --settings is for videos; leave it out, .*sequence\.yaml tells it"):
         followed(path, pins="mask.png")
     nowhere = [{"low": [5, 5, 5], "high": [6, 6, 6]}]
-    with pytest.raises(InputError, match="holds none of the tissue in its pins' boxes"):
+    with pytest.raises(InputError, match="holds no free tissue in its pins' boxes"):
         followed(write_sequence(tmp_path, 2, pins=nowhere))
-    assert placed(np.zeros(3)).tolist() == SHIFT.tolist()
+    points = np.load(tmp_path / "clouds/000.npz")["points"]
+    for bad in (points[:10], np.vstack([points, [[50.0, 0, 0]]])):
+        np.savez(tmp_path / "clouds/000.npz", points=bad)
+        with pytest.raises(InputError, match=r"000\.npz has too few points for a surface, or some far off"):
+            followed(path)
 
 
 def net_force(state: State) -> np.ndarray:

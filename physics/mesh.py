@@ -35,7 +35,13 @@ class Mesh:
 
 
 def grid_mesh(
-    points: np.ndarray, valid: np.ndarray, occluder: np.ndarray | None = None, max_edge: float = 0.05, keep: float = 1.0
+    points: np.ndarray,
+    valid: np.ndarray,
+    occluder: np.ndarray | None = None,
+    max_edge: float = 0.05,
+    keep: float = 1.0,
+    *,
+    alternating: bool = False,
 ) -> Mesh:
     """Triangulate the valid pixels of a back-projected depth grid (Bini 2026, section 3.2.2).
 
@@ -48,6 +54,8 @@ def grid_mesh(
         occluder: pixels that hide tissue (the tool), shape [H, W], bool.
         max_edge: triangles with a longer edge span a depth discontinuity and are dropped [scene units].
         keep: share of the pixels that are kept as vertices, in (0, 1]; the paper's decimation is 0.3.
+        alternating: every other cell is split along its other diagonal, where all pixels are kept: no direction is then
+            stiffer than the one across it.
 
     Raises:
         ValueError: shapes that don't fit.
@@ -59,7 +67,7 @@ def grid_mesh(
     if occluder is not None and np.shape(occluder) != valid.shape:
         raise ValueError(f"occluder has shape {np.shape(occluder)}; give the grid's shape {valid.shape}.")
     valid = valid & np.isfinite(points).all(axis=2)
-    triangles = _grid_triangles(valid) if keep == 1 else _decimated_triangles(valid, keep)
+    triangles = _grid_triangles(valid, alternating) if keep == 1 else _decimated_triangles(valid, keep)
     corners = points.reshape(-1, 3)[triangles]
     lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
     return _compact(points, triangles[(lengths <= max_edge).all(axis=1)], occluder, 1 / math.sqrt(keep))
@@ -104,13 +112,17 @@ def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:
     return normal / length
 
 
-def _grid_triangles(valid: np.ndarray) -> np.ndarray:
+def _grid_triangles(valid: np.ndarray, alternating: bool) -> np.ndarray:
     """Triangles [F, 3] of flat pixel indices: two a 2×2 cell, where all three pixels are valid."""
     index = np.arange(valid.size).reshape(valid.shape)
     top_left, top_right = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     bottom_left, bottom_right = index[1:, :-1].ravel(), index[1:, 1:].ravel()
     lower = np.stack([top_left, bottom_left, bottom_right], axis=1)
     upper = np.stack([top_left, bottom_right, top_right], axis=1)
+    if alternating:
+        other = (np.indices(index[1:, 1:].shape).sum(axis=0) % 2 == 1).reshape(-1, 1)
+        lower = np.where(other, np.stack([top_left, bottom_left, top_right], axis=1), lower)
+        upper = np.where(other, np.stack([top_right, bottom_left, bottom_right], axis=1), upper)
     triangles = np.concatenate([lower, upper])
     return triangles[valid.ravel()[triangles].all(axis=1)]
 

@@ -30,10 +30,12 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
+from palpate.data.source.sequence import is_sequence
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.known_force import force_reader
 from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.online.estimator import OnlineEstimator
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
@@ -44,6 +46,7 @@ from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, c
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, fingerprint_of, model_of
+from palpate.results.sequence import write_sequence
 from palpate.results.writer import ClipResults
 
 WORDS = {
@@ -60,6 +63,8 @@ WORDS = {
 """Settings and the options that they are on the command line, for messages."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
+OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "known_force")
+"""Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
 Options = tuple[tuple[str, Any], ...]
@@ -102,6 +107,8 @@ class Batch:
         """Folder of the results of the clip with the known force, once it is done."""
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
+        self.followed: set[Path] = set()
+        """Folders of the sequences so far."""
         self.providers: dict[str, str] = {}
         """What was said of where networks run."""
         names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
@@ -140,6 +147,8 @@ class Batch:
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
+        if is_sequence(path):
+            return self._sequence(path, progress, place)
         source = open_source(path, self.settings.layout)
         folder = self.folders.get(path) or self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
@@ -201,6 +210,26 @@ class Batch:
         for reason, count in results.unexplained.most_common(MOST_REASONS):
             say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
         return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
+
+    def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
+        """The same of a sequence beside a robot."""
+        if not isinstance(self.estimator, OnlineEstimator):
+            raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
+        for name in (name for name in OF_VIDEO if getattr(self.options, name) is not None):
+            said = f"is for videos, and {printable(path)} is a sequence; leave it out"
+            raise ValueError(f"--{name.replace('_', '-')} {said}.")
+        name = path.resolve().parent.name if path.stem == "sequence" else path.stem
+        folder = self.store.output / store.safe_name(name)
+        if folder in self.followed:
+            raise ValueError(f"{folder} has the results of another sequence of that name; rename its folder.")
+        self.followed.add(folder)
+        task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
+        try:
+            done = functools.partial(progress.advance, task)
+            verdict, frames = write_sequence(path, self.estimator.settings, folder, done)
+        finally:
+            progress.remove_task(task)
+        return Outcome(name, DONE, str(folder), {"frames": frames, verdict: 1}, path.name)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""

@@ -9,5 +9,6 @@ determined what the instrument alone explains of the motion, by one number each 
            place by place, and where that tells the stiffness
 forecast   motion to come, by the field or by a sheet of one number, whichever predicts better, with what it missed
 particle_field what is said of the field in a frame and over a run
+sequence   tissue of a sequence beside a robot, with its clouds, followed points and a gripper's poses, in metres
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

@@ -85,7 +85,7 @@ def fit_motion(
         stiffness: of distances, the same everywhere.
         bendings: stiffness of shapes over that, to choose from.
     """
-    used = np.isfinite(seen[..., 0] + seen[..., 1])
+    used = np.asarray(np.isfinite(seen).all(axis=-1))
     motion = np.array([length(frame[some]) if some.any() else 0 for frame, some in zip(seen, used, strict=True)])
     telling = np.flatnonzero(motion > LEAST)
     if len(telling) == 0:
@@ -142,6 +142,7 @@ class Determined:
         self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
+        self._axes = 2
         """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
         fields to begin with would show, then of its derivatives; the same of their means over points, times their
         number; and that."""
@@ -188,7 +189,7 @@ class Determined:
             return
         off, slopes, cell = (seen - shown[0])[used], (shown[1:] - shown[0])[:, used] / CHANGE, self._cell[used]
         towards = off + np.einsum("kqi,k->qi", slopes, self._projected @ self._logs(fields).ravel())
-        self._frames += 1
+        self._frames, self._axes = self._frames + 1, seen.shape[1]
         self._motion += motion
         self._left += float(np.square(off).sum())
         self._left_by_likeliest += float(np.square((seen - best)[used]).sum())
@@ -243,7 +244,7 @@ class Determined:
             left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
             together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
-            weight = 1 / (together * (left / (2 * points) + NOISE**2))
+            weight = 1 / (together * (left / (self._axes * points) + NOISE**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
         return np.linalg.inv(precision), likeliest

@@ -33,13 +33,25 @@ class DrivenTissue:
 
     Args:
         surface: the tissue in the picture where following began.
-        lattice: the followed points there.
+        points: places of the followed points there, shape [P, 2] [px]. Of points that are known in space, shape [P, 3]:
+            all displacements have a third axis then, away from the camera, in pixels that are as long as those across
+            the line of sight at the point's depth at rest.
+        distance: theirs from the tool there, shape [P] [px].
         settings: how.
+        spacing: of the points' grid [px]; None = they lie on none, and no sheet of one number can be made of them.
     """
 
-    def __init__(self, surface: Surface, lattice: Lattice, settings: OnlineSettings) -> None:
-        self.surface, self.settings, self._lattice = surface, settings, lattice
-        points, distance = lattice.points, lattice.distance
+    def __init__(
+        self,
+        surface: Surface,
+        points: np.ndarray,
+        distance: np.ndarray,
+        settings: OnlineSettings,
+        spacing: int | None = None,
+    ) -> None:
+        self.surface, self.settings = surface, settings
+        self._lattice = None if spacing is None else Lattice(points, spacing, distance)
+        points, self._in_space = points[:, :2], points.shape[1] == 3
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
@@ -54,7 +66,7 @@ class DrivenTissue:
         """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or with a
         path in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
-        self._resting = surface.project(self._shares @ body.rest)
+        self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
         self._near = distance < surface.reach
         self._driving = np.flatnonzero(self._near)
         self._points = np.asarray(points, np.float64)
@@ -182,7 +194,7 @@ class DrivenTissue:
                 matches += self._tracks(moved)
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
-        seen_around = moved[self.around] if places is not None else np.full((len(self.around), 2), np.nan)
+        seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
         found = self.session.step(self._places, matches)
         self.past.append(self._places)
@@ -215,30 +227,38 @@ class DrivenTissue:
         rest, session, gripped = self.surface.body.rest, self.session, self.surface.gripped
         states = session.objective.stepped(session.fields, rest, np.stack(path)).positions[0, 1:]
         models = {FIELD: self.shown(states)}
-        frames = [self._frame(each) for each in self._seen]
-        frames += [self._frame(each) for each in moved]
-        with suppress(NothingMoves):
-            ratio = self._lattice.ratio(frames[: len(self._seen)])
-            models[SHEET] = np.stack([self._lattice.motion(each, ratio)[self.around] for each in frames])
+        lattice = self._lattice
+        if lattice is not None:
+            moves = [
+                GripFrame(each, (lattice.distance < DRIVEN) & np.isfinite(each).all(axis=1))
+                for each in (*self._seen, *moved)
+            ]
+            with suppress(NothingMoves):
+                ratio = lattice.ratio(moves[: len(self._seen)])
+                models[SHEET] = np.stack([lattice.motion(each, ratio)[self.around] for each in moves])
         way = np.linalg.norm(np.stack(path) - rest[gripped], axis=(1, 2))
         return forecast(models, np.stack(self._seen)[:, self.around], way)
 
-    def _frame(self, moved: np.ndarray) -> GripFrame:
-        return GripFrame(moved, (self._lattice.distance < DRIVEN) & np.isfinite(moved).all(axis=1))
-
     def shown(self, states: np.ndarray) -> np.ndarray:
-        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2] [px]."""
-        return np.stack([self.surface.project(self._shares @ state) - self._resting for state in states])
+        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""
+        places = np.stack([self._shares @ state for state in states])
+        away = (places[..., 2] - self._depth) * (self.surface.camera.fx / self._depth)
+        return np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)[
+            ..., : 2 + self._in_space
+        ]
 
     def _tracks(self, moved: np.ndarray) -> list[Match]:
         """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.
 
-        Depth from one picture is off by far more than the motion.
+        Depth from one picture is off by far more than the motion; where that has three axes it counts.
         """
-        places = self._resting + moved[self.around]
+        places = self._resting + moved[self.around, :2]
         if not np.isfinite(places).all(axis=1).any():
             return []
-        depth = (self._shares @ self.session.positions)[:, 2]
+        if self._in_space:
+            depth = self._depth * (1 + moved[self.around, 2] / self.surface.camera.fx)
+        else:
+            depth = (self._shares @ self.session.positions)[:, 2]
         return [Tracks(self._shares, self.surface.lift(places, depth))]
 
     def _nearer(self, moved: np.ndarray, cloud: np.ndarray) -> float:

@@ -28,7 +28,6 @@ from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.forecast import Lattice
 from palpate.estimators.online.given import read_path, read_pins
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
@@ -101,8 +100,7 @@ class _Followed:
         surface = make_surface(first, clip.camera, clip.geometry, *chosen)
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
-        lattice = Lattice(follower.points, follower.spacing, follower.distance)
-        self._driven = DrivenTissue(surface, lattice, settings)
+        self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]

@@ -128,7 +128,7 @@ def make_surface(
         depth, _ = smooth_surface(depth, tissue, geometry.smoothing)
     grid, layers = camera.scaled(depth.shape[1], depth.shape[0]), 1
     if thickness is not None:
-        layers = _layers(float(np.square(depth[tissue]).sum()) / (grid.fx * grid.fy), thickness, particles)
+        layers = layers_below(float(np.square(depth[tissue]).sum()) / (grid.fx * grid.fy), thickness, particles)
     keep = min(1.0, particles / (layers * count))
     points = back_project(depth, grid)
     # As steep as at full resolution: edges are longer by as much as fewer are kept.
@@ -156,7 +156,7 @@ def make_surface(
     if thickness is None:
         body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
     else:
-        body = _volume(mesh, pinned, thickness, layers)
+        body = volume_below(mesh, pinned, thickness, layers)
     surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
     return surface if thickness is None else replace(surface, pixels=surface.project(body.rest))
 
@@ -193,7 +193,7 @@ def _white(pins: Pins, mesh: Mesh, driven: np.ndarray, number: int) -> np.ndarra
     return white
 
 
-def _layers(area: float, thickness: float, particles: int) -> int:
+def layers_below(area: float, thickness: float, particles: int) -> int:
     """Layers of particles of a volume, about as far from each other as those within one; the surface is one.
 
     Args:
@@ -205,7 +205,7 @@ def _layers(area: float, thickness: float, particles: int) -> int:
     return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
 
 
-def _volume(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
+def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
     """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there.
 
     Raises:

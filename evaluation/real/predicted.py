@@ -57,13 +57,14 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     surface = first_surface(clip, settings)
     measures: Row = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    tissue = DrivenTissue(surface, follow.lattice, settings)
+    points, spacing = (follow.lattice.points, follow.lattice.distance), follow.lattice.spacing
+    tissue = DrivenTissue(surface, *points, settings, spacing)
     for index in FROM:
         if index + AHEAD > len(follow.frames):
             continue
         # Anew each time: what is fitted may see the frames up to this one.
         fitted = replace(settings, fitted=min(settings.fitted, index))
-        tissue = DrivenTissue(surface, follow.lattice, fitted)
+        tissue = DrivenTissue(surface, *points, fitted, spacing)
         for frame in follow.frames[:index]:
             tissue.step(frame.moved)
         frame = follow.frames[index - 1]

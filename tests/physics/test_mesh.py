@@ -29,6 +29,19 @@ def test_full_grid_has_two_triangles_a_cell_and_unique_springs():
     assert mesh.springs.dtype == mesh.triangles.dtype == mesh.pixels.dtype == np.int32
 
 
+def test_diagonals_alternate_where_that_is_asked_for():
+    mesh = grid_mesh(plane(3, 4), np.ones((3, 4), dtype=bool), alternating=True)
+    steps = np.diff(mesh.pixels[mesh.springs], axis=1)[:, 0]
+    across = steps.prod(axis=1) != 0
+    cells = mesh.pixels[mesh.springs[across]].min(axis=1)
+    assert sorted(map(tuple, cells.tolist())) == [(row, column) for row in range(2) for column in range(3)]
+    np.testing.assert_array_equal(steps[across].prod(axis=1), np.where(cells.sum(axis=1) % 2 == 1, -1, 1))
+    first, second, third = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
+    areas = np.cross(second - first, third - first)[:, 2] / 2
+    np.testing.assert_allclose(areas, areas[0])  # all are turned alike
+    assert abs(areas.sum()) == pytest.approx(6 * 0.01**2)
+
+
 def test_triangles_with_a_long_edge_are_dropped():
     points = plane(3, 6)
     points[:, 3:, 2] += 0.2  # a depth step between the columns 2 and 3

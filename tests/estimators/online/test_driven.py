@@ -17,7 +17,7 @@ from palpate.data.source.frames import Frame
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online import determined
 from palpate.estimators.online.driven import DrivenTissue
-from palpate.estimators.online.forecast import FIELD, SHEET, Lattice
+from palpate.estimators.online.forecast import FIELD, SHEET
 from palpate.estimators.online.given import GripperPath
 from palpate.estimators.online.objective import PAPER, Bounds
 from palpate.estimators.online.session import Method
@@ -71,7 +71,7 @@ def pulled(share: float) -> np.ndarray:
 
 def driven(surface: Surface, shares: Iterable[float] = (), **settings) -> DrivenTissue:
     """Tissue that has been pulled by these shares."""
-    tissue = DrivenTissue(surface, Lattice(POINTS, 8, AWAY), dataclasses.replace(SETTINGS, **settings))
+    tissue = DrivenTissue(surface, POINTS, AWAY, dataclasses.replace(SETTINGS, **settings), 8)
     for share in shares:
         tissue.step(pulled(share))
     return tissue

@@ -1,0 +1,76 @@
+"""Clouds of points from files: PLY and PCD, in text or binary, and NumPy's."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+
+from palpate.common.files import read_file
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError
+from palpate.data.source.table import reason
+
+MOST_BYTES = 2**28
+"""Largest file of a cloud; a million points with normals and colours are smaller [bytes]."""
+MOST_HEAD = 2**14
+"""Of a file, in which it says what follows [bytes]."""
+
+
+def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
+    """Points of a file, by its ending: .ply, .pcd, or .npz with `points` or a single array.
+
+    Args:
+        path: the file.
+        shape: of a point, or of all that is known of one.
+
+    Returns:
+        Shape [m, *shape], float64, in the file's own unit; not seen = NaN.
+
+    Raises:
+        InputError: it can't be read, or holds no point of that shape.
+    """
+    try:
+        points = np.asarray(_READERS[path.suffix.lower()](read_file(path, MOST_BYTES)), np.float64)
+        if points.shape[1:] != shape or not np.isfinite(points).any():
+            raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
+    except Exception as error:  # those of the libraries on broken content have nothing in common
+        why = "PLY needs meshio, of palpate[robot]" if isinstance(error, ImportError) else reason(error).rstrip(".")
+        said = f"can't be read as points ({why}); give a PLY, PCD (text or binary) or NPZ file of x, y, z"
+        raise InputError(f"{printable(path)} {said}.") from error
+    return points
+
+
+def _ply(content: bytes) -> np.ndarray:
+    from meshio.ply._ply import read_buffer
+
+    count = re.search(rb"element\s+vertex\s+(\d+)", content[:MOST_HEAD])
+    if count is None or int(count[1]) > len(content):  # memory is taken for as many
+        raise ValueError("no vertices, or more than the file has bytes for")
+    return read_buffer(io.BytesIO(content)).points
+
+
+def _pcd(content: bytes) -> np.ndarray:
+    found = re.search(rb"(?:^|\n)DATA (\w+)\r?\n", content[:MOST_HEAD])
+    if found is None or found[1] not in (b"ascii", b"binary"):
+        raise ValueError("it is compressed or has no line DATA")
+    lines = content[: found.start()].decode().splitlines()
+    head, stored = {line.split()[0]: line.split()[1:] for line in lines if line.split()}, content[found.end() :]
+    columns, counts = [head["FIELDS"].index(axis) for axis in "xyz"], [int(count) for count in head["COUNT"]]
+    if found[1] == b"ascii":
+        starts = np.cumsum([0, *counts])[columns].tolist()
+        return np.loadtxt(io.BytesIO(stored), usecols=starts, ndmin=2)
+    kinds = map("<{}{}".format, map(str.lower, head["TYPE"]), head["SIZE"])
+    layout = [(str(at), *each) for at, each in enumerate(zip(kinds, counts, strict=True))]
+    rows: np.ndarray = np.frombuffer(stored, np.dtype(layout), int(head["POINTS"][0]))
+    return np.stack([rows[str(column)].reshape(-1) for column in columns], axis=1)
+
+
+def _npz(content: bytes) -> np.ndarray:
+    found = np.load(io.BytesIO(content), allow_pickle=False)
+    return found["points" if len(found.files) != 1 else found.files[0]]
+
+
+_READERS = {".ply": _ply, ".pcd": _pcd, ".npz": _npz}

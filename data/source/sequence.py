@@ -1,0 +1,271 @@
+"""A sequence beside a robot: clouds or depth with a tool's poses, as `sequence.yaml` names them, in the poses' frame.
+
+Everything is in metres there, whatever unit and frame the files have.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from palpate.common.files import read_file
+from palpate.common.settings import require_numbers
+from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
+from palpate.data.source.clouds import read_cloud
+from palpate.data.source.images import printable, read_image
+from palpate.data.source.layout import InputError, from_mapping, matches, read_mapping
+from palpate.data.source.table import MOST_BYTES, read_series
+
+Row = tuple[float, float, float, float]
+Place = tuple[float, float, float]
+UNITS = {"m": 1.0, "mm": 1e-3}
+QUATERNION = ("x", "y", "z", "qx", "qy", "qz", "qw")
+MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
+"""Columns of a table of poses besides time_s: a place and a turn, or a matrix row by row."""
+WRENCH = ("time_s", "Fx", "Fy", "Fz")
+ROUNDED = 1e-3
+"""Tables of poses and forces reach farther by this, since their times are rounded [s]."""
+GRIPPED = 6e-3
+"""What a gripper holds around its tip, where nobody says [m]."""
+STILL = 5e-4
+"""A tip that has moved by less since the first row of forces is at rest, where they are the sensor's bias [m]."""
+
+
+@dataclass(frozen=True)
+class SequenceFile:
+    """Fields of the file; names of files are relative to it, and `{number}` stands for a frame's digits.
+
+    Raises:
+        ValueError: fields that don't belong together, or numbers that can't be.
+    """
+
+    poses: str
+    """CSV file of the tool's poses in the robot's frame: time_s with x, y, z, qx, qy, qz, qw, or m00 … m33."""
+    clouds: str | None = None
+    """Clouds of tissue alone: PLY, PCD or NPZ, as clouds/{number}.ply."""
+    depth: str | None = None
+    """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
+    camera: str | None = None
+    """Camera file of the depth pictures."""
+    depth_factor: float = 1e-3
+    """Length of a unit of the depth pictures [m]."""
+    times: str | None = None
+    """CSV file with a column time_s, a row for every frame, on the clock of the poses; or give `fps`."""
+    fps: float | None = None
+    """Frames a second; the first one is then at 0 s."""
+    unit: Literal["m", "mm"] = "m"
+    """Of all lengths in the files and here, but for `depth_factor`."""
+    hand_eye: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    """Pose of the camera in the frame that `camera_on` names."""
+    camera_on: Literal["base", "tool"] = "base"
+    """Whether the camera stands in the robot's frame or is carried by the tool."""
+    tip: Place = (0.0, 0.0, 0.0)
+    """Where the tool touches tissue, in its own frame."""
+    grip_radius: float | None = None
+    """Tissue around the tip that moves with it; none = GRIPPED."""
+    gripped_s: tuple[float, float] | None = None
+    """From when to when the tool holds tissue [s]; none = throughout."""
+    pins: tuple[dict[str, Place], ...] = ()
+    """Boxes in the robot's frame, each with `low` and `high`: tissue in them stands still. None = its far edge does."""
+    points: str | None = None
+    """NPZ file with `points`, followed on the tissue, ids × frames × 3, where clouds are; not seen = NaN."""
+    forces: str | None = None
+    """CSV file with time_s, Fx, Fy, Fz [N]: what the tissue does to the tool, in the tool's frame."""
+    thickness: float | None = None
+    """Of the tissue as a sheet, with which forces tell kilopascals."""
+    palpation: str | None = None
+    """Or calibration.json of `palpate calibrate palpation`: E at one place."""
+    palpated_at: Place | None = None
+    """That place, in the robot's frame."""
+
+    def __post_init__(self) -> None:
+        if (self.clouds is None) == (self.depth is None) or (self.depth is None) != (self.camera is None):
+            raise ValueError("give clouds, or depth with camera.")
+        if (self.times is None) == (self.fps is None):
+            raise ValueError("give times or fps.")
+        if any({*pin} != {"low", "high"} for pin in self.pins):
+            raise ValueError("each of pins is to have low and high.")
+        if (self.palpation is None) != (self.palpated_at is None):
+            raise ValueError("palpation and palpated_at belong together; give both.")
+        if self.thickness is not None and (self.forces is None or self.palpation is not None):
+            raise ValueError("thickness is for forces, where no palpation tells kilopascals; leave it out.")
+        require_numbers(self, positive=("fps", "depth_factor", "grip_radius", "thickness"))
+        if not is_rigid(np.array(self.hand_eye)):
+            raise ValueError("hand_eye is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """T frames with a tool; all in the robot's frame and metres."""
+
+    path: Path
+    given: SequenceFile
+    files: list[Path]
+    """Of the clouds or depth pictures."""
+    numbers: list[int]
+    """Of the frames."""
+    times: np.ndarray
+    """Of the frames, shape [T] [s]."""
+    tool: "Tool"
+    pins: np.ndarray
+    """Lower and upper corners of what stands still, shape [B, 2, 3] [m]."""
+    grip_radius: float
+    """Tissue so near to the tip moves with it [m]."""
+    held: range
+    """Frames in which the tool holds tissue."""
+    camera: Camera | None
+    """Of depth pictures."""
+
+    def cloud(self, frame: int) -> np.ndarray:
+        """Points of the tissue in a frame, shape [m, 3] [m].
+
+        Raises:
+            InputError: its file can't be used.
+        """
+        file, camera = self.files[frame], self.camera
+        if camera is None:
+            points = read_cloud(file) * UNITS[self.given.unit]
+            return moved(points[np.isfinite(points).all(axis=1)], self.eye(frame))
+        depth = read_image(file, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(self.given.depth_factor)
+        if depth.shape != (camera.height, camera.width) or not (depth > 0).any():
+            said = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
+            raise InputError(f"{printable(file)} {said}; give depth pictures of one channel, and their camera.")
+        depth = Undistortion(camera).depth(depth) if any(camera.distortion) else depth
+        return moved(back_project(depth, camera)[depth > 0].astype(np.float64), self.eye(frame))
+
+    @cached_property
+    def points(self) -> np.ndarray | None:
+        """What is followed on the tissue, shape [T, P, 3] [m]; not seen = NaN.
+
+        Raises:
+            InputError: the file can't be used.
+        """
+        if self.given.points is None:
+            return None
+        found = read_cloud(self.path.parent / self.given.points, (len(self.times), 3)) * UNITS[self.given.unit]
+        return np.stack([moved(found[:, frame], self.eye(frame)) for frame in range(len(self.times))])
+
+    @cached_property
+    def forces(self) -> np.ndarray | None:
+        """What the tissue does to the tool in every frame, less the sensor's bias, shape [T, 3] [N].
+
+        The bias is the mean while the tip has not moved yet, from the first row on.
+
+        Raises:
+            InputError: the file can't be used, or doesn't reach over all frames.
+        """
+        if self.given.forces is None:
+            return None
+        file = self.path.parent / self.given.forces
+        times, *forces = read_series(file, WRENCH, "table of forces", 2).T
+        _require_reach(file, times, self.times)
+        way = np.linalg.norm(self.tool.tips(self.times) - self.tool.tips(self.times[:1]), axis=1)
+        still = times <= self.times[max(int(np.argmax(way > STILL)) - 1, 0)] + ROUNDED
+        found = np.stack([np.interp(self.times, times, each - each[still].mean()) for each in forces], axis=1)
+        return np.einsum("tij,tj->ti", self.tool.at(self.times)[:, :3, :3], found)
+
+    def eye(self, frame: int) -> np.ndarray:
+        """Pose of the camera in a frame, shape [4, 4]."""
+        eye = np.array(self.given.hand_eye, float)
+        eye[:3, 3] *= UNITS[self.given.unit]
+        return self.tool.at(self.times[frame]) @ eye if self.given.camera_on == "tool" else eye
+
+
+@dataclass(frozen=True, eq=False)
+class Tool:
+    """Where a tool is over time; K rows."""
+
+    path: Path
+    times: np.ndarray
+    """Rising, shape [K] [s]."""
+    poses: np.ndarray
+    """In the robot's frame, shape [K, 4, 4]."""
+    tip: np.ndarray
+    """Where it touches tissue, in its own frame, shape [3] [m]."""
+
+    def at(self, times: np.ndarray | float) -> np.ndarray:
+        """Its poses by times [...] [s] between the rows', beyond them those of the ends, shape [..., 4, 4]."""
+        inside = np.clip(times, self.times[0], self.times[-1])
+        found = np.zeros((*np.shape(times), 4, 4))
+        found[..., :3, :3] = Slerp(self.times, Rotation.from_matrix(self.poses[:, :3, :3]))(inside).as_matrix()
+        rows = [np.interp(inside, self.times, values) for values in self.poses[:, :3, 3].T]
+        found[..., :3, 3], found[..., 3, 3] = np.stack(rows, axis=-1), 1.0
+        return found
+
+    def tips(self, times: np.ndarray) -> np.ndarray:
+        """Where its tip is by times [T] [s], shape [T, 3] [m]."""
+        return self.at(times) @ np.append(self.tip, 1.0) @ np.eye(4, 3)
+
+
+def moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Points [..., 3] of a frame with that pose [4, 4], in the frame in which it is given."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def is_sequence(path: Path) -> bool:
+    """Whether a path is a file such as sequence.yaml."""
+    return path.suffix.lower() in (".yaml", ".yml") and path.is_file()
+
+
+def _require_reach(path: Path, rows: np.ndarray, times: np.ndarray) -> None:
+    """Raise an InputError unless a table's rows [s] reach over times of frames [s]."""
+    if times[0] < rows[0] - ROUNDED or times[-1] > rows[-1] + ROUNDED:
+        said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
+        raise InputError(f"{printable(path)} {said}; put both on one clock.")
+
+
+def is_rigid(poses: np.ndarray) -> bool:
+    """Whether matrices [..., 4, 4] turn and shift alone."""
+    turns = poses[..., :3, :3]
+    apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
+    return bool(apart < 1e-3 and (np.linalg.det(turns) > 0).all())
+
+
+def open_sequence(path: Path) -> Sequence:
+    """Read what a sequence's file says; whether it fits together is for `sequence_checks` to see.
+
+    Raises:
+        InputError: it, or a file that it names, can't be read or can't be.
+    """
+    where, folder = printable(path), path.parent
+    given = from_mapping(SequenceFile, read_mapping(path, "a sequence"), where)
+    scale, found = UNITS[given.unit], matches(folder, given.clouds or given.depth or "")
+    numbers, files = [int(digits) for digits, _ in found], [file for _, file in found]
+    if given.times is not None:
+        times = read_series(folder / given.times, ("time_s",), "table of times", 2)[:, 0]
+    else:
+        times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
+    if len(files) < 2 or len(times) != len(files):
+        said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
+        raise InputError(f"{where} {said}; give 2 frames at least, and a time for each.")
+    low, high = given.gripped_s or (times[0], times[-1])
+    held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
+    if len(held) < 2:
+        raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
+    pins = scale * np.array([[pin["low"], pin["high"]] for pin in given.pins], float).reshape(-1, 2, 3)
+    camera = None if given.camera is None else load_camera(folder / given.camera)
+    radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
+    tool = _tool(folder / given.poses, scale, np.array(given.tip, float))
+    _require_reach(tool.path, tool.times, times)
+    return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)
+
+
+def _tool(path: Path, scale: float, tip: np.ndarray) -> Tool:
+    by_matrix = path.is_file() and b"m00" in read_file(path, MOST_BYTES).partition(b"\n")[0]
+    times, *rows = read_series(path, ("time_s", *(MATRIX if by_matrix else QUATERNION)), "table of poses", 2).T
+    table = np.stack(rows, axis=1)
+    if by_matrix:
+        poses = table.reshape(-1, 4, 4)
+    else:
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        whole = table[:, 3:].any(axis=1).all()  # no quaternion of length 0
+        poses[:, :3, :3] = Rotation.from_quat(table[:, 3:]).as_matrix() if whole else 0.0
+        poses[:, :3, 3] = table[:, :3]
+    if not is_rigid(poses):
+        raise InputError(f"{printable(path)} holds a pose that is no rotation and shift; correct that row.")
+    poses[:, :3, 3] *= scale
+    return Tool(path, times, poses, scale * tip)

@@ -1,0 +1,209 @@
+"""Tissue of a sequence beside a robot: clouds and followed points under a gripper whose poses are known, in metres.
+
+The tissue is looked at along its own mean normal from far away, whatever frame the sequence has: what is simulated
+then doesn't depend on that frame, and what is said of it is turned back.
+"""
+
+import dataclasses
+import math
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from palpate.data.source.camera import Camera
+from palpate.data.source.images import printable
+from palpate.data.source.layout import InputError
+from palpate.data.source.sequence import UNITS, Sequence, moved
+from palpate.data.tracks.background import FAR
+from palpate.estimators.calibration_file import SHEET_FACTOR, palpated
+from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
+from palpate.estimators.online.driven import Cloud, DrivenTissue
+from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.surface import Surface, layers_below, volume_below
+from palpate.physics.mesh import grid_mesh
+from palpate.physics.pbd.body import make_body
+from palpate.physics.pbd.potential import Potential
+from palpate.physics.pbd.stiffness import spread
+
+DISTANCE = 10.0
+"""From which tissue is looked at, over its size."""
+PIXELS = 12.0
+"""Between particles: followed points of a video at 600 particles have about as many."""
+NEIGHBOURS, SPARSE = 16, 4.0
+"""Points of a cloud that give a particle its height; over their usual distance, how near one must be."""
+ONE_SIDED = 0.75
+"""How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
+MOST_NODES = 20
+"""Places of the grid over particles: more are of a cloud that has some points far off."""
+STEEPEST = 3.0
+"""Longest edge of a triangle, over the distance of particles across the line of sight."""
+PULLS = 10
+"""Last frames whose forces tell kilopascals."""
+OF_VIDEO = ("match", "background", "pins", "path")
+"""Settings that a sequence's own file stands for."""
+
+
+class SequenceTissue:
+    """A sheet or a volume of particles under a sequence's gripper.
+
+    Args:
+        sequence: that fits together.
+        settings: how; those OF_VIDEO are as usual.
+
+    Raises:
+        InputError: a file can't be used, nothing lies in the boxes of pins, or no tissue can be made of the cloud.
+    """
+
+    def __init__(self, sequence: Sequence, settings: OnlineSettings) -> None:
+        where = printable(sequence.path)
+        for name in OF_VIDEO:
+            if getattr(settings, name) != getattr(OnlineSettings, name):
+                raise InputError(f"{name} in --settings is for videos; leave it out, {where} tells it.")
+        self._sequence, self._begin = sequence, sequence.held[0]
+        cloud = sequence.cloud(self._begin)
+        self._tip = sequence.tool.tips(sequence.times[[self._begin]])[0]
+        self._view = _view(cloud, sequence.eye(self._begin)[:3, 3], self._tip)
+        self.surface = self._meshed(moved(cloud, self._view), settings)
+        self._points = None if sequence.points is None else moved(sequence.points, self._view)
+        rest = np.empty((0, 3)) if self._points is None else self._points[self._begin]
+        self._followed = np.flatnonzero(np.isfinite(rest).all(axis=1))
+        match = "both" if len(self._followed) else "chamfer"
+        how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
+        pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
+        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=PULLS)
+        if sequence.given.thickness is not None and settings.thickness is not None:
+            raise InputError(f"thickness in {where} is a sheet's, and --settings make a volume; leave one of them out.")
+        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how)
+
+    def fields(self) -> Iterator[tuple[int, ParticleField]]:
+        """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
+        for frame in self._sequence.held[1:]:
+            cloud = moved(self._sequence.cloud(frame), self._view)
+            some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
+            shown: Cloud = cloud[some], self.surface.seen
+            gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
+            self._past.append((frame, self.driven.session.positions))
+            yield frame, self._field(gap)
+
+    def kilopascals(self, field: ParticleField) -> tuple[float, float] | None:
+        """A unit of a frame's stiffness against stretch [kPa], and the deviation of its logarithm; None = unknown.
+
+        By E where that was palpated, or by the forces along the tool's way in the last frames, which the simulated
+        sheet is to hold: its springs are of SHEET_FACTOR times E times thickness. Stiffness that isn't determined
+        tells nothing of that.
+
+        Raises:
+            InputError: the palpation's file can't be used.
+        """
+        given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
+        if given.palpation is not None and given.palpated_at is not None:
+            young, log_sd = palpated(self._sequence.path.parent / given.palpation)
+            at = int(np.linalg.norm(field.rest - scale * np.array(given.palpated_at), axis=1).argmin())
+            own = math.hypot(log_sd, float(field.distance_log_sd[at]))
+            return (young / 1000 / float(field.distance[at]), own) if field.known[at] else None
+        forces = self._sequence.forces
+        if forces is None or given.thickness is None or len(self._past) < LEAST_KNOWN or not field.known.any():
+            return None
+        session, body, gripped = self.driven.session, self.surface.body, self.surface.gripped
+        energy, foundation = Potential(body, spread(body, session.fields)[0]), session.objective.stepping.foundation
+        pulls = []
+        for frame, state in self._past:
+            away = state[gripped] - body.rest[gripped]
+            way = away.mean(axis=0) / max(float(np.linalg.norm(away.mean(axis=0))), 1e-12)
+            pull = energy.slope(state)[1][gripped].sum(axis=0) + foundation * away.sum(axis=0)
+            pulls.append((pull @ way, -(self._view[:3, :3] @ forces[frame]) @ way))
+        factor, variance, _ = fit_factor(*np.array(pulls).T)
+        if factor**2 <= variance or factor < 0:
+            return None
+        spread_of = float(np.median(field.distance_log_sd[field.known]))
+        unit = factor / (SHEET_FACTOR * scale * given.thickness) / 1000
+        return unit, math.hypot(math.sqrt(variance) / factor, spread_of)
+
+    def _moved(self, frame: int) -> np.ndarray:
+        """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""
+        if self._points is None:
+            return np.empty((0, 3))
+        rest, now = self._points[self._begin, self._followed], self._points[frame, self._followed]
+        away = (now[:, 2] - rest[:, 2]) * (self.surface.camera.fx / rest[:, 2])
+        return np.column_stack([self.surface.project(now) - self.surface.project(rest), away])
+
+    def _led(self, frame: int) -> np.ndarray:
+        """Where the tool takes what it holds, turned as it is, shape [G, 3] [m]."""
+        first, then = self._sequence.tool.at(self._sequence.times[[self._begin, frame]])
+        motion = self._view @ then @ np.linalg.inv(self._view @ first)
+        return moved(self.surface.body.rest[self.surface.gripped], motion)
+
+    def _field(self, gap: float | None) -> ParticleField:
+        """As it is now, in the sequence's frame."""
+        surface, session, back = self.surface, self.driven.session, np.linalg.inv(self._view)
+        (distance_sd, shape_sd), (known, shape_known) = self.driven.determined()
+        tissue = moved(surface.body.rest, back), surface.faces, surface.body.tetrahedra, moved(session.positions, back)
+        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
+        pixels = surface.project(session.positions)
+        return ParticleField(self._begin, *tissue, pixels, *fields, self.driven.alone.skill, gap)
+
+    def _meshed(self, cloud: np.ndarray, settings: OnlineSettings) -> Surface:
+        """Particles on a cloud in the view's frame."""
+        sequence = self._sequence
+        said = f"{printable(sequence.files[self._begin])} has too few points for a surface, or some far off"
+        sparse = InputError(f"{said}; give a denser cloud of tissue alone.")
+        if len(cloud) < NEIGHBOURS:
+            raise sparse
+        tree, (low, high) = KDTree(cloud[:, :2]), (cloud[:, :2].min(axis=0), cloud[:, :2].max(axis=0))
+        apart = max(SPARSE * float(np.median(tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
+        area = len(np.unique(np.floor(cloud[:, :2] / apart), axis=0)) * apart**2
+        layers = 1 if settings.thickness is None else layers_below(area, settings.thickness, settings.particles)
+        wide = np.sqrt(area * layers / settings.particles)
+        counts = np.maximum(np.round((high - low) / wide), 1) + 1
+        if counts.prod() > MOST_NODES * settings.particles:
+            raise sparse
+        across = [np.linspace(low[axis], high[axis], int(count)) for axis, count in enumerate(counts)]
+        nodes = np.stack(np.meshgrid(*across), axis=-1)
+        away, near = tree.query(nodes, NEIGHBOURS)
+        beside = np.linalg.norm(cloud[near, :2].mean(axis=2) - nodes, axis=2) > ONE_SIDED * away.mean(axis=2)
+        heights = np.average(cloud[near, 2], axis=2, weights=1 / (away**2 + apart**2))
+        covered = (away[..., 0] <= apart) & ~beside
+        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=STEEPEST * wide, alternating=True)
+        if len(mesh.vertices) < 3:
+            raise sparse
+        places = moved(mesh.vertices.astype(np.float64), np.linalg.inv(self._view))
+        from_tip = np.linalg.norm(places - self._tip, axis=1)
+        driven = from_tip <= max(sequence.grip_radius, from_tip.min())
+        pinned = mesh.rim & (from_tip > np.percentile(from_tip, FAR))
+        if len(sequence.pins):
+            boxes = sequence.pins[:, :, None]
+            pinned = ((boxes[:, 0] <= places) & (places <= boxes[:, 1])).all(axis=2).any(axis=0)
+        pinned &= ~driven
+        if not pinned.any():
+            said = "holds no free tissue in its pins' boxes; make them larger, in the poses' frame"
+            raise InputError(f"{printable(sequence.path)} {said}.")
+        if settings.thickness is None:
+            body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
+        else:
+            body = volume_below(mesh, pinned, settings.thickness, layers)
+        focal = PIXELS * float(cloud[:, 2].mean() / wide)
+        camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in counts))
+        surface = Surface(body, mesh.triangles, np.flatnonzero(driven), np.empty((0, 2)), camera, 0.0)
+        return dataclasses.replace(surface, pixels=surface.project(body.rest))
+
+
+def _view(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Pose of a cloud's frame for who looks along its mean normal, shape [4, 4], the same in whatever frame it is.
+
+    Args:
+        cloud: shape [m, 3] [m].
+        eye: that looks from the same side, shape [3] [m].
+        tip: which lies to the right, shape [3] [m].
+    """
+    middle = cloud.mean(axis=0)
+    axes = np.linalg.svd(cloud - middle, full_matrices=False)[2]
+    axes[2] *= -1.0 if axes[2] @ (eye - middle) > 0 else 1.0  # the third leads away from the eye
+    axes[0] *= -1.0 if axes[0] @ (tip - middle) < 0 else 1.0
+    axes[1] *= np.sign(np.linalg.det(axes))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, -axes @ middle
+    pose[2, 3] += DISTANCE * float(np.ptp(cloud, axis=0).max())
+    return pose

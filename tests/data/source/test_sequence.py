@@ -1,0 +1,156 @@
+"""Sequences beside a robot: what is read of them, and bad ones, each of which is a sentence."""
+
+from pathlib import Path
+
+import cv2
+import meshio
+import numpy as np
+import pytest
+
+from palpate.data.source.clouds import read_cloud
+from palpate.data.source.layout import InputError
+from palpate.data.source.sequence import Sequence, open_sequence
+from palpate.data.source.sequence_checks import require_fit
+from tests.sequences import FPS, TURN, placed, pull, write_sequence
+
+POINTS = np.array([[0.1, -0.2, 0.3], [1.5, 2.5, -3.5]])
+
+
+def checked(path: Path) -> Sequence:
+    sequence = open_sequence(path)
+    require_fit(sequence)
+    return sequence
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_ply_is_read_in_binary_and_in_text(tmp_path: Path, binary: bool) -> None:
+    meshio.Mesh(POINTS, [], {"red": np.array([1, 2], np.uint8)}).write(tmp_path / "a.ply", binary=binary)
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.ply"), POINTS)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_pcd_is_read_in_binary_and_in_text(tmp_path: Path, binary: bool) -> None:
+    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x normal y z\nSIZE 4 4 4 4 4\nTYPE U F F F F\nCOUNT 1 1 3 1 1\n"
+    head += "WIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA " + ("binary\n" if binary else "ascii\n")
+    places = [*POINTS.tolist(), [np.nan] * 3]
+    if binary:
+        kinds = [("rgb", "<u4"), ("x", "<f4"), ("normal", "<f4", 3), ("y", "<f4"), ("z", "<f4")]
+        stored = np.array([(7, x, (0, 0, 1), y, z) for x, y, z in places], kinds).tobytes()
+    else:
+        stored = "".join(f"7 {x} 0 0 1 {y} {z}\n" for x, y, z in places).encode()
+    (tmp_path / "a.pcd").write_bytes(head.encode() + stored)
+    found = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_allclose(found[:2], POINTS, rtol=1e-6)
+    assert np.isnan(found[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n1\n"),
+        ("a.ply", b""),
+        ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 9999\nDATA binary\n1234"),
+        ("a.pcd", b"FIELDS x y z\nDATA binary_compressed\n"),
+        ("a.npz", b"PK\x03\x04"),
+        ("a.txt", b"1 2 3"),
+    ],
+)
+def test_a_cloud_that_is_none_is_a_sentence(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(
+        InputError, match=rf"{name} can't be read as points .*; give a PLY, PCD .text or binary. or NPZ"
+    ):
+        read_cloud(tmp_path / name)
+
+
+def test_clouds_points_and_poses_are_in_the_robots_frame(tmp_path: Path) -> None:
+    drawn, sequence = pull(12), checked(write_sequence(tmp_path, length=1000.0, unit="mm"))
+    np.testing.assert_allclose(sequence.cloud(5), placed(drawn.clouds[4]), atol=1e-9)
+    assert sequence.points is not None
+    np.testing.assert_allclose(sequence.points[5], placed(drawn.tracks[4]), atol=1e-9)
+    tip = sequence.tool.tips(np.array([0.0, 0.05, 0.1]))
+    np.testing.assert_allclose(tip[1], tip[::2].mean(axis=0))
+    np.testing.assert_allclose(tip[0], placed(np.array([0.12, 0.06, 0.0])), atol=1e-9)
+
+
+def test_depth_pictures_are_clouds_of_a_camera_on_the_tool(tmp_path: Path) -> None:
+    (tmp_path / "depth").mkdir()
+    depth = np.zeros((40, 60), np.uint16)
+    depth[20, 35] = 250
+    for number in (1, 2):
+        cv2.imwrite(str(tmp_path / f"depth/{number}.png"), depth)
+    (tmp_path / "camera.yaml").write_text("{fx: 50, fy: 50, cx: 30, cy: 20, width: 60, height: 40}")
+    head = "time_s," + ",".join(f"m{i}{j}" for i in range(4) for j in range(4))
+    rows = [f"{time},0,-1,0,{x},1,0,0,2,0,0,1,3,0,0,0,1" for time, x in ((0, 1), (2, 5))]
+    (tmp_path / "poses.csv").write_text("\n".join([head, *rows]))
+    (tmp_path / "sequence.yaml").write_text(
+        "{depth: 'depth/{number}.png', camera: camera.yaml, poses: poses.csv, fps: 1, camera_on: tool}"
+    )
+    # 5 px right of the middle at 0.25 m is 25 mm; the tool is turned by 90 degrees and stands at (3, 2, 3) by 1 s.
+    np.testing.assert_allclose(open_sequence(tmp_path / "sequence.yaml").cloud(1), [[3, 2.025, 3.25]], atol=1e-6)
+
+
+def shifted(folder: Path, by: float, reach: float = 10.0) -> None:
+    """Move the poses' clock, the first and last held for `reach` [s]."""
+    rows = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
+    rows[:, 0] += by
+    ends = rows[[0, -1]].copy()
+    ends[:, 0] += (-reach, reach)
+    head = "time_s,x,y,z,qx,qy,qz,qw"
+    np.savetxt(folder / "poses.csv", np.vstack([ends[:1], rows, ends[1:]]), "%.10g", ",", header=head, comments="")
+
+
+@pytest.mark.parametrize("points", ["followed.npz", None])
+def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | None) -> None:
+    path = write_sequence(tmp_path, 30, still=15, points=points)
+    shifted(tmp_path, 0.1)
+    checked(path)
+    shifted(tmp_path, 0.9)
+    with pytest.raises(InputError, match=r"poses\.csv tells the tool's motion 1\.[01] s later than the clouds show it"):
+        checked(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"length": 1000.0}, r"000\.npz is \d+ m wide, which looks like millimetres; give unit: mm"),
+        ({"unit": "mm"}, r"is 0.000\d+ m wide, which looks like metres; give unit: m"),
+        ({"hand_eye": None}, r"the tip stays 0\.\d+ m from the tissue: .* different frames; check hand_eye"),
+        ({"fps": None}, "give times or fps"),
+        ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
+        ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
+        ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
+        ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
+        ({"clouds": "{number}.ply"}, "names 0 frames"),
+        ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, the frames from 0 to 12 s; put both on one"),
+        ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
+        ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),
+    ],
+)
+def test_what_does_not_fit_is_a_sentence(tmp_path: Path, changed: dict, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        checked(write_sequence(tmp_path, **changed))
+
+
+def test_poses_in_another_unit_than_clouds_are_told(tmp_path: Path) -> None:
+    path = write_sequence(tmp_path)
+    rows = np.loadtxt(tmp_path / "poses.csv", delimiter=",", skiprows=1)
+    rows[:, 1:4] *= 1000
+    np.savetxt(tmp_path / "poses.csv", rows, "%.10g", ",", header="time_s,x,y,z,qx,qy,qz,qw", comments="")
+    with pytest.raises(InputError, match="clouds and poses seem to be in different units; give both in one"):
+        checked(path)
+
+
+def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Path) -> None:
+    """A pull of 2 N away from the tissue, by a sensor with an offset, whose frame is turned as the sheet."""
+    path = write_sequence(tmp_path, 12, still=3, forces="forces.csv")
+    times, way = np.arange(16) / FPS, pull(12).places[:, 0] - pull(12).body.rest[pull(12).gripped[0]]
+    pulled = np.concatenate([np.zeros((4, 3)), -2 * way / np.linalg.norm(way, axis=1)[:, None]])
+    bias = np.array([0.5, -3.0, 7.0])
+    for sign in (1, -1):
+        rows = np.column_stack([times, sign * pulled + bias])
+        np.savetxt(tmp_path / "forces.csv", rows, "%.10g", ",", header="time_s,Fx,Fy,Fz", comments="")
+        if sign > 0:
+            np.testing.assert_allclose(checked(path).forces, pulled @ TURN.T, atol=1e-6)
+    with pytest.raises(InputError, match=r"forces\.csv .* acts along the tool's motion, .*; reverse Fx, Fy and Fz"):
+        checked(path)

@@ -1,0 +1,63 @@
+"""What a sequence beside a robot is written as: particles in its frame, tables, and sentences of wrong usage."""
+
+import csv
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from palpate.command.infer import main
+from tests.sequences import SHIFT, TURN, pull, write_sequence
+
+SETTINGS = "{particles: 80, fitted: 0, method: {optimizer: gauss-newton}}"
+
+
+def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path) -> None:
+    path, settings = write_sequence(tmp_path / "pull", 3, length=1000.0, unit="mm"), tmp_path / "settings.yaml"
+    settings.write_text(SETTINGS)
+    given = [str(path), "--output", str(tmp_path / "out"), "--estimator", "online", "--settings", str(settings)]
+    assert main(given) == 0
+    assert main(given) == 0  # its own files are replaced
+    folder = tmp_path / "out/pull"
+    assert sorted(file.name for file in folder.glob("particles_*")) == [
+        f"particles_00000{number}.{ending}" for number in (1, 2, 3) for ending in ("ply", "vtk")
+    ]
+    rows = list(csv.DictReader((folder / "particles.csv").open()))
+    rest, now = (np.array([[float(row[f"{of}{axis}"]) for axis in "xyz"] for row in rows]) for of in ("rest_", ""))
+    ply, vtk = (meshio.read(folder / f"particles_000003.{ending}") for ending in ("ply", "vtk"))
+    np.testing.assert_allclose(ply.points, now)
+    np.testing.assert_allclose(vtk.points, now)
+    sheet = (rest - SHIFT) @ TURN
+    np.testing.assert_allclose(sheet[:, 2], 0, atol=2e-4)
+    np.testing.assert_allclose(np.ptp(sheet[:, :2], axis=0), 0.12, atol=0.01)
+    tip = np.linalg.norm(sheet - (0.12, 0.06, 0), axis=1).argmin()
+    np.testing.assert_allclose(
+        (now - rest)[tip] @ TURN, pull(3).places[2, 0] - pull(3).body.rest[pull(3).gripped[0]], atol=1e-8
+    )
+    assert np.isnan(vtk.point_data["stiffness"]).all()  # three frames determine nothing
+    assert np.isnan(ply.point_data["young_kPa"]).all()
+    assert {row["stiffness"] for row in rows} == {""}
+    np.testing.assert_allclose(
+        ply.point_data["simulated_stiffness"], [float(row["simulated_stiffness"]) for row in rows]
+    )
+    table = list(csv.DictReader((folder / "parameters.csv").open()))
+    assert [(row["frame"], row["time_s"], row["verdict"]) for row in table][:2] == [
+        ("1", "0.1", "undetermined"),
+        ("2", "0.2", "undetermined"),
+    ]
+    (folder / "particles.csv").write_text("mine")
+    assert main(given) == 1
+    assert (folder / "particles.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--estimator", "network"], "is a sequence, which is for --estimator online; give that"),
+        (["--estimator", "online", "--depth", "stored"], "--depth is for videos, and .* is a sequence; leave it out"),
+    ],
+)
+def test_what_is_for_videos_is_a_sentence(tmp_path: Path, capsys, more: list[str], sentence: str) -> None:
+    assert main([str(write_sequence(tmp_path / "pull", 3)), "--output", str(tmp_path / "out"), *more]) == 1
+    assert sentence.split(" .* ")[0] in " ".join(capsys.readouterr().err.split())

@@ -29,7 +29,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
-from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.calibration_file import Calibration, ClipLength, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.known_force import force_reader
 from palpate.estimators.network.estimator import NetworkEstimator
@@ -166,16 +166,15 @@ class Batch:
             written = ClipResults(folder, source.size, source.fps, alarm=alarm, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
+                length = ClipLength.of(clip)
                 if newtons is not None:
-                    stored = clip.sources["depth"] == "stored"
-                    newtons.length = newtons.calibration.length(clip.scale, clip.metric, stored)
+                    newtons.length = length = newtons.calibration.length(length)
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
                 for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
-                if newtons is not None and newtons.length is not None:
-                    results.calibrate(newtons.length)
+                results.conclude(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import math
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping
@@ -79,6 +80,8 @@ class ClipResults:
         self.folder, self._size, self._known, self._export = folder, size, known, export
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
+        self.length = ClipLength(math.nan)
+        """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
         self.estimates: list[FrameEstimate] = []
@@ -207,8 +210,9 @@ class ClipResults:
         else:
             write_scene(self._partial / f"scene_{run.onset_frame}.{ending}", scene)
 
-    def calibrate(self, length: ClipLength) -> None:
-        """Say in newtons what was added, once all of it has been."""
+    def conclude(self, length: ClipLength) -> None:
+        """Say in millimetres and newtons what was added, once all of it has been."""
+        self.length = length
         if self.calibration is not None:
             self.calibration.conclude(length)
 
@@ -228,7 +232,9 @@ class ClipResults:
                 self._write_newtons(self.calibration, title)
             newtons = self.calibration
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents)
+            sheet = "thickness" not in record["estimator"]  # of a slab |F| over stiffness is no length
+            length = self.length if sheet else None
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)

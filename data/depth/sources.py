@@ -28,6 +28,12 @@ class DepthSource(ABC):
     """Digest of everything except the clip's own files and settings that the depth depends on, for cache keys."""
     metric: bool
     """Whether depth is in metres."""
+    metric_by: str = ""
+    """By what it is, in a word or two."""
+    log_sd: float = 0.0
+    """Standard deviation of the logarithm of that scale, fixed for the clip, where it is known."""
+    warnings: Sequence[str] = ()
+    """What the user should know of the clip's depth, a sentence each."""
     known_scale: float | None = None
     """Depth that the clip's own file declares as z = 1; None where it declares none."""
     from_picture: bool = False
@@ -129,6 +135,7 @@ class ModelDepth(DepthSource):
         self._range = (0.0, 1.0)
         self._frozen = False
         self.metric, self.from_shading = self._preset.metric, self._preset.shading
+        self.metric_by = f"the depth network {self._preset.name}"
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
         self.identity = f"{model.identity}:{digest_of(constants)[:16]}"

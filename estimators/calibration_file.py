@@ -55,7 +55,7 @@ class ClipLength:
     stored: bool = False
     """Whether depth comes from files, whose unit is then taken to be the same in all clips."""
     by: str = ""
-    """By what `metres` is known."""
+    """By what `metres` is known, or why it isn't where that is worth saying."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> ClipLength:
@@ -70,7 +70,7 @@ class ClipLength:
     def record(self) -> dict[str, Any]:
         """The same in words and millimetres, with a 90 % interval."""
         if self.metres is None or not math.isfinite(self.metres):
-            return {"mm": None, "by": "", "says": "scene units are not metric"}
+            return {"mm": None, "by": self.by, "says": "scene units are not metric"}
         mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)
         says = f"1 scene unit = {mm:.3g} mm ({mm / half:.3g} to {mm * half:.3g}), metric by {self.by}"
         return {"mm": mm, "mm_low": mm / half, "mm_high": mm * half, "by": self.by, "says": says}

@@ -59,7 +59,7 @@ class ContactForce:
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
     scene_force: tuple[float, ...] = (math.nan,) * len(ENDS)
     """|F| of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
-    scene_yield: tuple[float, ...] = (math.nan,) * len(ENDS)
+    scene_ratio: tuple[float, ...] = (math.nan,) * len(ENDS)
     """Likewise |F|/k_s."""
 
     @classmethod
@@ -89,7 +89,7 @@ class ContactForce:
             values = found.numbers()
             scene = {"scene_force": tuple(values.get(f"force{end}", math.nan) for end in ENDS)}
             if "force_over_stiffness" in found.determined and not found.by_light:
-                scene["scene_yield"] = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
+                scene["scene_ratio"] = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
             elif found.given_verdict:
@@ -159,17 +159,19 @@ class ContactForce:
         found |= {"time_s": [estimates[index].time_s for index in self.frames], "frame_s": seconds}
         return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
 
-    def yielding(self, length: ClipLength | None) -> dict[str, Any]:
-        """How far the tissue yields to the force at last, |F|/k_s, in millimetres where a scene unit's length is known.
+    def in_millimetres(self, length: ClipLength | None) -> dict[str, Any]:
+        """|F|/k_s in millimetres, where a scene unit's length is known.
 
         The errors of both are independent of each other, so that their logarithms' variances add up.
         """
-        middle, low, high = self.scene_yield
+        middle, low, high = self.scene_ratio
         if length is None or length.metres is None or not middle > 0:
             return {}
         log_sd = math.hypot(math.log(high / low) / (2 * NINETY), length.log_sd)
         mm = [1000 * length.metres * middle * math.exp(side * NINETY * log_sd) for side in (0, -1, 1)]
-        return {f"yields_mm{end}": value for end, value in zip(ENDS, mm, strict=True)} | {"metric_by": length.by}
+        return {f"force_over_stiffness_mm{end}": value for end, value in zip(ENDS, mm, strict=True)} | {
+            "metric_by": length.by
+        }
 
     def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
         """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""
@@ -209,7 +211,7 @@ def forces_record(
     rows = {row["onset_frame"]: row for row in calibrated}
     told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
     told += filter(None, (ContactForce.of_dent(curve, estimates) for curve in dents))
-    records = [contact.record(estimates, lasts, limit) | contact.yielding(length) for contact in told]
+    records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."
     return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}

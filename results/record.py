@@ -130,6 +130,7 @@ def build_record(
         "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
             *clip.warnings,
+            *([results.length.by] if results.length.metres is None and results.length.by else []),
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),

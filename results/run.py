@@ -25,6 +25,7 @@ from palpate.common.files import file_sha256
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
+from palpate.data.contact.shaft import ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
@@ -145,6 +146,8 @@ class Batch:
             causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
         if self.options.force_limit is not None:
             causes["force_limit"] = self.options.force_limit
+        if self.options.shaft_diameter is not None:
+            causes["shaft_diameter"] = self.options.shaft_diameter
         if self.options.export is not None:
             causes["export"] = self.options.export
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
@@ -169,11 +172,17 @@ class Batch:
                 length = ClipLength.of(clip)
                 if newtons is not None:
                     newtons.length = length = newtons.calibration.length(length)
+                ruler = self._ruler(clip, length)
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
+                stream = stream if ruler is None else ruler.watched(stream)
                 for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
+                if ruler is not None:
+                    metres, log_sd = ruler.metres() or (None, 0.0)
+                    by = ruler.why if metres is None else f"a shaft of {self.options.shaft_diameter:g} mm"
+                    length = replace(length, metres=metres, log_sd=log_sd, by=by)
                 results.conclude(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
@@ -298,6 +307,17 @@ class Batch:
         if self.limit is None or not isinstance(self.estimator, NetworkEstimator):
             return None
         return ForceAlarm.of(self.estimator, *self.limit, fps)
+
+    def _ruler(self, clip: ClipStream, length: ClipLength) -> ShaftRuler | None:
+        """What measures scene units by a shaft in view, where its diameter is given.
+
+        Raises:
+            ValueError: they are known already.
+        """
+        diameter = self.options.shaft_diameter
+        if diameter is not None and length.metres is not None:
+            raise ValueError(f"--shaft-diameter is for depth without metres, told here by {length.by}; leave it out.")
+        return None if diameter is None else ShaftRuler(diameter / 1000, clip)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

@@ -30,7 +30,7 @@ from palpate.data.labels import TISSUE, MaskError
 from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.camera import Camera, Rig, Undistortion, clip_camera
+from palpate.data.source.camera import Camera, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
 
@@ -86,14 +86,8 @@ class ClipStream:
                 self.scale, focal = estimate_scale(source, self._depth, settings.depth)
             except InputError as error:
                 self._scale_error = str(error)
-        self.metres: tuple[float, float, str] | None = None
-        """Length of a unit of the depth source [m], the standard deviation of its logarithm, and by what it is known;
-        None where it isn't."""
-        if self._depth.metric:
-            self.metres = (1.0, self._depth.log_sd, self._depth.metric_by)
-        elif isinstance(camera, Rig) and camera.metres_per_depth is not None and not self._depth.from_picture:
-            log_sd = camera.metres_per_depth_sd / camera.metres_per_depth
-            self.metres = (camera.metres_per_depth, log_sd, "the camera file")
+        self.metres, self.warnings = self._depth.metres, self._depth.warnings
+        """As of `DepthSource`."""
         width, height = source.size
         if camera is not None:
             picture = camera.scaled(width, height)
@@ -111,11 +105,6 @@ class ClipStream:
     def guesses_depth(self) -> bool:
         """Whether depth is guessed from the pictures alone, so that light is what is measured."""
         return self._depth.from_picture
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """What the user should know of the clip's depth, a sentence each."""
-        return self._depth.warnings
 
     @property
     def identity(self) -> tuple[str, str]:

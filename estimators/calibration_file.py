@@ -60,11 +60,8 @@ class ClipLength:
     @classmethod
     def of(cls, clip: ClipStream) -> ClipLength:
         """As the clip itself tells it."""
-        stored = clip.sources["depth"] == "stored"
-        if clip.metres is None:
-            return cls(clip.scale, stored=stored)
-        metres, log_sd, by = clip.metres
-        return cls(clip.scale, clip.scale * metres, log_sd, stored, by)
+        metres, log_sd, by = clip.metres or (None, 0.0, "")
+        return cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
 
     @property
     def record(self) -> dict[str, Any]:

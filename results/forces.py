@@ -169,9 +169,8 @@ class ContactForce:
             return {}
         log_sd = math.hypot(math.log(high / low) / (2 * NINETY), length.log_sd)
         mm = [1000 * length.metres * middle * math.exp(side * NINETY * log_sd) for side in (0, -1, 1)]
-        return {f"force_over_stiffness_mm{end}": value for end, value in zip(ENDS, mm, strict=True)} | {
-            "metric_by": length.by
-        }
+        found = {f"force_over_stiffness_mm{end}": value for end, value in zip(ENDS, mm, strict=True)}
+        return found | {"metric_by": length.by}
 
     def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
         """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""

@@ -113,7 +113,7 @@ def build_record(
         "masks": {"source": clip.sources["masks"], "identity": masks_identity},
         "scale": {
             "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
-            "unit": "m" if clip.metres is not None and clip.metres[0] == 1 else "of the depth source",
+            "unit": "m" if clip.metres and clip.metres[0] == 1 else "of the depth source",
             **results.length.record,
         },
         "camera": dataclasses.asdict(clip.picture_camera),
@@ -130,7 +130,7 @@ def build_record(
         "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
             *clip.warnings,
-            *([results.length.by] if results.length.metres is None and results.length.by else []),
+            *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),

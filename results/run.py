@@ -25,7 +25,7 @@ from palpate.common.files import file_sha256
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
-from palpate.data.contact.shaft import ShaftRuler
+from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
@@ -181,7 +181,7 @@ class Batch:
                     _write(results, frames, item)
                 if ruler is not None:
                     metres, log_sd = ruler.metres() or (None, 0.0)
-                    by = ruler.why if metres is None else f"a shaft of {self.options.shaft_diameter:g} mm"
+                    by = NOT_SEEN if metres is None else f"a shaft of {self.options.shaft_diameter:g} mm"
                     length = replace(length, metres=metres, log_sd=log_sd, by=by)
                 results.conclude(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}

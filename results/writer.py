@@ -232,8 +232,8 @@ class ClipResults:
                 self._write_newtons(self.calibration, title)
             newtons = self.calibration
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
-            sheet = "thickness" not in record["estimator"]  # of a slab |F| over stiffness is no length
-            length = self.length if sheet else None
+            # Of a slab |F| over stiffness is no length.
+            length = None if "thickness" in record.get("estimator", {}) else self.length
             report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             store.write_record(self._partial, record)

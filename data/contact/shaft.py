@@ -5,7 +5,7 @@ the direction n₁ × n₂, and with 2α, the angle between them, lies r / sin �
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -37,8 +37,8 @@ LARGEST_SD = 0.2
 LEAST_SAMPLES = 8
 """Pixels of a shaft whose depth is compared."""
 NOT_SEEN = (
-    "--shaft-diameter tells no millimetres: in no frame are two straight edges of a shaft seen well, with {depth}; "
-    "lengths stay in scene units"
+    "--shaft-diameter tells no millimetres: in no frame are two straight edges of a shaft seen well, with depth of the "
+    "shaft (of tissue at its tip, where depth is guessed from the pictures); lengths stay in scene units"
 )
 
 
@@ -110,7 +110,7 @@ def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:
     return Edge(place, normal, float(np.ptp(along)), math.sqrt(variance), math.sqrt(variance / along.var()))
 
 
-def shaft_depth(planes: tuple[np.ndarray, np.ndarray], radius: float, rays: np.ndarray, *, axis: bool) -> np.ndarray:
+def shaft_depth(planes: Sequence[np.ndarray], radius: float, rays: np.ndarray, *, axis: bool) -> np.ndarray:
     """Depth of a cylinder at rays of the picture.
 
     Args:
@@ -122,15 +122,16 @@ def shaft_depth(planes: tuple[np.ndarray, np.ndarray], radius: float, rays: np.n
     Returns:
         Shape [P], in the radius's unit; not a number where the ray passes by.
     """
-    along = np.cross(*planes)
+    along = np.cross(planes[0], planes[1])
     along /= np.linalg.norm(along)
     towards = -(planes[0] + planes[1])
     towards /= np.linalg.norm(towards)
     distance = radius / -(planes[0] @ towards)
     if axis:
-        normal = np.cross(along, towards)
-        within = rays - np.outer(rays @ normal, normal)
-        return distance * within[:, 2] / (within @ towards)
+        beside = rays @ (normal := np.cross(along, towards))
+        within = rays - np.outer(beside, normal)
+        depth = distance * within[:, 2] / (within @ towards)
+        return np.where(np.abs(beside) * depth < 2 * radius, depth, np.nan)
     across = rays - np.outer(rays @ along, along)
     square, middle = (across * across).sum(axis=1), distance * across @ towards
     with np.errstate(invalid="ignore"):
@@ -167,32 +168,19 @@ class ShaftRuler:
             if frame.geometry is None:
                 return
             (columns, rows), depth = np.array(frame.geometry.pixel)[:, None], frame.geometry.tissue_point[2:]
-        rays = np.ones((len(depth), 3))
-        rays[:, 0] = (columns - self._grid.cx) / self._grid.fx
-        rays[:, 1] = (rows - self._grid.cy) / self._grid.fy
-        planes = [edge.plane(self._picture) for edge in edges]
-        width = abs(edges[0].normal @ (edges[0].place - edges[1].place))
-        beyond = np.max([rays @ plane for plane in planes], axis=0) * self._picture.fx
-        along = np.array([-edges[0].normal[1], edges[0].normal[0]])
-        places = rays[:, :2] * [self._picture.fx, self._picture.fy] + [self._picture.cx, self._picture.cy]
-        far = np.abs((places - (edges[0].place + edges[1].place) / 2) @ along)
-        near = (beyond < -0.2 * width) & (far < min(edge.length for edge in edges) / 2)
-        if self._guessed:
-            near = beyond < width / 2
-        if near.sum() < (1 if self._guessed else LEAST_SAMPLES):
+        rays = np.column_stack([columns, rows, np.ones(len(depth))]) @ np.linalg.inv(self._grid.matrix).T
+
+        def logs(changes: np.ndarray) -> np.ndarray:
+            planes = [edge.plane(self._picture, *change) for edge, change in zip(edges, changes, strict=True)]
+            return np.log(shaft_depth(planes, self._radius, rays, axis=self._guessed) / depth)
+
+        here, steps = logs(np.zeros((2, 2))), np.eye(4).reshape(4, 2, 2) * [0.1, 1e-3]
+        if np.isfinite(here).sum() < (1 if self._guessed else LEAST_SAMPLES):
             return
-        rays, depth = rays[near], depth[near]
-
-        def logs(*changes: float) -> np.ndarray:
-            moved = (edges[0].plane(self._picture, *changes[:2]), edges[1].plane(self._picture, *changes[2:]))
-            return np.log(shaft_depth(moved, self._radius, rays, axis=self._guessed) / depth)
-
-        here = logs(0.0, 0.0, 0.0, 0.0)
-        middle = float(np.median(here))
-        steps = np.diag([0.1, 1e-3, 0.1, 1e-3])
-        slopes = [(np.nanmedian(logs(*step)) - np.nanmedian(logs(*-step))) / (2 * step.sum()) for step in steps]
-        sds = [sd for edge in edges for sd in (edge.place_sd, edge.angle_sd)]
-        own = float(np.square(np.multiply(slopes, sds)).sum()) + median_sd(here - middle) ** 2 / LEAST_SAMPLES
+        middle = float(np.nanmedian(here))
+        slopes = [(np.nanmedian(logs(step)) - np.nanmedian(logs(-step))) / (2 * step.sum()) for step in steps]
+        sds = np.array([[edge.place_sd, edge.angle_sd] for edge in edges]).ravel()
+        own = float(np.square(slopes * sds).sum()) + median_sd(here - middle) ** 2 / LEAST_SAMPLES
         # What touches may lie beside the axis by as much as the radius.
         beside = self._radius / math.sqrt(3) / (math.exp(middle) * depth[0]) if self._guessed else 0.0
         shared = MASK_SD**2 * (slopes[0] ** 2 + slopes[2] ** 2) + DIAMETER_SD**2 + beside**2
@@ -208,8 +196,3 @@ class ShaftRuler:
         # Frames of a tool that keeps still err alike, so that many are no better than one.
         variance = np.median(own) + median_sd(logs - middle) ** 2 / len(logs) + np.median(shared)
         return math.exp(middle), math.sqrt(variance)
-
-    @property
-    def why(self) -> str:
-        """Why nothing is known, a sentence."""
-        return NOT_SEEN.format(depth="contact at its tip" if self._guessed else "depth")

@@ -6,7 +6,6 @@ three directions) finds disparities at a working size, and one step of Lucas and
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -40,6 +39,11 @@ LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
 NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
 """Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
+
+ROWS_DIFFER = (
+    "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
+    "so that depth may be off as well; rectify the pair"
+)
 
 
 class Rectification:
@@ -174,69 +178,51 @@ class StereoDepth(DepthSource):
             raise InputError(f"{named} is a folder and layout.right is '{layout.right}'; write {{number}} in it.")
         if rig is None or rig.offset is None:
             raise InputError(f"{named} has no camera with a baseline; give a camera file with one, in metres.")
-        self._clip, self._layout, self._size, self._model = clip, layout, source.size, model
+        self._clip, self._layout, self._size, self._pattern = clip, layout, source.size, layout.right
         self._rectification = Rectification(rig.scaled(*source.size), rig)
         self._baseline_log_sd = rig.baseline_sd / math.hypot(*rig.offset)
-        self.network, self._matcher = model and model.network, SemiGlobal(source.size)
-        self._before: tuple[int, np.ndarray] | None = None
-        self._seconds, self._second = iter(()), -1
-        how = [repr(rig), layout.right, model and model.identity]
-        self.identity, self.metric_by = f"stereo:{digest_of(how)[:16]}", "stereo"
+        self.network = model and model.network
+        self._match = SemiGlobal(source.size) if model is None else lambda *pair: positive(model.raw(*pair).values)
+        self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
+        self._seconds, self._second = iter(()), math.inf
+        self.identity = f"stereo:{digest_of([repr(rig), layout.right, model and model.identity])[:16]}"
         first = next((frame for frame in source if frame.image is not None), None)
         self._moved = None if first is None else self._onto_rows(first)
 
     def observe(self, frame: Frame) -> RawDepth:
-        """The frame's depth; InputError where its right picture is missing or the pair can't be used."""
+        """The frame's depth; InputError where its right picture is missing or is of another size."""
         left, right = self._rectification.pictures(frame.picture, self._right(frame))
         if self._moved is not None:
             how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             right = cv2.warpAffine(right, self._moved, self._size, flags=how, borderMode=cv2.BORDER_REPLICATE)
-        match = self._matcher if self._model is None else self._by_network
-        disparity = match(left, right)
-        if self._before is not None and self._before[0] == frame.index - 1:
-            change = disparity - self._before[1]
-            same = (np.abs(change) < CONSISTENT) & (disparity > 0) & (self._before[1] > 0)
-            disparity = np.where(same, disparity - (1 - NEW_SHARE) * change, disparity)
+        disparity, (index, before) = self._match(left, right), self._before
+        if index == frame.index - 1:
+            same = (np.abs(disparity - before) < CONSISTENT) & (disparity > 0) & (before > 0)
+            disparity = np.where(same, NEW_SHARE * disparity + (1 - NEW_SHARE) * before, disparity)
         self._before = frame.index, disparity
         full = cv2.resize(disparity, self._size, interpolation=cv2.INTER_NEAREST)
         depth = self._rectification.depth(full * np.float32(self._size[0] / disparity.shape[1]))
         check_map(depth, f"Stereo depth of frame {frame.number} of {printable(self._clip)}", signed=False)
         return RawDepth(depth)
 
-    def _by_network(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        assert self._model is not None
-        return positive(self._model.raw(left, right).values)
-
     def _right(self, frame: Frame) -> np.ndarray:
         """The right picture of a frame, [H, W, 3]."""
-        if frame.right is not None:
-            return frame.right
-        if frame.path is not None:
-            file = companion(self._layout, frame.path, self._layout.right or "")
+        file, picture = right_beside(self._clip, self._layout) or self._clip, frame.right
+        if picture is None and frame.path is not None:
+            file = companion(self._layout, frame.path, self._pattern)
             picture = read_image(file)
-        else:
-            file = right_beside(self._clip, self._layout) or self._clip
-            picture = self._of_video(frame, file)
+        elif picture is None:
+            # A second video is read on, or again from its start.
+            if frame.index <= self._second:
+                self._seconds = iter(open_source(file, self._layout))
+            self._second = frame.index
+            picture = next((other.image for other in self._seconds if other.index == frame.index), None)
+        if picture is None:
+            raise InputError(f"{printable(file)} has no frame {frame.number}; give a right picture for every left one.")
         if picture.shape != frame.picture.shape:
-            sizes = (f"{each.shape[1]}x{each.shape[0]}" for each in (picture, frame.picture))
-            raise InputError(
-                f"{printable(file)} is {' while its left picture is '.join(sizes)}; give both at one size."
-            )
+            sizes = " while its left picture is ".join(f"{p.shape[1]}x{p.shape[0]}" for p in (picture, frame.picture))
+            raise InputError(f"{printable(file)} is {sizes}; give both at one size.")
         return picture
-
-    def _of_video(self, frame: Frame, file: Path) -> np.ndarray:
-        """The picture of the same index in a video file, which is read on, or again from the start."""
-        if frame.index <= self._second:
-            self._second = -1
-        if self._second < 0:
-            self._seconds = iter(open_source(file, self._layout))
-        for other in self._seconds:
-            self._second = other.index
-            if other.index == frame.index and other.image is not None:
-                return other.image
-            if other.index >= frame.index:
-                break
-        raise InputError(f"{printable(file)} has no frame {frame.number}; give a right picture for every left one.")
 
     def _onto_rows(self, frame: Frame) -> np.ndarray | None:
         """What moves right pictures so that their rows lie where the left ones' do, [2, 3]; None = they do.
@@ -255,11 +241,7 @@ class StereoDepth(DepthSource):
                 f"The pair of {printable(self._clip)} is not rectified (its rows are up to {most:.0f} px apart); "
                 "rectify it, or give rotation and translation of its calibration in the camera file."
             )
-        if most > SAID:
-            self.warnings = (
-                f"rows of the right pictures lie up to {most:.1f} px off those of the left ones and were brought "
-                "together by features, so that depth may be off as well; rectify the pair",
-            )
+        self.warnings = [ROWS_DIFFER.format(most)] if most > SAID else []
         # A turn of the camera around its axis, which the rows tell, moves columns as well.
         moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
         return moved if most > TOUCHED else None
@@ -268,8 +250,9 @@ class StereoDepth(DepthSource):
         """Fix the range of disparities that are sought, and the uncertainty of the depth's scale."""
         found = np.concatenate([self._rectification.product / raw.values[raw.values > 0] for raw in samples])
         low, high = np.quantile(found, QUANTILES) * WIDENED
-        self._matcher = SemiGlobal(self._size, (float(low), float(high)))
-        self.log_sd = math.hypot(self._baseline_log_sd, DISPARITY_SD / float(np.median(found)))
+        if self.network is None:
+            self._match = SemiGlobal(self._size, (float(low), float(high)))
+        self.metres = (1.0, math.hypot(self._baseline_log_sd, DISPARITY_SD / float(np.median(found))), "stereo")
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

@@ -107,8 +107,8 @@ class Rig(Camera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        deviations = ("baseline_sd", "metres_per_depth_sd")
-        require_numbers(self, positive=("baseline", "metres_per_depth"), not_negative=deviations)
+        lengths = ("baseline", "metres_per_depth")
+        require_numbers(self, positive=lengths, not_negative=[f"{name}_sd" for name in lengths])
         if len(self.rotation) != 9 or not np.allclose(self.turned @ self.turned.T, np.eye(3), atol=1e-3):
             raise ValueError("rotation is no rotation; give its nine numbers row by row.")
         if self.baseline is not None and self.translation is not None:

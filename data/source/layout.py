@@ -253,9 +253,8 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     found = matches(clip, layout.image)
     if found:
         return [(int(digits), path) for digits, path in found]
-    companions = [
-        pattern_expression(p) for p in (*layout.mask_patterns, layout.depth, layout.right) if p and "{number}" in p
-    ]
+    beside = (*layout.mask_patterns, layout.depth, layout.right)
+    companions = [pattern_expression(p) for p in beside if p is not None and "{number}" in p]
     shown = [path for path in list_folder(clip) if path.suffix.lower() in IMAGE_SUFFIXES and path.name[0] != "."]
     named = [path for path in shown if not path.stem.endswith("_mask")]
     images = [path for path in named if not any(expression.fullmatch(path.name) for expression in companions)]
@@ -279,11 +278,11 @@ def clip_folder(layout: ClipLayout, frame_path: Path) -> Path:
 
 def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
     """Folder or video file of the right pictures of a stereo pair; None where they lie in the clip, or nothing says."""
-    if layout.right is None or layout.halved:
+    if layout.right in (None, *HALVES):
         return None
     if not clip.is_dir():
-        return clip.with_name(layout.right.replace("{name}", clip.stem))
-    folder = (clip / layout.right).resolve().parent
+        return clip.with_name(str(layout.right).replace("{name}", clip.stem))
+    folder = (clip / str(layout.right)).resolve().parent
     return None if folder.is_relative_to(clip.resolve()) else folder
 
 

@@ -183,7 +183,7 @@ class Batch:
                     metres, log_sd = ruler.metres() or (None, 0.0)
                     by = NOT_SEEN if metres is None else f"a shaft of {self.options.shaft_diameter:g} mm"
                     length = replace(length, metres=metres, log_sd=log_sd, by=by)
-                results.conclude(length)
+                results.calibrate(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)

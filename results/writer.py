@@ -210,7 +210,7 @@ class ClipResults:
         else:
             write_scene(self._partial / f"scene_{run.onset_frame}.{ending}", scene)
 
-    def conclude(self, length: ClipLength) -> None:
+    def calibrate(self, length: ClipLength) -> None:
         """Say in millimetres and newtons what was added, once all of it has been."""
         self.length = length
         if self.calibration is not None:

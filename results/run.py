@@ -172,7 +172,10 @@ class Batch:
                 length = ClipLength.of(clip)
                 if newtons is not None:
                     newtons.length = length = newtons.calibration.length(length)
-                ruler = self._ruler(clip, length)
+                diameter = self.options.shaft_diameter
+                if diameter is not None and length.metres is not None:
+                    raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
+                ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
@@ -181,7 +184,7 @@ class Batch:
                     _write(results, frames, item)
                 if ruler is not None:
                     metres, log_sd = ruler.metres() or (None, 0.0)
-                    by = NOT_SEEN if metres is None else f"a shaft of {self.options.shaft_diameter:g} mm"
+                    by = NOT_SEEN if metres is None else f"a shaft of {diameter:g} mm"
                     length = replace(length, metres=metres, log_sd=log_sd, by=by)
                 results.calibrate(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
@@ -307,17 +310,6 @@ class Batch:
         if self.limit is None or not isinstance(self.estimator, NetworkEstimator):
             return None
         return ForceAlarm.of(self.estimator, *self.limit, fps)
-
-    def _ruler(self, clip: ClipStream, length: ClipLength) -> ShaftRuler | None:
-        """What measures scene units by a shaft in view, where its diameter is given.
-
-        Raises:
-            ValueError: they are known already.
-        """
-        diameter = self.options.shaft_diameter
-        if diameter is not None and length.metres is not None:
-            raise ValueError(f"--shaft-diameter is for depth without metres, told here by {length.by}; leave it out.")
-        return None if diameter is None else ShaftRuler(diameter / 1000, clip)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

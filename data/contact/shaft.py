@@ -17,25 +17,19 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
-TRIES, NEAR = 200, 2.0
-"""Lines that are tried on an edge, and how near to one its points lie [px]."""
-LEAST_EDGE, LEAST_LENGTHS, LEAST_SHARE = 40.0, 1.2, 0.4
-"""Least length of an edge of a shaft that is seen well [px], of both together [widths], and the share of the outline on
-its side that lies on it."""
-LARGEST_ANGLE = 0.35
-"""Largest angle between the edges of a shaft [rad]."""
-MARGIN = 3
-"""Outlines so near to the picture's border are the border's [px]."""
-CORRELATED = 8.0
-"""Points of an outline next to each other that err alike."""
-ROUNDED = math.sqrt(1 / 12)
-"""Standard deviation of where an edge lies between the pixels that are in and out of a mask [px]."""
+TRIES, NEAR, MARGIN = 200, 2.0, 3
+"""Lines that are tried on an edge, how near to one its points lie, and how near to the picture's border outlines are the
+border's [px]."""
+LEAST_EDGE, LEAST_LENGTHS, LEAST_SHARE, LARGEST_ANGLE = 40.0, 1.2, 0.4, 0.35
+"""Least length of the edges of a shaft that is seen well, in px and in its widths, the share of the outline on its side
+that lies on an edge, and the largest angle between the two [rad]."""
+CORRELATED, ROUNDED = 8.0, math.sqrt(1 / 12)
+"""Points of an outline next to each other that err alike, and the standard deviation of where an edge lies between the
+pixels that are in and out of a mask [px]."""
 MASK_SD, DIAMETER_SD = 0.25, 0.01
 """Standard deviations that all frames share: of where masks end [px], and of the logarithm of a stated diameter."""
-LARGEST_SD = 0.2
-"""Frames whose length is known less well, as a logarithm, tell none."""
-LEAST_SAMPLES = 8
-"""Pixels of a shaft whose depth is compared."""
+LARGEST_SD, LEAST_SAMPLES = 0.2, 8
+"""Frames whose length is known less well, as a logarithm, or that show the depth of fewer of its pixels, tell none."""
 NOT_SEEN = (
     "--shaft-diameter tells no millimetres: in no frame are two straight edges of a shaft seen well, with depth of the "
     "shaft (of tissue at its tip, where depth is guessed from the pictures); lengths stay in scene units"

@@ -21,11 +21,10 @@ from palpate.data.source.layout import ClipLayout, InputError, companion, right_
 
 WORKING_WIDTH = 400
 """Wider pictures are made smaller by a whole number until they are at most so wide, before they are matched [px]."""
-BLOCK, UNIQUE, SPECKLE, APART = 7, 5, 100, 2
-"""Side of the blocks that are compared [px], least margin of a match over the next best [%], size of islands that are
-removed [px], and by how much disparity differs between neighbours of one island [px]."""
-LEFT_RIGHT = 1
-"""Most by which the disparities of left to right and of right to left differ [px]."""
+BLOCK, LEFT_RIGHT, UNIQUE, SPECKLE, APART = 7, 1, 5, 100, 2
+"""Side of the blocks that are compared [px], most by which the disparities of left to right and of right to left differ
+[px], least margin of a match over the next best [%], size of islands that are removed [px], and by how much disparity
+differs between neighbours of one island [px]."""
 REFINED_OVER, FLAT = 9, 2.0
 """Side of the window in which a disparity is refined [px], and the variance of a slope that is noise alone."""
 QUANTILES, WIDENED = (0.01, 0.99), (0.7, 1.3)
@@ -59,7 +58,8 @@ class Rectification:
         self.product = left.fx * float(np.linalg.norm(offset))
         """Focal length times baseline: depth is this over disparity [px·m]."""
         self._maps: list[Sequence[np.ndarray]] = []
-        if rig.translation is None and rig.right is None and not any(left.distortion):
+        straight = np.allclose(rig.turned, np.eye(3)) and not offset[1:].any()
+        if straight and rig.right is None and not any(left.distortion):
             return
         cameras = left, (rig.right or rig).scaled(*size)
         first, second = lenses = [(each.matrix, np.array(each.distortion or [0.0] * 5)) for each in cameras]
@@ -103,9 +103,8 @@ class SemiGlobal:
         low, high = np.multiply(span or (1, size[0] / 2), self._size[0] / size[0])
         least = max(1, int(low))
         count = 16 * max(1, math.ceil((high - least) / 16))
-        weights, checks = (8 * BLOCK**2, 32 * BLOCK**2), (LEFT_RIGHT, 0, UNIQUE, SPECKLE, APART)
-        mode = cv2.STEREO_SGBM_MODE_SGBM_3WAY
-        self._matcher, self._margin = cv2.StereoSGBM.create(least, count, BLOCK, *weights, *checks, mode), least + count
+        how = BLOCK, 8 * BLOCK**2, 32 * BLOCK**2, LEFT_RIGHT, 0, UNIQUE, SPECKLE, APART, cv2.STEREO_SGBM_MODE_SGBM_3WAY
+        self._matcher, self._margin = cv2.StereoSGBM.create(least, count, *how), least + count
 
     def __call__(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Disparity of a pair on common rows (RGB uint8, [H, W, 3]) at its working size, in its pixels; 0 = none."""

@@ -18,8 +18,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
 TRIES, NEAR, MARGIN = 200, 2.0, 3
-"""Lines that are tried on an edge, how near to one its points lie, and how near to the picture's border outlines are the
-border's [px]."""
+"""Lines that are tried on an edge, how near to one its points lie, and how near to the picture's border outlines are
+the border's own [px]."""
 LEAST_EDGE, LEAST_LENGTHS, LEAST_SHARE, LARGEST_ANGLE = 40.0, 1.2, 0.4, 0.35
 """Least length of the edges of a shaft that is seen well, in px and in its widths, the share of the outline on its side
 that lies on an edge, and the largest angle between the two [rad]."""

@@ -25,7 +25,7 @@ from palpate.results.verdicts import MEANINGS, state
 RELATIVE = "of this contact's own peak (relative, not N)"
 MEASURED = "N, by the force that was measured for a while"
 """Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
-ENDS = ("", "_low", "_high")
+ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
@@ -167,10 +167,11 @@ class ContactForce:
         middle, low, high = self.scene_ratio
         if length is None or length.metres is None or not middle > 0:
             return {}
-        log_sd = math.hypot(math.log(high / low) / (2 * NINETY), length.log_sd)
-        mm = [1000 * length.metres * middle * math.exp(side * NINETY * log_sd) for side in (0, -1, 1)]
-        found = {f"force_over_stiffness_mm{end}": value for end, value in zip(ENDS, mm, strict=True)}
-        return found | {"metric_by": length.by}
+        half = math.hypot(math.log(high / low) / 2, NINETY * length.log_sd)
+        ends = {
+            end: 1000 * length.metres * middle * math.exp(side * half) for end, side in zip(ENDS, SIDES, strict=True)
+        }
+        return {f"force_over_stiffness_mm{end}": mm for end, mm in ends.items()} | {"metric_by": length.by}
 
     def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
         """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""

@@ -179,7 +179,7 @@ class Batch:
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
-                stream = stream if ruler is None else ruler.watched(stream)
+                stream = ruler.watched(stream) if ruler else stream
                 for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
                 if ruler is not None:

@@ -64,19 +64,15 @@ def shaft_edges(tool: np.ndarray) -> tuple[Edge, Edge] | None:
     if not outlines:
         return None
     points = max(outlines, key=cv2.contourArea)[:, 0].astype(np.float64)
-    height, width = tool.shape
-    inside = (points >= MARGIN).all(axis=1) & (points < np.array([width, height]) - MARGIN).all(axis=1)
-    middle = points.mean(axis=0)
-    across = np.linalg.eigh(np.cov((points - middle).T))[1][:, 0]
-    side = (points - middle) @ across
+    inside = ((points >= MARGIN) & (points < np.array(tool.shape[::-1]) - MARGIN)).all(axis=1)
+    across = np.linalg.eigh(np.cov(points.T))[1][:, 0]
+    side = (points - points.mean(axis=0)) @ across
     one, other = (_edge(points[inside & (sign * side > 0)], sign * across) for sign in (1, -1))
     if one is None or other is None:
         return None
-    between, shorter = one.place - other.place, min(one.length, other.length)
-    parallel = one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
-    long = shorter > max(LEAST_EDGE, LEAST_LENGTHS * abs(one.normal @ between))
-    beside = abs(np.array([-across[1], across[0]]) @ between) < shorter
-    return (one, other) if parallel and long and beside else None
+    least = max(LEAST_EDGE, LEAST_LENGTHS * abs(one.normal @ (one.place - other.place)))
+    seen = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
+    return (one, other) if seen else None
 
 
 def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:
@@ -90,7 +86,7 @@ def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:
     on = near[:, (near.sum(axis=0) * (apart[:, 0] > LEAST_EDGE / 4)).argmax()]
     for _ in range(3):
         place = points[on].mean(axis=0)
-        normal = np.linalg.eigh(np.cov((points[on] - place).T))[1][:, 0]
+        normal = np.linalg.eigh(np.cov(points[on].T))[1][:, 0]
         off = (points - place) @ normal
         on = np.abs(off) < NEAR
         if on.sum() < max(LEAST_EDGE / 2, LEAST_SHARE * len(points)):
@@ -156,12 +152,11 @@ class ShaftRuler:
 
     def _add(self, frame: PreparedFrame, *edges: Edge) -> None:
         """Compare the shaft's depth with the clip's, where the tool has one, else where its tip touches the tissue."""
-        rows, columns = np.nonzero((frame.labels == TOOL) & (frame.depth > 0))
-        depth = frame.depth[rows, columns]
-        if self._guessed:
-            if frame.geometry is None:
-                return
+        if self._guessed and frame.geometry is not None:
             (columns, rows), depth = np.array(frame.geometry.pixel)[:, None], frame.geometry.tissue_point[2:]
+        else:
+            rows, columns = np.nonzero((frame.labels == TOOL) & (frame.depth > 0) & (not self._guessed))
+            depth = frame.depth[rows, columns]
         rays = np.column_stack([columns, rows, np.ones(len(depth))]) @ np.linalg.inv(self._grid.matrix).T
 
         def logs(changes: np.ndarray) -> np.ndarray:

@@ -22,8 +22,7 @@ from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
 
-STEREO = "stereo"
-BUILT_IN = ("stored", STEREO)
+BUILT_IN = ("stored", "stereo")
 """Sources of depth that need no model."""
 FAR_QUANTILE = 0.999
 """Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
@@ -107,7 +106,7 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
         kind = "stored" if stored else "photometric"
     if kind == "stored":
         return StoredDepth(layout, source.path)
-    if kind == STEREO:
+    if kind == "stereo":
         return StereoDepth(layout, source)
     path, preset = resolve_model(kind, settings.model, settings.preset)
     model = DepthModel(path, preset, threads=settings.threads, device=settings.device)

@@ -70,15 +70,13 @@ class Rectification:
         pixels = np.indices(size[::-1], np.float32)[::-1].reshape(2, -1).T[:, None]
         back = cv2.undistortPoints(pixels, *first, R=turns[0], P=seen).reshape(*size[::-1], 2)
         self._back = cv2.split(back.astype(np.float32))
-        rays = cv2.undistortPoints(pixels, *first).reshape(*size[::-1], 2)
-        self._along = (rays @ turns[0][2, :2] + turns[0][2, 2]).astype(np.float32)
+        rays = cv2.undistortPoints(pixels, *first).reshape(*size[::-1], 2) @ turns[0][2, :2]
+        self._along = (rays + turns[0][2, 2]).astype(np.float32)
 
     def pictures(self, left: np.ndarray, right: np.ndarray) -> Sequence[np.ndarray]:
         """The pair on common rows, each [H, W, 3]."""
-        if not self._maps:
-            return left, right
-        pairs = zip((left, right), self._maps, strict=True)
-        return [cv2.remap(each, across, down, cv2.INTER_LINEAR) for each, (across, down) in pairs]
+        maps = zip((left, right), self._maps, strict=False)
+        return [cv2.remap(each, across, down, cv2.INTER_LINEAR) for each, (across, down) in maps] or (left, right)
 
     def depth(self, disparity: np.ndarray) -> np.ndarray:
         """Depth in the left picture as it was, [H, W] [m], of disparity on common rows [px]; 0 = none in both."""
@@ -131,28 +129,27 @@ def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.n
     return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + FLAT), -1, 1)
 
 
-def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray | None:
+def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
 
     Returns:
-        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; None where too few agree.
+        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; 0 where too few agree.
     """
     finder, height, width = cv2.SIFT.create(3000, contrastThreshold=0.01), *left.shape[:2]
     found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
     if any(features is None for _, features in found):
-        return None
+        return np.zeros(3)
     pairs = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(found[0][1], found[1][1])
     here = np.array([found[0][0][pair.queryIdx].pt for pair in pairs]).reshape(-1, 2)
     across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
     near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
     terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
     if len(terms) < LEAST_MATCHES:
-        return None
-    down = down[near]
-    agree = np.abs(down - np.median(down) - trimmed_fit(terms, down - np.median(down), 6, 2.0)) < ALIKE
-    if agree.sum() < max(LEAST_MATCHES, LEAST_SHARE * len(agree)):
-        return None
-    return np.linalg.lstsq(terms[agree], down[agree], rcond=None)[0]
+        return np.zeros(3)
+    off = down[near] - (middle := np.median(down[near]))
+    agree = np.abs(off - trimmed_fit(terms, off, 6, 2.0)) < ALIKE
+    enough = agree.sum() >= max(LEAST_MATCHES, LEAST_SHARE * len(agree))
+    return np.linalg.lstsq(terms[agree], off[agree] + middle, rcond=None)[0] if enough else np.zeros(3)
 
 
 class StereoDepth(DepthSource):
@@ -229,10 +226,8 @@ class StereoDepth(DepthSource):
         Raises:
             InputError: they lie too far off.
         """
-        rows = row_offsets(*self._rectification.pictures(frame.picture, self._right(frame)))
-        if rows is None:
-            return None
-        offset, turn, stretch = rows
+        pair = self._rectification.pictures(frame.picture, self._right(frame))
+        offset, turn, stretch = row_offsets(*pair)
         x, y = ((side - 1) / 2 for side in self._size)
         most = abs(offset) + abs(turn) * x + abs(stretch) * y
         if most > NOT_RECTIFIED * self._size[1]:

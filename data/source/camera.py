@@ -113,10 +113,10 @@ class Rig(Camera):
             raise ValueError("rotation is no rotation; give its nine numbers row by row.")
         if self.baseline is not None and self.translation is not None:
             raise ValueError("baseline and translation both tell where the right camera is; give one.")
-        apart = math.hypot(*(self.offset or (0.0,)))
-        if apart > LARGEST_BASELINE:
+        across, down, along = self.offset or (-1e-6, 0.0, 0.0)
+        if (apart := math.hypot(across, down, along)) > LARGEST_BASELINE:
             raise ValueError(f"its cameras are {apart:g} m apart; give metres, not millimetres.")
-        if self.offset is not None and not -self.offset[0] > abs(self.offset[1]):
+        if not -across > abs(down):
             raise ValueError("translation leads to no negative x, from right to left; swap left and right.")
 
     @property

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from palpate.data.clip import ClipInputs, ClipStream
+from palpate.data.clip import ClipStream
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
 from palpate.data.depth.sources import DepthSource
-from palpate.data.masks.sources import MaskSource
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, load_camera
 from palpate.data.source.frames import FrameSource, open_source
@@ -90,32 +89,10 @@ def test_depth_is_metric_within_a_percent(tmp_path: Path, surface: np.ndarray) -
     assert not depth.warnings
 
 
-def test_a_surface_of_two_depths_is_not_blended(tmp_path: Path) -> None:
-    surface = np.where(np.abs(COLUMNS - 370) + np.abs(ROWS - 270) < 130, 0.06, 0.08)
-    depth, source, _ = opened(write(tmp_path / "clip", [pair(surface)]))
-    found = depth(next(iter(source)))
-    assert found[270, 370] == pytest.approx(0.06, rel=0.01)
-    assert found[60, 600] == pytest.approx(0.08, rel=0.01)
-    between = (found > 0.063) & (found < 0.076)
-    assert between.mean() < 0.01
-
-
-class Tissue(MaskSource):
-    """All of a picture is tissue."""
-
-    identity = "all"
-
-    def __call__(self, frame: Any) -> np.ndarray:
-        return np.ones(frame.picture.shape[:2], np.uint8)
-
-    def reset(self) -> None:
-        """Nothing is kept."""
-
-
 def test_a_clips_scene_unit_is_in_metres_by_stereo(tmp_path: Path) -> None:
     clip = write(tmp_path / "clip", [pair(PLANE)])
     settings = PrepareSettings(DepthSettings("stereo"), layout=LAYOUT)
-    stream = ClipStream(open_source(clip, LAYOUT), settings, ClipInputs(masks=Tissue()))
+    stream = ClipStream(open_source(clip, LAYOUT), settings)
     z, length = next(iter(stream)).depth, ClipLength.of(stream)
     assert length.metres is not None
     assert z[60, 100] * length.metres == pytest.approx(PLANE[270, 346], rel=0.01)

@@ -23,15 +23,13 @@ class PictureNetwork:
         threads: intra-op threads, 0 = onnxruntime's choice.
         device: where it runs, one of `common.onnx_devices.DEVICES`.
         raw: whether the network may take 8-bit numbers, which hold no normalised picture.
-        pictures: 2 for a pair, the left picture first.
+        many: how many pictures it takes; 2 for a pair, the left one first.
 
     Raises:
         InputError: no such file or device, not an ONNX model, or other inputs than these pictures.
     """
 
-    def __init__(
-        self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False, pictures: int = 1
-    ) -> None:
+    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False, many: int = 1) -> None:
         self.path = path
         try:
             session = open_session(str(path), threads, device)
@@ -43,9 +41,9 @@ class PictureNetwork:
             ) from error
         self._session, inputs = session, session.get_inputs()
         types = [name for name, dtype in _INPUT_TYPES.items() if raw or dtype is not np.uint8]
-        if len(inputs) != pictures or any(len(entry.shape) != 4 or entry.type not in types for entry in inputs):
+        if len(inputs) != many or any(len(entry.shape) != 4 or entry.type not in types for entry in inputs):
             found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
-            wanted = "one colour picture" if pictures == 1 else "a left and a right picture"
+            wanted = "one colour picture" if many == 1 else "a left and a right picture"
             raise InputError(f"{path} takes {found}, and not {wanted}; export it that way.")
         self._input, self._names = inputs[0], [entry.name for entry in inputs]
         self.outputs = [entry.name for entry in session.get_outputs()]

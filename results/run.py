@@ -144,12 +144,8 @@ class Batch:
         if self.known is not None:
             given = self.options.known_force
             causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
-        if self.options.force_limit is not None:
-            causes["force_limit"] = self.options.force_limit
-        if self.options.shaft_diameter is not None:
-            causes["shaft_diameter"] = self.options.shaft_diameter
-        if self.options.export is not None:
-            causes["export"] = self.options.export
+        chosen = {name: getattr(self.options, name) for name in ("force_limit", "shaft_diameter", "export")}
+        causes |= {name: value for name, value in chosen.items() if value is not None}
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):

@@ -114,8 +114,8 @@ class DepthModel:
             InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.
         """
         self.path, self.preset = path, preset
-        pictures = 2 if preset.kind == "disparity" else 1
-        self.network = PictureNetwork(path, threads=threads, device=device, raw=True, pictures=pictures)
+        many = 2 if preset.kind == "disparity" else 1
+        self.network = PictureNetwork(path, threads=threads, device=device, raw=True, many=many)
         self._fixed = self._fixed_size()
         self._outputs = [self._named_output(preset.output)]
         if preset.focal_output:

@@ -27,8 +27,6 @@ class DepthSource(ABC):
 
     identity: str
     """Digest of everything except the clip's own files and settings that the depth depends on, for cache keys."""
-    metric: bool
-    """Whether depth is in metres."""
     metres: tuple[float, float, str] | None = None
     """Length of its unit [m], the standard deviation of the logarithm, and by what it is known; None where it isn't."""
     warnings: Sequence[str] = ()
@@ -71,8 +69,6 @@ class DepthSource(ABC):
 
 class StoredDepth(DepthSource):
     """Depth files of a clip folder: 8- or 16-bit PNG, NPY or NPZ, depth or disparity, as the layout states."""
-
-    metric = False
 
     def __init__(self, layout: ClipLayout, clip: Path) -> None:
         if not clip.is_dir():
@@ -136,8 +132,8 @@ class ModelDepth(DepthSource):
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)
         self._frozen = False
-        self.metric, self.from_shading = self._preset.metric, self._preset.shading
-        self.metres = (1.0, 0.0, f"the depth network {self._preset.name}") if self.metric else None
+        self.from_shading = self._preset.shading
+        self.metres = (1.0, 0.0, f"the depth network {self._preset.name}") if self._preset.metric else None
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
         self.identity = f"{model.identity}:{digest_of(constants)[:16]}"

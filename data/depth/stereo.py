@@ -155,7 +155,7 @@ def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 class StereoDepth(DepthSource):
     """Depth of a stereo pair, in metres by its baseline; pixels that match nowhere, or not both ways, have none."""
 
-    metric, depends_on_clip = True, True
+    depends_on_clip = True
 
     def __init__(self, layout: ClipLayout, source: FrameSource, model: DepthModel | None = None) -> None:
         """

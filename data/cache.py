@@ -22,12 +22,13 @@ import numpy as np
 from palpate.common.files import all_below, as_json, digest_of, file_sha256
 from palpate.common.output import LIST, list_folder, require_own_folder
 from palpate.common.provenance import code_digest
+from palpate.data.depth.normalise import BUILT_IN
 from palpate.data.depth.preset import resolve_model
 from palpate.data.masks.sources import mask_source_file
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import clip_camera
-from palpate.data.source.layout import InputError
+from palpate.data.source.layout import InputError, right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.physics.mesh import Mesh
 
@@ -57,9 +58,10 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
     fields = dataclasses.asdict(settings)
     for group, name in NOT_STORED:
         fields[group].pop(name)
+    beside = filter(None, (right_beside(each, settings.layout) for each in (path, *following)))
     document = {
         "span": span_of(path),
-        "files": [state for each in (path, *following) for state in _file_states(each)],
+        "files": [state for each in (path, *following, *beside) for state in _file_states(each)],
         "settings": fields,
         "camera": repr(clip_camera(path, settings.layout)),
         "models": [_model_state(model, reading) for model, reading in require_models(settings)],
@@ -83,7 +85,7 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
         InputError: a file or preset does not exist.
     """
     models: list[tuple[Path, str]] = []
-    if settings.depth.source != "stored":
+    if settings.depth.source not in BUILT_IN:
         kind = "photometric" if settings.depth.source == "auto" else settings.depth.source
         model, preset = resolve_model(kind, settings.depth.model, settings.depth.preset)
         models.append((model, preset.identity))

@@ -75,8 +75,6 @@ class ClipStream:
         )
         self._depth = depth or open_depth(settings.depth, settings.layout, source)
         camera = camera or clip_camera(source.path, settings.layout)
-        self.metric = self._depth.metric
-        """Whether `scale` is in metres."""
         self._scale_error = ""
         self.scale, focal = math.nan, None
         """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
@@ -85,6 +83,8 @@ class ClipStream:
                 self.scale, focal = estimate_scale(source, self._depth, settings.depth)
             except InputError as error:
                 self._scale_error = str(error)
+        self.metres, self.warnings = self._depth.metres, self._depth.warnings
+        """As of `DepthSource`."""
         width, height = source.size
         if camera is not None:
             picture = camera.scaled(width, height)

@@ -23,6 +23,7 @@ import numpy as np
 
 from palpate.common.files import read_file
 from palpate.common.settings import fits, require_numbers
+from palpate.data.clip import ClipStream
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
@@ -53,6 +54,23 @@ class ClipLength:
     """Standard deviation of the logarithm of `metres`."""
     stored: bool = False
     """Whether depth comes from files, whose unit is then taken to be the same in all clips."""
+    by: str = ""
+    """By what `metres` is known, or why it isn't where that is worth saying."""
+
+    @classmethod
+    def of(cls, clip: ClipStream) -> ClipLength:
+        """As the clip itself tells it."""
+        metres, log_sd, by = clip.metres or (None, 0.0, "")
+        return cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The same in words and millimetres, with a 90 % interval."""
+        if self.metres is None or not math.isfinite(self.metres):
+            return {"mm": None, "by": self.by, "says": "scene units are not metric"}
+        mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)
+        says = f"1 scene unit = {mm:.3g} mm ({mm / half:.3g} to {mm * half:.3g}), metric by {self.by}"
+        return {"mm": mm, "mm_low": mm / half, "mm_high": mm * half, "by": self.by, "says": says}
 
     def over(self, other: ClipLength) -> float | None:
         """A scene unit of this clip over that of another; None where it isn't known."""
@@ -370,18 +388,12 @@ class Calibration:
         some = (low <= self.measured.times) & (self.measured.times <= high)
         return KnownForce(self.measured.times[some], self.measured.force[some])
 
-    def length(self, scale: float, metric: bool, stored: bool) -> ClipLength:
-        """What a scene unit of a clip is.
-
-        Args:
-            scale: depth that is one.
-            metric: whether that is in metres.
-            stored: whether depth comes from files.
-        """
+    def length(self, own: ClipLength) -> ClipLength:
+        """What a scene unit of a clip is, as the file states it, else as the clip itself tells."""
         stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
-        if stated is not None:
-            return ClipLength(scale, scale * stated, sd / stated, stored)
-        return ClipLength(scale, scale if metric else None, 0.0, stored)
+        if stated is None:
+            return own
+        return replace(own, metres=own.scale * stated, log_sd=sd / stated, by=f"metres_per_depth in {self.path.name}")
 
     def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
         """The scale of a clip from its own runs, or from the tissue's stiffness.

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import DepthModel
-from palpate.data.depth.normalise import DepthSettings
+from palpate.data.depth.normalise import BUILT_IN, DepthSettings
 from palpate.data.depth.preset import resolve_model
 from palpate.data.masks.sources import MaskClasses, mask_source_file, open_mask_file
 from palpate.data.settings import NUMBERS, PrepareSettings
@@ -97,7 +97,7 @@ def check_sources(settings: PrepareSettings) -> None:
     file = mask_source_file(settings.masks)
     if file is not None:
         open_mask_file(file, threads=depth.threads, device=depth.device)
-    if depth.source not in ("auto", "stored"):
+    if depth.source not in ("auto", *BUILT_IN):
         DepthModel(*resolve_model(depth.source, depth.model, depth.preset), threads=depth.threads, device=depth.device)
 
 

@@ -111,7 +111,7 @@ class ClipCalibration:
             elif not run.explained:
                 values["detail"] = "The model does not explain the motion."
             else:
-                values |= physical_values(self.scale.of(run, length), self.scale.source)
+                values |= physical_values(self.scale.of(run, length), self.scale.source, length.by)
             self.rows.append(values)
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
@@ -206,15 +206,22 @@ def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
     return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**kept["length"])
 
 
-def physical_values(physical: Physical, source: str) -> dict[str, Any]:
-    """Numbers of a run by column of CALIBRATED; uncertainties that nobody knows are missing."""
-    per = "m" if physical.metric else "scene unit"
+def physical_values(physical: Physical, source: str, metres: str = "") -> dict[str, Any]:
+    """Numbers of a run by column of CALIBRATED; uncertainties that nobody knows are missing.
+
+    Args:
+        physical: the run.
+        source: by what newtons are known.
+        metres: by what metres are.
+    """
+    per, metric = "m" if physical.metric else "scene unit", f", metric by {metres}" if metres else ""
     units = dict(zip(PARAMETERS, (f"N/{per}", f"N·s/{per}", "N"), strict=True))
     spread = physical.log_sd
     found: dict[str, Any] = {"determined": ";".join(physical.determined)}
     for index, name in enumerate(PARAMETERS):
         value = math.exp(physical.logs[index])
-        found |= {name: value, f"{name}_unit": f"{units[name]}, by {source}"}
+        by = source + metric if "/m" in units[name] else source
+        found |= {name: value, f"{name}_unit": f"{units[name]}, by {by}"}
         if spread is not None:
             log_sd = float(spread[index])
             found[f"{name}_sd"] = value * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))

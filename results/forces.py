@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -24,7 +25,7 @@ from palpate.results.verdicts import MEANINGS, state
 RELATIVE = "of this contact's own peak (relative, not N)"
 MEASURED = "N, by the force that was measured for a while"
 """Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
-ENDS = ("", "_low", "_high")
+ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
@@ -60,6 +61,8 @@ class ContactForce:
     """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
     scene_force: tuple[float, ...] = (math.nan,) * len(ENDS)
     """|F| of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
+    scene_ratio: tuple[float, ...] = (math.nan,) * len(ENDS)
+    """Likewise |F|/k_s."""
 
     @classmethod
     def of(
@@ -86,7 +89,10 @@ class ContactForce:
         if isinstance(found, Estimate):
             direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
-            scene = {"scene_force": tuple(found.numbers().get(f"force{end}", math.nan) for end in ENDS)}
+            values = found.numbers()
+            scene = {"scene_force": tuple(values.get(f"force{end}", math.nan) for end in ENDS)}
+            if "force_over_stiffness" in found.determined and not found.by_light:
+                scene["scene_ratio"] = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
             elif found.given_verdict:
@@ -156,6 +162,20 @@ class ContactForce:
         found |= {"time_s": [estimates[index].time_s for index in self.frames], "frame_s": seconds}
         return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
 
+    def in_millimetres(self, length: ClipLength | None) -> dict[str, Any]:
+        """|F|/k_s in millimetres, where a scene unit's length is known.
+
+        The errors of both are independent of each other, so that their logarithms' variances add up.
+        """
+        middle, low, high = self.scene_ratio
+        if length is None or length.metres is None or not middle > 0:
+            return {}
+        half = math.hypot(math.log(high / low) / 2, NINETY * length.log_sd)
+        ends = {
+            end: 1000 * length.metres * middle * math.exp(side * half) for end, side in zip(ENDS, SIDES, strict=True)
+        }
+        return {f"force_over_stiffness_mm{end}": mm for end, mm in ends.items()} | {"metric_by": length.by}
+
     def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
         """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""
         if limit[1] != NEWTONS:
@@ -176,6 +196,7 @@ def forces_record(
     limit: tuple[float, str] | None = None,
     calibrated: Sequence[Mapping[str, Any]] = (),
     dents: Sequence[Curve] = (),
+    length: ClipLength | None = None,
 ) -> dict[str, Any]:
     """The content of forces.json.
 
@@ -186,13 +207,14 @@ def forces_record(
         limit: of --force-limit, and its unit.
         calibrated: rows of calibrated.csv, one a run of contact.
         dents: forces by the depth of a dent that belongs to no run of contact.
+        length: of a scene unit.
     """
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
     told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
     told += filter(None, (ContactForce.of_dent(curve, estimates) for curve in dents))
-    records = [contact.record(estimates, lasts, limit) for contact in told]
+    records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."
     return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}

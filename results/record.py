@@ -18,6 +18,7 @@ from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.images import MOST_BYTES
+from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
 from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
@@ -49,13 +50,14 @@ PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 
 def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
     """What the results of a clip depend on: hashes of files, settings, and the code."""
-    model, prepared = model_of(estimator), dataclasses.asdict(settings)
+    model, prepared, beside = model_of(estimator), dataclasses.asdict(settings), right_beside(clip, settings.layout)
     for name in ("threads", "device"):  # where a model runs does not change what it means
         prepared["depth"].pop(name)
     return {
         "format": FORMAT_VERSION,
         "clip": sha256_of(file_of(clip)),
         "span": span_of(clip),
+        "right": sha256_of(beside) if beside is not None and beside.exists() else None,
         "model": None if model is None else model.sha256,
         "settings": prepared,
         "estimator": dict(estimator.described),
@@ -113,7 +115,8 @@ def build_record(
         "masks": {"source": clip.sources["masks"], "identity": masks_identity},
         "scale": {
             "depth_at_1": clip.scale if math.isfinite(clip.scale) else None,
-            "unit": "m" if clip.metric else "of the depth source, not metric",
+            "unit": "m" if clip.metres and clip.metres[0] == 1 else "of the depth source",
+            **results.length.record,
         },
         "camera": dataclasses.asdict(clip.picture_camera),
         "settings": dataclasses.asdict(clip.settings),
@@ -125,9 +128,11 @@ def build_record(
         "model": network,
         "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
         "estimator": causes["estimator"],
-        "units": columns.UNITS,
+        "units": columns.UNITS | {"length": results.length.record["says"]},
         "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
         "warnings": [
+            *clip.warnings,
+            *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),

@@ -26,12 +26,13 @@ from palpate.common.files import file_sha256
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
+from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence
-from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.calibration_file import Calibration, ClipLength, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.known_force import force_reader
 from palpate.estimators.network.estimator import NetworkEstimator
@@ -155,10 +156,8 @@ class Batch:
         if self.known is not None:
             given = self.options.known_force
             causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
-        if self.options.force_limit is not None:
-            causes["force_limit"] = self.options.force_limit
-        if self.options.export is not None:
-            causes["export"] = self.options.export
+        chosen = {name: getattr(self.options, name) for name in ("force_limit", "shaft_diameter", "export")}
+        causes |= {name: value for name, value in chosen.items() if value is not None}
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
@@ -180,16 +179,24 @@ class Batch:
             written = ClipResults(folder, source.size, source.fps, alarm=alarm, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
+                length = ClipLength.of(clip)
                 if newtons is not None:
-                    stored = clip.sources["depth"] == "stored"
-                    newtons.length = newtons.calibration.length(clip.scale, clip.metric, stored)
+                    newtons.length = length = newtons.calibration.length(length)
+                diameter = self.options.shaft_diameter
+                if diameter is not None and length.metres is not None:
+                    raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
+                ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
                 session = self.estimator.start(ClipInfo.of(clip))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
+                stream = ruler.watched(stream) if ruler else stream
                 for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
                     _write(results, frames, item)
-                if newtons is not None and newtons.length is not None:
-                    results.calibrate(newtons.length)
+                if ruler is not None:
+                    metres, log_sd = ruler.metres() or (None, 0.0)
+                    by = NOT_SEEN if metres is None else f"a shaft of {diameter:g} mm"
+                    length = replace(length, metres=metres, log_sd=log_sd, by=by)
+                results.calibrate(length)
                 seconds = {**clip.seconds, **session.seconds, **results.seconds}
                 seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
                 record = build_record(clip, causes, model_of(self.estimator), results, seconds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import math
 import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping
@@ -83,6 +84,8 @@ class ClipResults:
         self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
+        self.length = ClipLength(math.nan)
+        """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
         self.estimates: list[FrameEstimate] = []
@@ -211,7 +214,8 @@ class ClipResults:
             self.unexported += 1
 
     def calibrate(self, length: ClipLength) -> None:
-        """Say in newtons what was added, once all of it has been."""
+        """Say in millimetres and newtons what was added, once all of it has been."""
+        self.length = length
         if self.calibration is not None:
             self.calibration.conclude(length)
 
@@ -227,7 +231,9 @@ class ClipResults:
                 self._write_newtons(self.calibration, title)
             newtons = self.calibration
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents)
+            # Of a slab |F| over stiffness is no length.
+            length = None if "thickness" in record.get("estimator", {}) else self.length
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

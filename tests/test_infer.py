@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import math
 import shutil
 import sys
 from importlib.util import find_spec
@@ -23,6 +24,7 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.tool import SHAFT_RADIUS
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
 from palpate.physics.mechanics import PARAMETERS
@@ -692,6 +694,55 @@ def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, i
     given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
     assert said in flat(capsys.readouterr().err)
+
+
+def test_a_shaft_s_diameter_tells_newtons_a_metre_and_millimetres(synthetic, done, tmp_path):
+    """The drawn shaft's radius is `SHAFT_RADIUS` scene units; its length enters with its uncertainty."""
+    truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
+    (tmp_path / "known.yaml").write_text(f"force_N: 2.0\nforce_time_s: {truth['onset_s'] + 0.1}\n")
+    given = ["--no-overlay", "--calibration", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
+    assert direct(synthetic, tmp_path / "out", *given) == 0
+    folder, (found,) = tmp_path / "out" / "video01_00000", runs(done)
+    scale = record(folder)["scale"]
+    assert scale["mm"] == pytest.approx(4 / SHAFT_RADIUS, rel=0.05)
+    assert scale["mm_low"] < 4 / SHAFT_RADIUS < scale["mm_high"]
+    assert record(folder)["units"]["length"].endswith("metric by a shaft of 8 mm")
+    (row,) = rows(folder, "calibrated.csv")
+    assert row["stiffness_unit"].endswith("metric by a shaft of 8 mm")
+    assert row["stiffness_unit"].startswith("N/m, by known force of 2 N at frame")
+    assert "shaft" not in row["force_unit"]
+    newtons = 2.0 / float(found["force"]) * float(found["stiffness"])
+    assert float(row["stiffness"]) == pytest.approx(newtons / (scale["mm"] / 1000), rel=1e-3)
+    log_sd, own = (
+        math.log(float(each[f"{name}_high"]) / float(each[f"{name}_low"])) / (2 * NINETY)
+        for each, name in ((row, "stiffness"), (found, "force_over_stiffness"))
+    )
+    length = math.log(scale["mm_high"] / scale["mm_low"]) / (2 * NINETY)
+    assert length > 0.01
+    assert log_sd == pytest.approx(math.hypot(own, length), rel=0.01)
+    (press,) = json.loads((folder / "forces.json").read_text(encoding="utf-8"))["contacts"]
+    expected = float(found["force_over_stiffness"]) * scale["mm"]
+    assert press["force_over_stiffness_mm"] == pytest.approx(expected, rel=1e-3)
+    spread = math.log(press["force_over_stiffness_mm_high"] / press["force_over_stiffness_mm_low"]) / (2 * NINETY)
+    assert spread == pytest.approx(math.hypot(own, length), rel=0.01)
+    assert press["metric_by"] == "a shaft of 8 mm"
+
+
+def test_a_shaft_that_is_not_seen_or_not_asked_for_is_said(inputs, tmp_path, capsys):
+    assert call(inputs, tmp_path / "out", "--no-overlay", "--shaft-diameter", "5", clips="clips/drawn.mp4") == 0
+    assert record(tmp_path / "out" / "drawn")["scale"]["mm"] is None
+    assert "--shaft-diameter tells no millimetres: in no frame are two straight edges" in flat(capsys.readouterr().err)
+    camera = {"fx": 150.0, "fy": 150.0, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96}
+    (tmp_path / "camera.json").write_text(json.dumps(camera | {"metres_per_depth": 0.1, "metres_per_depth_sd": 0.01}))
+    given = ["--no-overlay", "--camera", str(tmp_path / "camera.json")]
+    assert call(inputs, tmp_path / "told", *given, clips="clips/folder") == 0
+    scale = record(tmp_path / "told" / "folder")["scale"]
+    assert (scale["by"], scale["mm"]) == ("the camera file", pytest.approx(100 * scale["depth_at_1"]))
+    assert math.log(scale["mm_high"] / scale["mm"]) == pytest.approx(0.1 * NINETY)
+    assert call(inputs, tmp_path / "both", *given, "--shaft-diameter", "5", clips="clips/folder") == 1
+    assert "--shaft-diameter has no effect where the camera file tells metres; leave it out" in flat(
+        capsys.readouterr().err
+    )
 
 
 # --- several clips at once, and shares of them ---

@@ -5,6 +5,7 @@ surface        smooth tissue behind noisy depth, and the noise; rest_depth: its 
 dents          contact by a dent alone, without a tool in view; depth_change: how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: likelihood ratio of its motion if it does
 tips           free ends of instruments in a mask; light_contacts: presses by how the tissue's light changes
+shaft          how long a scene unit is, by the known diameter of an instrument's shaft
 lit_frame      where a frame's tissue has darkened, and where instruments are in it
 motion         the contact's motion from frame to frame and since its onset
 tissue_points  places in a picture as points in space; refinement: where a young contact presses

@@ -16,11 +16,14 @@ from palpate.common.settings import require_choices, require_numbers
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
+from palpate.data.depth.stereo import StereoDepth
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
 
+BUILT_IN = ("stored", "stereo")
+"""Sources of depth that need no model."""
 FAR_QUANTILE = 0.999
 """Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
 FAR_MULTIPLE = 3.0
@@ -38,7 +41,7 @@ class DepthSettings:
     """Source of depth, and the constants that are fixed for a clip."""
 
     source: str = "auto"
-    """auto (stored where the clip has it, else photometric), stored, a preset's name, or the path of an .onnx file."""
+    """auto (stored where the clip has it, else photometric), stored, stereo, a preset's name, or an .onnx file."""
     model: str | None = None
     """ONNX file for a preset that ships none; with any other source it is refused."""
     preset: str | None = None
@@ -69,7 +72,7 @@ class DepthSettings:
     def __post_init__(self) -> None:
         require_choices(self, "depth.")
         of_file = self.source.lower().endswith(".onnx")
-        if self.model is not None and (of_file or self.source in ("auto", "stored")):
+        if self.model is not None and (of_file or self.source in ("auto", *BUILT_IN)):
             raise ValueError(
                 f"depth.model is '{self.model}' and belongs to a preset, while depth.source is {self.source}; give "
                 "that preset as depth.source, or leave depth.model out."
@@ -101,10 +104,15 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
         kind = "stored" if stored else "photometric"
     if kind == "stored":
         return StoredDepth(layout, source.path)
+    if kind == "stereo":
+        return StereoDepth(layout, source)
     path, preset = resolve_model(kind, settings.model, settings.preset)
+    model = DepthModel(path, preset, threads=settings.threads, device=settings.device)
+    if preset.kind == "disparity":
+        return StereoDepth(layout, source, model)
     camera = clip_camera(source.path, layout)
     return ModelDepth(
-        DepthModel(path, preset, threads=settings.threads, device=settings.device),
+        model,
         near=settings.near,
         far=settings.far,
         default_focal=0.5 / math.tan(math.radians(settings.field_of_view_deg) / 2),

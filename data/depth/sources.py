@@ -9,6 +9,7 @@ import numpy as np
 
 from palpate.common.files import digest_of
 from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
@@ -26,8 +27,10 @@ class DepthSource(ABC):
 
     identity: str
     """Digest of everything except the clip's own files and settings that the depth depends on, for cache keys."""
-    metric: bool
-    """Whether depth is in metres."""
+    metres: tuple[float, float, str] | None = None
+    """Length of its unit [m], the standard deviation of the logarithm, and by what it is known; None where it isn't."""
+    warnings: Sequence[str] = ()
+    """What the user should know of the clip's depth, a sentence each."""
     known_scale: float | None = None
     """Depth that the clip's own file declares as z = 1; None where it declares none."""
     from_picture: bool = False
@@ -67,15 +70,16 @@ class DepthSource(ABC):
 class StoredDepth(DepthSource):
     """Depth files of a clip folder: 8- or 16-bit PNG, NPY or NPZ, depth or disparity, as the layout states."""
 
-    metric = False
-
     def __init__(self, layout: ClipLayout, clip: Path) -> None:
         if not clip.is_dir():
             raise InputError(f"{clip} is no folder, so it has no stored depth; choose a depth model with depth.source.")
         if layout.depth is None or not matches(clip, layout.depth):
             pattern = layout.depth or "layout.depth is empty"
             raise InputError(f"{clip} has no stored depth ({pattern}); choose a depth model with depth.source.")
-        self._layout, self._pattern = layout, layout.depth
+        self._layout, self._pattern, camera = layout, layout.depth, clip_camera(clip, layout)
+        if camera is not None and camera.metres_per_depth is not None:
+            log_sd = camera.metres_per_depth_sd / camera.metres_per_depth
+            self.metres = (camera.metres_per_depth, log_sd, "the camera file")
         fields = (layout.depth, layout.depth_key, layout.depth_kind, layout.depth_factor)
         self.known_scale = read_clip_file(clip).get("depth_scale")
         self.identity = f"stored:{digest_of([*fields, self.known_scale])[:16]}"
@@ -125,7 +129,8 @@ class ModelDepth(DepthSource):
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)
         self._frozen = False
-        self.metric, self.from_shading = self._preset.metric, self._preset.shading
+        self.from_shading = self._preset.shading
+        self.metres = (1.0, 0.0, f"the depth network {self._preset.name}") if self._preset.metric else None
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
         self.identity = f"{model.identity}:{digest_of(constants)[:16]}"

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from palpate.common.settings import require_numbers
 from palpate.data.source.bags import camera_entries, is_bag
 from palpate.data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
 
@@ -55,6 +56,11 @@ class Camera:
         if len(self.distortion) not in (0, 4, 5, 8):
             raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give 0, 4, 5 or 8.")
 
+    @property
+    def matrix(self) -> np.ndarray:
+        """Its intrinsics as OpenCV takes them, [3, 3]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
+
     @classmethod
     def from_field_of_view(cls, degrees: float, width: int, height: int) -> Camera:
         """Camera with square pixels and a centred axis from its horizontal field of view [degrees]."""
@@ -72,7 +78,59 @@ class Camera:
         return Camera(self.fx * across, self.fy * down, cx, cy, width, height, self.distortion)
 
 
-def load_camera(path: str | Path) -> Camera:
+LARGEST_BASELINE = 0.5
+"""Larger distances of a pair's cameras are millimetres taken for metres [m]."""
+
+
+@dataclass(frozen=True)
+class Rig(Camera):
+    """What a camera file tells: a camera, the right one beside it if there is one, and lengths.
+
+    Raises:
+        ValueError: numbers that can't be, or are in millimetres.
+    """
+
+    baseline: float | None = None
+    """Distance of the cameras of a rectified pair, or of one that only its lenses keep from being one [m]."""
+    baseline_sd: float = 0.0
+    """Its standard deviation, or that of `translation`'s length [m]."""
+    rotation: tuple[float, ...] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
+    """Of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
+    translation: tuple[float, float, float] | None = None
+    """T, in place of a baseline [m]."""
+    right: Rig | None = None
+    """The right camera, with the keys of the left one; none = the same."""
+    metres_per_depth: float | None = None
+    """Length of a unit of the clip's stored depth [m]; none = not known."""
+    metres_per_depth_sd: float = 0.0
+    """Its standard deviation [m]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        lengths = ("baseline", "metres_per_depth")
+        require_numbers(self, positive=lengths, not_negative=[f"{name}_sd" for name in lengths])
+        if len(self.rotation) != 9 or not np.allclose(self.turned @ self.turned.T, np.eye(3), atol=1e-3):
+            raise ValueError("rotation is no rotation; give its nine numbers row by row.")
+        if self.baseline is not None and self.translation is not None:
+            raise ValueError("baseline and translation both tell where the right camera is; give one.")
+        across, down, along = self.offset or (-1e-6, 0.0, 0.0)
+        if (apart := math.hypot(across, down, along)) > LARGEST_BASELINE:
+            raise ValueError(f"its cameras are {apart:g} m apart; give metres, not millimetres.")
+        if not -across > abs(down):
+            raise ValueError("translation leads to no negative x, from right to left; swap left and right.")
+
+    @property
+    def offset(self) -> tuple[float, float, float] | None:
+        """T [m]; None where no pair is told."""
+        return self.translation if self.baseline is None else (-self.baseline, 0.0, 0.0)
+
+    @property
+    def turned(self) -> np.ndarray:
+        """R, [3, 3]."""
+        return np.array(self.rotation, float).reshape(3, 3)
+
+
+def load_camera(path: str | Path) -> Rig:
     """Camera from a YAML or JSON file, at its top level or under `camera`.
 
     Raises:
@@ -84,7 +142,7 @@ def load_camera(path: str | Path) -> Camera:
     return _camera(entries, str(path))
 
 
-def _camera(entries: Any, where: str) -> Camera:
+def _camera(entries: Any, where: str) -> Rig:
     """A camera from a file's entries; `where` begins the error message.
 
     Calibration tools write whole numbers with a point, numbers as text ("5e2" is text to YAML), and null.
@@ -92,7 +150,9 @@ def _camera(entries: Any, where: str) -> Camera:
     if isinstance(entries, dict):
         given = ((name, value) for name, value in entries.items() if value is not None)
         entries = {name: [*map(_number, each)] if isinstance(each, list) else _number(each) for name, each in given}
-    return from_mapping(Camera, entries, where)
+        if "right" in entries:
+            entries["right"] = _camera(entries["right"], f"{where}, right,")
+    return from_mapping(Rig, entries, where)
 
 
 def _number(value: Any) -> Any:
@@ -104,7 +164,7 @@ def _number(value: Any) -> Any:
     return int(number) if isinstance(number, float) and number.is_integer() else number
 
 
-def clip_camera(clip: Path, layout: ClipLayout) -> Camera | None:
+def clip_camera(clip: Path, layout: ClipLayout) -> Rig | None:
     """The camera that a clip folder's `clip.json` or a bag gives, else its layout, or None where neither does.
 
     Raises:
@@ -146,10 +206,8 @@ class Undistortion:
     """
 
     def __init__(self, camera: Camera) -> None:
-        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], float)
-        size = (camera.width, camera.height)
-        bent = np.array(camera.distortion, float)
-        self._maps = cv2.initUndistortRectifyMap(matrix, bent, None, matrix, size, cv2.CV_32FC1)
+        size, bent = (camera.width, camera.height), np.array(camera.distortion, float)
+        self._maps = cv2.initUndistortRectifyMap(camera.matrix, bent, None, camera.matrix, size, cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

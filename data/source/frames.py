@@ -8,7 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from os.path import isdir
 from pathlib import Path
@@ -58,6 +58,8 @@ class Frame:
     """The image's file, None for a video."""
     error: str = ""
     """Why there is no image, a sentence."""
+    right: np.ndarray | None = None
+    """The right picture of a stereo pair that came as one with the image."""
 
     @property
     def picture(self) -> np.ndarray:
@@ -306,6 +308,31 @@ class RosBag(Pictures):
         return ((None, found) for found in pictures(self.path, self.topic))
 
 
+class Halves(FrameSource):
+    """A clip whose pictures each hold both of a stereo pair: the left one is its image."""
+
+    def __init__(self, whole: FrameSource, across: bool) -> None:
+        """
+        Args:
+            whole: the clip of whole pictures.
+            across: whether the two are side by side; else the left one is on top.
+        """
+        self.path, self.name, self.fps, self.length = whole.path, whole.name, whole.fps, whole.length
+        self.coding, self.warnings, self._whole, self._across = whole.coding, [], whole, across
+        self.size = (whole.size[0] // 2, whole.size[1]) if across else (whole.size[0], whole.size[1] // 2)
+
+    def __iter__(self) -> Iterator[Frame]:
+        width, height = self.size
+        for frame in self._whole:
+            self.warnings = self._whole.warnings
+            if frame.image is not None:
+                halves = np.array_split(frame.image, [width if self._across else height], axis=int(self._across))
+                left, right = (np.ascontiguousarray(half[:height, :width]) for half in halves)
+                frame = replace(frame, image=left, right=right)
+            yield frame
+        self.warnings = self._whole.warnings
+
+
 def picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
 
@@ -353,10 +380,10 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
     path = Path(path)
     try:
         if is_bag(path):
-            return RosBag(path, layout)
-        if path.is_dir():
-            return FrameFolder(path, layout, following)
-        return VideoFile(path, layout.fps)
+            source = RosBag(path, layout)
+        else:
+            source = FrameFolder(path, layout, following) if path.is_dir() else VideoFile(path, layout.fps)
+        return Halves(source, layout.right == "side-by-side") if layout.halved else source
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error
 

@@ -24,6 +24,8 @@ Settings = TypeVar("Settings")
 
 CLIP_FILE = "clip.json"
 """Optional file of a clip folder: fps, camera, depth scale and time stamps."""
+HALVES = ("side-by-side", "top-bottom")
+"""How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 """Endings of the names of image files."""
 FRAME_RATES = (1e-6, 1e6)
@@ -68,17 +70,20 @@ class ClipLayout:
     """depth = value · factor, or factor / disparity."""
     fps: float = 25.0
     """Frame rate where the clip does not give one [1/s]."""
+    right: str | None = None
+    """Right pictures of a stereo pair: files beside the frames (`img_right/{number}.jpg`), a video's second file beside
+    it (`{name}_right.mp4`), or side-by-side or top-bottom, where every picture holds both."""
     camera: str | None = None
     """Camera file (YAML or JSON) in the layout file's folder, else relative to the clip's folder."""
     topic: str | None = None
     """Topic of a bag's pictures; by default its only one."""
 
     def __post_init__(self) -> None:
-        for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "camera"):
+        for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "right", "camera"):
             pattern = getattr(self, name)
             if pattern is not None and "\0" in pattern:
                 raise ValueError(f"layout.{name} holds a NUL, which no file's name does; leave it out.")
-            if name != "camera" and pattern is not None and pattern.count("{number}") != 1:
+            if name not in ("camera", "right") and pattern is not None and pattern.count("{number}") != 1:
                 raise ValueError(f"layout.{name} is '{pattern}'; write {{number}} once where the frame's digits stand.")
         require_numbers(self, positive=("fps", "depth_factor"), group="layout.")
         if not FRAME_RATES[0] <= self.fps <= FRAME_RATES[1]:
@@ -87,6 +92,11 @@ class ClipLayout:
             raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 to {LARGEST_OPENING_PX}.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
             raise ValueError("layout.label_mask needs layout.tool_values and layout.tissue_values; give both.")
+
+    @property
+    def halved(self) -> bool:
+        """Whether every picture holds both of a stereo pair."""
+        return self.right in HALVES
 
     @property
     def mask_patterns(self) -> tuple[str, ...]:
@@ -241,7 +251,8 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     found = matches(clip, layout.image)
     if found:
         return [(int(digits), path) for digits, path in found]
-    companions = [pattern_expression(p) for p in (*layout.mask_patterns, layout.depth) if p is not None]
+    beside = (*layout.mask_patterns, layout.depth, layout.right)
+    companions = [pattern_expression(p) for p in beside if p is not None and "{number}" in p]
     shown = [path for path in list_folder(clip) if path.suffix.lower() in IMAGE_SUFFIXES and path.name[0] != "."]
     named = [path for path in shown if not path.stem.endswith("_mask")]
     images = [path for path in named if not any(expression.fullmatch(path.name) for expression in companions)]
@@ -261,6 +272,16 @@ def clip_folder(layout: ClipLayout, frame_path: Path) -> Path:
     if pattern_expression(layout.image).fullmatch(tail):
         return frame_path.parents[depth - 1]
     return frame_path.parent
+
+
+def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
+    """Folder or video file of the right pictures of a stereo pair; None where they lie in the clip, or nothing says."""
+    if layout.right in (None, *HALVES):
+        return None
+    if not clip.is_dir():
+        return clip.with_name(str(layout.right).replace("{name}", clip.stem))
+    folder = (clip / str(layout.right)).resolve().parent
+    return None if folder.is_relative_to(clip.resolve()) else folder
 
 
 def companion(layout: ClipLayout, frame_path: Path, pattern: str) -> Path:

@@ -43,7 +43,7 @@ class SyntheticSource(FrameSource):
 class _Depth(DepthSource):
     """Observed depth of a synthetic clip."""
 
-    identity, metric, known_scale = "synthetic", False, 1.0
+    identity, known_scale = "synthetic", 1.0
 
     def __init__(self, clip: SyntheticClip) -> None:
         self._depth = clip.depth

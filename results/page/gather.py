@@ -69,6 +69,7 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "video": store.OVERLAY if shown else None,
         "video_note": "" if shown else TEXTS["no_video"],
         "found": contacts,
+        "length": record["units"]["length"],
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "verdicts": [_explained(*item) for item in record["verdicts"].items()],

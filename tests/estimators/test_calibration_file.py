@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.calibration_file import MASS, SHEET_FACTOR, STIFFNESS, Calibration, read_calibration
+from palpate.estimators.calibration_file import MASS, SHEET_FACTOR, STIFFNESS, Calibration, ClipLength, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
@@ -92,11 +92,13 @@ def test_moduli_of_curves_differ_from_place_to_place(tmp_path: Path) -> None:
 
 
 def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
-    stated = read(tmp_path, **FORCE, metres_per_depth=0.1, metres_per_depth_sd=0.01).length(2.0, True, False)
+    stated = read(tmp_path, **FORCE, metres_per_depth=0.1, metres_per_depth_sd=0.01).length(
+        ClipLength(2.0, 2.0, by="stereo")
+    )
     assert (stated.metres, stated.log_sd) == pytest.approx((0.2, 0.1))
     bare = read(tmp_path, **FORCE)
-    assert bare.length(2.0, True, False).metres == 2.0
-    assert bare.length(2.0, False, True).metres is None
+    assert bare.length(ClipLength(2.0, 2.0, by="stereo")).metres == 2.0
+    assert bare.length(ClipLength(2.0, stored=True)).metres is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from palpate.data.contact import geometry as module
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, find_contact, frame_geometry
-from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
+from palpate.data.source.camera import Camera, Rig, Undistortion, back_project, load_camera
 from palpate.data.source.layout import InputError
 
 CAMERA = Camera(100.0, 110.0, 31.5, 23.5, 64, 48)
@@ -95,11 +95,11 @@ def test_camera_files_and_their_errors(tmp_path):
     entries = {"fx": 100, "fy": 110, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"camera": {**entries, "distortion": [0.1, 0, 0, 0, 0]}}))
-    assert load_camera(path) == Camera(100, 110, 31.5, 23.5, 64, 48, (0.1, 0.0, 0.0, 0.0, 0.0))
+    assert load_camera(path) == Rig(100, 110, 31.5, 23.5, 64, 48, (0.1, 0.0, 0.0, 0.0, 0.0))
     # As calibration tools write it, in YAML, to which a power of ten without a point is text.
     told = tmp_path / "camera.yaml"
     told.write_text("fx: 1e2\nfy: 110.0\ncx: 31.5\ncy: '23.5'\nwidth: 64.0\nheight: 48\ndistortion: null\n")
-    assert load_camera(told) == Camera(100, 110, 31.5, 23.5, 64, 48)
+    assert load_camera(told) == Rig(100, 110, 31.5, 23.5, 64, 48)
     for wrong, told in (
         ({"fx": 1}, r"camera\.json lacks 'fy'; give a number"),
         (entries | {"fx": -1}, r"camera\.json can't be used: The camera's focal length"),

@@ -441,7 +441,8 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
     np.testing.assert_allclose(focal / 854 / map_[usable], inverse[usable], rtol=0, atol=1e-4 * inverse.max())
 
     depth, map_ = depth_by(metric_preset, tmp_path / "b.onnx", image)
-    assert depth.metric
+    assert depth.metres is not None
+    assert depth.metres[:2] == (1.0, 0.0)
     assert 854 * depth.focal == pytest.approx(focal, rel=1e-4)
     expected = enlarged(metres, image)
     # Near C = 0 metres magnify float noise, so the tolerance is wider than for C itself.
@@ -483,5 +484,5 @@ def test_depth_anything(tmp_path, kind, name):
         low, high = np.quantile(expected, [0.001, 0.999])
         share = np.maximum((expected - low) / (high - low), 0)
         expected = 1 / (5 + 15 * share)
-    assert depth.metric == (kind == "metric")
+    assert (depth.metres is not None) == (kind == "metric")
     np.testing.assert_allclose(result, expected, rtol=2e-3)

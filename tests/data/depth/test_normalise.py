@@ -26,7 +26,7 @@ def blank(count: int, *, live: bool = False) -> Pictures:
 class Planes(DepthSource):
     """Depth maps given as a function of the frame's index."""
 
-    identity, metric = "planes", False
+    identity = "planes"
 
     def __init__(self, maps) -> None:
         self.maps, self.seen = maps, []

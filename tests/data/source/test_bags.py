@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.data.source.camera import Camera, clip_camera
+from palpate.data.source.camera import Rig, clip_camera
 from palpate.data.source.frames import discover, open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.estimators.known_force import force_reader
@@ -89,8 +89,8 @@ def test_the_camera_of_the_same_namespace_is_taken(tmp_path, name):
 
     path = write_bag(tmp_path / name, recorded)
     for topic, camera in {
-        "/left/image_raw/compressed": Camera(90, 91, 60, 50, 128, 96, bent),
-        "/left/image_rect": Camera(70, 70, 64, 48, 128, 96),
+        "/left/image_raw/compressed": Rig(90, 91, 60, 50, 128, 96, bent),
+        "/left/image_rect": Rig(70, 70, 64, 48, 128, 96),
         "/right/image": None,
         "/raw/image": None,
     }.items():

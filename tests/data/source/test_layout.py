@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.data.source import layout as layouts
-from palpate.data.source.camera import Camera, clip_camera, load_camera
+from palpate.data.source.camera import Rig, clip_camera, load_camera
 from palpate.data.source.layout import ClipLayout, InputError, load_layout, read_mapping
 
 LAYOUTS = Path(__file__).resolve().parents[3] / "configs" / "layouts"
@@ -101,7 +101,7 @@ def test_camera_beside_the_clip_must_exist(tmp_path):
         clip_camera(tmp_path, layout)
     entries = {"fx": 10, "fy": 10.5, "cx": 1, "cy": 1, "width": 4, "height": 3}
     (tmp_path / "camera.json").write_text(json.dumps(entries))
-    assert clip_camera(tmp_path, layout) == Camera(10, 10.5, 1, 1, 4, 3)
+    assert clip_camera(tmp_path, layout) == Rig(10, 10.5, 1, 1, 4, 3)
     assert clip_camera(tmp_path, ClipLayout()) is None
     (tmp_path / "clip.json").write_text(json.dumps({"camera": [1]}))
     with pytest.raises(InputError, match=r"clip\.json\) has a camera that is not a mapping"):

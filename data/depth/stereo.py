@@ -1,0 +1,252 @@
+"""Depth from a stereo pair, in metres: what rectifies it, and its disparity by semi-global matching or a network.
+
+Semi-global matching (Hirschmüller 2008, "Stereo processing by semiglobal matching and mutual information"; OpenCV's, in
+three directions) finds disparities at a working size, and one step of Lucas and Kanade along the rows refines them.
+"""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from palpate.common.files import digest_of
+from palpate.common.robust import trimmed_fit
+from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.depth.sources import DepthSource, check_map, positive
+from palpate.data.source.camera import Camera, Rig, clip_camera
+from palpate.data.source.frames import Frame, FrameSource, open_source
+from palpate.data.source.images import printable, read_image
+from palpate.data.source.layout import ClipLayout, InputError, companion, right_beside
+
+WORKING_WIDTH = 400
+"""Wider pictures are made smaller by a whole number until they are at most so wide, before they are matched [px]."""
+BLOCK, LEFT_RIGHT, UNIQUE, SPECKLE, APART = 7, 1, 5, 100, 2
+"""Side of the blocks that are compared [px], most by which the disparities of left to right and of right to left differ
+[px], least margin of a match over the next best [%], size of islands that are removed [px], and by how much disparity
+differs between neighbours of one island [px]."""
+REFINED_OVER, FLAT = 9, 2.0
+"""Side of the window in which a disparity is refined [px], and the variance of a slope that is noise alone."""
+QUANTILES, WIDENED = (0.01, 0.99), (0.7, 1.3)
+"""Quantiles of the sampled frames' disparities, and how much of these the clip's range begins and ends at."""
+NEW_SHARE, CONSISTENT = 2 / 3, 0.25
+"""Share of a frame's own disparity in what is kept where it is near the frame's before, and what is near [working px]:
+noise falls to 0.7 of its own, and what moves by less than that lags by half a frame."""
+DISPARITY_SD = 0.25
+"""Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px]."""
+LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
+"""Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
+NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
+"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
+
+ROWS_DIFFER = (
+    "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
+    "so that depth may be off as well; rectify the pair"
+)
+
+
+class Rectification:
+    """Brings a calibrated pair to common rows, and depth back to the left picture; a rectified pair stays as it is.
+
+    Args:
+        left: camera of the left picture, at its size.
+        rig: with an `offset`.
+    """
+
+    def __init__(self, left: Camera, rig: Rig) -> None:
+        offset, size = np.array(rig.offset, float), (left.width, left.height)
+        self.product = left.fx * float(np.linalg.norm(offset))
+        """Focal length times baseline: depth is this over disparity [px·m]."""
+        self._maps: list[Sequence[np.ndarray]] = []
+        straight = np.allclose(rig.turned, np.eye(3)) and not offset[1:].any()
+        if straight and rig.right is None and not any(left.distortion):
+            return
+        cameras = left, (rig.right or rig).scaled(*size)
+        first, second = lenses = [(each.matrix, np.array(each.distortion or [0.0] * 5)) for each in cameras]
+        *turns, seen, seen_right = cv2.stereoRectify(*first, *second, size, rig.turned, offset[:, None])[:4]
+        self.product = -float(seen_right[0, 3])
+        for lens, turn, projection in zip(lenses, turns, (seen, seen_right), strict=True):
+            self._maps.append(cv2.initUndistortRectifyMap(*lens, turn, projection, size, cv2.CV_32FC1))
+        pixels = np.indices(size[::-1], np.float32)[::-1].reshape(2, -1).T[:, None]
+        back = cv2.undistortPoints(pixels, *first, R=turns[0], P=seen).reshape(*size[::-1], 2)
+        self._back = cv2.split(back.astype(np.float32))
+        rays = cv2.undistortPoints(pixels, *first).reshape(*size[::-1], 2) @ turns[0][2, :2]
+        self._along = (rays + turns[0][2, 2]).astype(np.float32)
+
+    def pictures(self, left: np.ndarray, right: np.ndarray) -> Sequence[np.ndarray]:
+        """The pair on common rows, each [H, W, 3]."""
+        maps = zip((left, right), self._maps, strict=False)
+        return [cv2.remap(each, across, down, cv2.INTER_LINEAR) for each, (across, down) in maps] or (left, right)
+
+    def depth(self, disparity: np.ndarray) -> np.ndarray:
+        """Depth in the left picture as it was, [H, W] [m], of disparity on common rows [px]; 0 = none in both."""
+        found = np.divide(self.product, disparity, out=np.zeros_like(disparity), where=disparity > 0)
+        if not self._maps:
+            return found
+        across, down = self._back
+        return cv2.remap(found, across, down, cv2.INTER_NEAREST) / self._along
+
+
+class SemiGlobal:
+    """Semi-global matching with a left–right check.
+
+    Args:
+        size: width and height of the pictures [px].
+        span: range of the disparities that are sought [px]; None = all up to half the width.
+    """
+
+    def __init__(self, size: tuple[int, int], span: tuple[float, float] | None = None) -> None:
+        parts = math.ceil(size[0] / WORKING_WIDTH)
+        self._size = size[0] // parts, size[1] // parts
+        low, high = np.multiply(span or (1, size[0] / 2), self._size[0] / size[0])
+        least = max(1, int(low))
+        count = 16 * max(1, math.ceil((high - least) / 16))
+        how = BLOCK, 8 * BLOCK**2, 32 * BLOCK**2, LEFT_RIGHT, 0, UNIQUE, SPECKLE, APART, cv2.STEREO_SGBM_MODE_SGBM_3WAY
+        self._matcher, self._margin = cv2.StereoSGBM.create(least, count, *how), least + count
+
+    def __call__(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Disparity of a pair on common rows (RGB uint8, [H, W, 3]) at its working size, in its pixels; 0 = none."""
+        grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (left, right))
+        small = [cv2.resize(each, self._size, interpolation=cv2.INTER_AREA) for each in grey]
+        # OpenCV leaves out as many columns as it seeks disparities; most of them the right picture shows, too.
+        wide = [cv2.copyMakeBorder(each, 0, 0, self._margin, 0, cv2.BORDER_REPLICATE) for each in small]
+        found = self._matcher.compute(*wide)[:, self._margin :].astype(np.float32) / 16
+        valid = (found >= self._matcher.getMinDisparity()) & (found <= np.arange(self._size[0]))
+        return np.where(valid, _refined(*small, found), 0)
+
+
+def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    """Disparities moved to where brightness agrees best, up to a constant, in the window around each pixel."""
+    rows, columns = np.indices(disparity.shape, np.float32)
+    there = cv2.remap(right, columns - disparity, rows, cv2.INTER_LINEAR).astype(np.float32)
+    slope, error = cv2.Sobel(there, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), left - there
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return cv2.boxFilter(values, -1, (REFINED_OVER, REFINED_OVER))
+
+    steepness = mean(slope)
+    shared = mean(slope * error) - steepness * mean(error)
+    return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + FLAT), -1, 1)
+
+
+def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
+
+    Returns:
+        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; 0 where too few agree.
+    """
+    finder, height, width = cv2.SIFT.create(3000, contrastThreshold=0.01), *left.shape[:2]
+    found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
+    if any(features is None for _, features in found):
+        return np.zeros(3)
+    pairs = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(found[0][1], found[1][1])
+    here = np.array([found[0][0][pair.queryIdx].pt for pair in pairs]).reshape(-1, 2)
+    across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
+    near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
+    terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
+    if len(terms) < LEAST_MATCHES:
+        return np.zeros(3)
+    off = down[near] - (middle := np.median(down[near]))
+    agree = np.abs(off - trimmed_fit(terms, off, 6, 2.0)) < ALIKE
+    enough = agree.sum() >= max(LEAST_MATCHES, LEAST_SHARE * len(agree))
+    return np.linalg.lstsq(terms[agree], off[agree] + middle, rcond=None)[0] if enough else np.zeros(3)
+
+
+class StereoDepth(DepthSource):
+    """Depth of a stereo pair, in metres by its baseline; pixels that match nowhere, or not both ways, have none."""
+
+    depends_on_clip = True
+
+    def __init__(self, layout: ClipLayout, source: FrameSource, model: DepthModel | None = None) -> None:
+        """
+        Args:
+            layout: says where the right pictures are.
+            source: the left ones.
+            model: a stereo network in place of semi-global matching.
+
+        Raises:
+            InputError: nothing says where the right pictures are, or how far apart the cameras.
+        """
+        clip, rig, named = source.path, clip_camera(source.path, layout), printable(source.path)
+        if layout.right is None:
+            raise InputError(f"{named} has no right pictures; say in a layout file where they are (right).")
+        if clip.is_dir() and not layout.halved and "{number}" not in layout.right:
+            raise InputError(f"{named} is a folder and layout.right is '{layout.right}'; write {{number}} in it.")
+        if rig is None or rig.offset is None:
+            raise InputError(f"{named} has no camera with a baseline; give a camera file with one, in metres.")
+        self._clip, self._layout, self._size, self._pattern = clip, layout, source.size, layout.right
+        self._rectification = Rectification(rig.scaled(*source.size), rig)
+        self._baseline_log_sd = rig.baseline_sd / math.hypot(*rig.offset)
+        self.network = model and model.network
+        self._match = SemiGlobal(source.size) if model is None else lambda *pair: positive(model.raw(*pair).values)
+        self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
+        self._seconds, self._second = iter(()), math.inf
+        self.identity = f"stereo:{digest_of([repr(rig), layout.right, model and model.identity])[:16]}"
+        first = next((frame for frame in source if frame.image is not None), None)
+        self._moved = None if first is None else self._onto_rows(first)
+
+    def observe(self, frame: Frame) -> RawDepth:
+        """The frame's depth; InputError where its right picture is missing or is of another size."""
+        left, right = self._rectification.pictures(frame.picture, self._right(frame))
+        if self._moved is not None:
+            how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            right = cv2.warpAffine(right, self._moved, self._size, flags=how, borderMode=cv2.BORDER_REPLICATE)
+        disparity, (index, before) = self._match(left, right), self._before
+        if index == frame.index - 1:
+            same = (np.abs(disparity - before) < CONSISTENT) & (disparity > 0) & (before > 0)
+            disparity = np.where(same, NEW_SHARE * disparity + (1 - NEW_SHARE) * before, disparity)
+        self._before = frame.index, disparity
+        full = cv2.resize(disparity, self._size, interpolation=cv2.INTER_NEAREST)
+        depth = self._rectification.depth(full * np.float32(self._size[0] / disparity.shape[1]))
+        check_map(depth, f"Stereo depth of frame {frame.number} of {printable(self._clip)}", signed=False)
+        return RawDepth(depth)
+
+    def _right(self, frame: Frame) -> np.ndarray:
+        """The right picture of a frame, [H, W, 3]."""
+        file, picture = right_beside(self._clip, self._layout) or self._clip, frame.right
+        if picture is None and frame.path is not None:
+            file = companion(self._layout, frame.path, self._pattern)
+            picture = read_image(file)
+        elif picture is None:
+            # A second video is read on, or again from its start.
+            if frame.index <= self._second:
+                self._seconds = iter(open_source(file, self._layout))
+            self._second = frame.index
+            picture = next((other.image for other in self._seconds if other.index == frame.index), None)
+        if picture is None:
+            raise InputError(f"{printable(file)} has no frame {frame.number}; give a right picture for every left one.")
+        if picture.shape != frame.picture.shape:
+            sizes = " while its left picture is ".join(f"{p.shape[1]}x{p.shape[0]}" for p in (picture, frame.picture))
+            raise InputError(f"{printable(file)} is {sizes}; give both at one size.")
+        return picture
+
+    def _onto_rows(self, frame: Frame) -> np.ndarray | None:
+        """What moves right pictures so that their rows lie where the left ones' do, [2, 3]; None = they do.
+
+        Raises:
+            InputError: they lie too far off.
+        """
+        pair = self._rectification.pictures(frame.picture, self._right(frame))
+        offset, turn, stretch = row_offsets(*pair)
+        x, y = ((side - 1) / 2 for side in self._size)
+        most = abs(offset) + abs(turn) * x + abs(stretch) * y
+        if most > NOT_RECTIFIED * self._size[1]:
+            raise InputError(
+                f"The pair of {printable(self._clip)} is not rectified (its rows are up to {most:.0f} px apart); "
+                "rectify it, or give rotation and translation of its calibration in the camera file."
+            )
+        self.warnings = [ROWS_DIFFER.format(most)] if most > SAID else []
+        # A turn of the camera around its axis, which the rows tell, moves columns as well.
+        moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
+        return moved if most > TOUCHED else None
+
+    def freeze(self, samples: Sequence[RawDepth]) -> None:
+        """Fix the range of disparities that are sought, and the uncertainty of the depth's scale."""
+        found = np.concatenate([self._rectification.product / raw.values[raw.values > 0] for raw in samples])
+        low, high = np.quantile(found, QUANTILES) * WIDENED
+        if self.network is None:
+            self._match = SemiGlobal(self._size, (float(low), float(high)))
+        self.metres = (1.0, math.hypot(self._baseline_log_sd, DISPARITY_SD / float(np.median(found))), "stereo")
+
+    def convert(self, raw: RawDepth) -> np.ndarray:
+        return positive(raw.values)

@@ -31,6 +31,8 @@ UNTRAINED = "picture.weight", "picture.bias"
 """Parameters of a pretrained posterior that its file does not hold."""
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
+FOR_NETWORKS = "window", "contact_features"
+"""Beginnings of the names of what networks read of a batch."""
 Own = TypeVar("Own")
 
 
@@ -126,6 +128,12 @@ class PhysicsInformedGAN(LightningModule):
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
         self._validated: list[Tensor] = []
+
+    def transfer_batch_to_device(
+        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
+    ) -> dict[str, Any]:
+        """What networks read, on a device; the rest stays on the CPU, where rollouts are compiled."""
+        return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
 
     def on_fit_start(self) -> None:
         """Load the pretrained head, unless training resumes from a checkpoint, and compile the networks if asked to.
@@ -320,12 +328,12 @@ class PhysicsInformedGAN(LightningModule):
         head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
         the mean: nothing better is known then, and how often such verdicts are right was not measured.
         """
-        mesh = batch[f"mesh_{side}"]
+        meshes = batch[f"mesh_{side}"]
         if output.mean is None or output.factor is None:
-            load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return losses.physics_loss(output.theta, mesh, load, observation, self.mechanics)
-        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
+            loads, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
+            return losses.physics_loss(output.theta, meshes, loads, observation, self.mechanics)
+        noise, loads, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
+        posterior, what = generator.posterior, (noise, meshes, loads, observed, self.mechanics)
         box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
         evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ

@@ -321,8 +321,8 @@ def dent_of(batch: dict) -> DepthBatch:
     """A dent of one pixel, 0.01 deep, at the instants of a batch's observations."""
     seen = batch["known_observation_a"]
     return DepthBatch(
-        views=[OnePixel(direction) for direction in batch["load_a"].direction[:, None].double().numpy()],
-        vertices=batch["load_a"].vertices[:, None],
+        views=[OnePixel(load.direction[None]) for load in batch["load_a"]],
+        vertices=torch.tensor([[load.vertex] for load in batch["load_a"]]),
         steps=seen.steps,
         change=torch.full((2, 2, 1), 0.01),
         weight=seen.weight[..., None],
@@ -335,7 +335,7 @@ def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
     """Told as a dent of one pixel, the point gives nearly the same."""
     batch = make_told_batch()
     seen, dent = batch["known_observation_a"], dent_of(batch)
-    along = batch["load_a"].direction[:, None]
+    along = torch.tensor(np.stack([load.direction[None] for load in batch["load_a"]]), dtype=torch.float32)
     point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
     module = build(**POSTERIOR)
     generator = module.generator_ab

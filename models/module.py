@@ -254,16 +254,6 @@ class PhysicsInformedGAN(LightningModule):
         with self._precise():
             self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
-    def predict_step(self, batch: dict[str, Any], batch_index: int) -> dict[str, Any]:
-        """What is estimated from the frames of a batch.
-
-        Returns:
-            `clip` (names), `frame` [B] (indices of t), and the fields of `HeadOutput`: `theta` [B, 3] (physical units),
-            with head posterior also `mean` [B, 3] and `factor` [B, 3, 3] of φ, else None.
-        """
-        answer = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
-        return {"clip": batch["clip"], "frame": batch["frame"], **answer._asdict()}
-
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
 

@@ -120,10 +120,6 @@ class ClipDataModule(LightningDataModule):
         """Batches in order."""
         return self._loader("test", shuffle=False)
 
-    def predict_dataloader(self) -> DataLoader:
-        """Batches of the test split in order."""
-        return self._loader("test", shuffle=False)
-
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
         """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""
         places = self.places[split]

@@ -186,15 +186,6 @@ def test_one_record_a_test_pair(make_batch):
     assert [(record["clip"], record["frame"]) for record in module.test_records] == [("one", 3), ("two", 7)] * 2
 
 
-def test_predict_gives_what_is_estimated_from_every_frame(make_batch):
-    module, batch = build(), make_batch()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        [found] = Trainer(**QUIET).predict(module, DataLoader([batch], batch_size=None))
-    assert (found["clip"], found["frame"].tolist(), found["mean"]) == (["one", "two"], [3, 7], None)
-    torch.testing.assert_close(found["theta"], module.generator_ab.estimate(batch["window_a"]))
-
-
 POSTERIOR = {
     "head": "posterior",
     "contact_features": 6,

@@ -72,8 +72,6 @@ class PhysicsInformedGAN(LightningModule):
             training [scene units]; the depth maps in the losses stay without it, and 0 is none.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
-        compile: whether torch.compile translates encoders, decoders and discriminators when fit starts, which takes
-            minutes and a C++ compiler.
     """
 
     def __init__(
@@ -92,7 +90,6 @@ class PhysicsInformedGAN(LightningModule):
         noise: float = 0.0,
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
-        compile: bool = False,
     ) -> None:
         super().__init__()
         bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
@@ -117,7 +114,7 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.pretrained, self.pretrained_rate, self.compiles = pretrained, pretrained_rate, compile
+        self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
@@ -136,7 +133,7 @@ class PhysicsInformedGAN(LightningModule):
         return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
 
     def on_fit_start(self) -> None:
-        """Load the pretrained head, unless training resumes from a checkpoint, and compile the networks if asked to.
+        """Load the pretrained head, unless training resumes from a checkpoint.
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
@@ -145,11 +142,6 @@ class PhysicsInformedGAN(LightningModule):
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
-        if self.compiles:
-            generators = self.generator_ab, self.generator_ba
-            parts = [part for generator in generators for part in (generator.encoder, generator.decoder)]
-            for part in (*parts, self.discriminator_a, self.discriminator_b):
-                part.compile()
 
     def on_train_start(self) -> None:
         """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""

@@ -110,7 +110,7 @@ def test_the_page_says_what_was_left_out_and_concludes(written):
     page = written["report.html"].read_text("utf-8")
     rows = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr>(.*?)</tr>", page, re.DOTALL)]
     assert ["frames left out (error not finite)", *"10000"] in rows
-    assert ["reference θ", *"––080010"] in rows
+    assert ["reference θ", *"––080010"] in [row[:9] for row in rows]
     assert "Spread of the estimates over the test frames" in page
     assert "Constant θ fitted on the training contacts (n = 2)" in page
     assert not [row for row in rows if "nan" in row]

@@ -138,7 +138,6 @@ paper: $(INSTALLED)
 	$(PRESSES) --seed 33 --first 10 --presses 17
 	$(REPRODUCE) --ckpt_path last
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
-	$(BIN)/python -m evaluation.paper.recovered $(PAPER)/training/evaluation $(PAPER)/clips
 
 clean:
 	rm -rf .venv runs build *.egg-info

@@ -29,7 +29,7 @@ from palpate.benchmarks.shared import command_line, machine, print_table, timed
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from palpate.physics.msd import MeshBatch, PressBatch, rollout
+from palpate.physics.msd import rollout
 
 GRID = (120, 214)
 """Height and width of the network's depth grid [px]; the ellipse on it has 14,800 vertices, like the paper's meshes."""
@@ -62,38 +62,39 @@ class Task:
 
     theta: Tensor
     """k_s, k_d and F near the paper's mean, shape [B, 3], float32."""
-    mesh: MeshBatch
-    load: PressBatch
+    meshes: list[Mesh]
+    loads: list[Press]
     weights: Tensor
     """Derivative of the loss by the trajectories, shape [B, T, 3]."""
-
-    @property
-    def touched(self) -> Tensor:
-        """Contact vertices among the joined ones, shape [B]."""
-        return self.mesh.vertex_offsets[:-1] + self.load.vertices
 
 
 def make_task(batch: int, scale: float) -> Task:
     """B sheets that differ a little, each of `scale` times as many vertices as the grid's."""
     phases = 6 * np.random.default_rng(0).random(batch)
-    meshes, loads = zip(*(pressed_sheet(scale, phase) for phase in phases), strict=True)
+    meshes, loads = map(list, zip(*(pressed_sheet(scale, phase) for phase in phases), strict=True))
     return Task(
         theta=torch.tensor([[0.5, 0.09, -0.1]]) * (1 + 0.1 * torch.linspace(-1, 1, batch)[:, None]),
-        mesh=MeshBatch.from_meshes(meshes),
-        load=PressBatch.of(loads),
+        meshes=meshes,
+        loads=loads,
         weights=torch.randn(batch, loads[0].steps, 3, generator=torch.Generator().manual_seed(0)),
     )
 
 
 def spring_list(task: Task, theta: Tensor) -> Tensor:
     """The baseline: springs as a list, positions gathered, forces scattered, gradients by torch's autograd."""
-    mesh, mechanics = task.mesh, Mechanics()
-    first, second = mesh.springs.unbind(1)
-    stiffness, damping, force = theta[mesh.sample_of_vertex()].unsqueeze(2).unbind(1)
-    free = (~mesh.rim).float().index_fill(0, task.touched, 1.0)[:, None]
-    push = torch.zeros_like(mesh.vertices).index_copy(0, task.touched, task.load.direction) * force
-    rest_length = (mesh.vertices[second] - mesh.vertices[first]).norm(dim=1, keepdim=True)
-    position, velocity, trajectory = mesh.vertices, torch.zeros_like(mesh.vertices), []
+    mechanics, sizes = Mechanics(), [len(mesh.vertices) for mesh in task.meshes]
+    starts = np.cumsum([0, *sizes[:-1]])
+    springs = [mesh.springs + start for mesh, start in zip(task.meshes, starts, strict=True)]
+    first, second = torch.from_numpy(np.concatenate(springs)).long().unbind(1)
+    touched = torch.from_numpy(starts + [load.vertex for load in task.loads])
+    rest = torch.from_numpy(np.concatenate([mesh.vertices for mesh in task.meshes]))
+    rim = torch.from_numpy(np.concatenate([mesh.rim for mesh in task.meshes]))
+    direction = torch.tensor(np.stack([load.direction for load in task.loads]), dtype=rest.dtype)
+    stiffness, damping, force = theta.repeat_interleave(torch.tensor(sizes), 0).unsqueeze(2).unbind(1)
+    free = (~rim).float().index_fill(0, touched, 1.0)[:, None]
+    push = torch.zeros_like(rest).index_copy(0, touched, direction) * force
+    rest_length = (rest[second] - rest[first]).norm(dim=1, keepdim=True)
+    position, velocity, trajectory = rest, torch.zeros_like(rest), []
     kick = mechanics.time_step / mechanics.mass
     for step in range(mechanics.steps):
         along = position[second] - position[first]
@@ -104,7 +105,7 @@ def spring_list(task: Task, theta: Tensor) -> Tensor:
             total = total + push
         velocity = free * (velocity + kick * total) / (1 + kick * damping)
         position = position + mechanics.time_step * velocity
-        trajectory.append((position - mesh.vertices)[task.touched])
+        trajectory.append((position - rest)[touched])
     return torch.stack(trajectory, dim=1)
 
 
@@ -113,7 +114,7 @@ def simulate(name: str, task: Task, theta: Tensor) -> Tensor:
     if name == BASELINE:
         return spring_list(task, theta)
     mechanics = Mechanics(window_error=1e-4 if name == "numba window" else 0.0)
-    return rollout(theta, task.mesh, task.load, mechanics)
+    return rollout(theta, task.meshes, task.loads, mechanics)
 
 
 def forward(name: str, task: Task) -> np.ndarray:
@@ -199,7 +200,7 @@ def measure(batch: int, scale: float, threads: tuple[int, ...]) -> list[dict[str
             "contender": each[0],
             "threads": each[1],
             "batch": batch,
-            "vertices": len(task.mesh.vertices) // batch,
+            "vertices": len(task.meshes[0].vertices),
             "forward [ms]": times[0],
             "forward ×": medians[BASELINE, 1][0] / times[0],
             "forward + gradient [ms]": times[1],

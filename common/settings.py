@@ -113,3 +113,11 @@ def require_numbers(
         value, least = getattr(settings, name), "0 or more" if name in not_negative else "a positive number"
         if value is not None and not (math.isfinite(value) and (value > 0 or (value == 0 and name in not_negative))):
             raise ValueError(f"{group}{name} is {value}; give {least}.")
+
+
+def require_between(settings: Any, group: str = "", /, **ranges: tuple[float, float]) -> None:
+    """Raise a ValueError where a field lies outside its range, ends included; None is no number, and passes."""
+    for name, (least, most) in ranges.items():
+        value = getattr(settings, name)
+        if value is not None and not least <= value <= most:
+            raise ValueError(f"{group}{name} is {value}; give {least} to {most}.")

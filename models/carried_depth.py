@@ -5,18 +5,19 @@ meshes are projected into the picture and rendered to depth; the map changes by 
 differentiable by θ. Only the surroundings of the contact are carried: farther away, hardly anything moves.
 """
 
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from kornia.geometry.camera.perspective import project_points
 from kornia.geometry.transform import remap
 from torch import Tensor
 
+from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
+from palpate.physics.mesh import Mesh
 from palpate.physics.msd import rollout
-from palpate.physics.msd.batch import MeshBatch, PressBatch
 
 CARRIED_RADIUS = 12
 """Vertices up to this many rows and columns from the contact are carried [grid px]."""
@@ -29,22 +30,24 @@ MIN_TISSUE_SHARE = 0.999
 """The slope at rest counts where at least this share of the interpolated pixels is tissue."""
 
 
-def change(theta: Tensor, mesh: MeshBatch, load: PressBatch, course: Tensor, mechanics: Mechanics) -> Tensor:
+def change(
+    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], course: Tensor, mechanics: Mechanics
+) -> Tensor:
     """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
-    It is computed where the meshes are and given on θ's device.
+    It is computed on the CPU and given on θ's device.
 
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
-        mesh: the tissue meshes at rest, on the maps' grid.
-        load: the presses of the rollout.
+        meshes: the tissue meshes at rest, on the maps' grid.
+        loads: the presses of the rollout.
         course: steps since the rollout's beginning from which and to which the depth changes, shape [B, 2], int64;
             steps beyond the rollout's last count as the last.
         mechanics: the rollout's constants.
     """
-    device, theta = theta.device, theta.to(mesh.vertices.device)
-    surroundings = _Surroundings(mesh, load, theta)
-    path = rollout(theta, mesh, load, mechanics, watch=surroundings.watched)
+    device, theta = theta.device, theta.cpu()
+    surroundings = _Surroundings(meshes, loads, theta)
+    path = rollout(theta, meshes, loads, mechanics, watch=surroundings.watched)
     path = torch.cat([torch.zeros_like(path[:, :1]), path], dim=1)
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
     before, after = (surroundings.depth_change(moved) for moved in path.gather(1, index).to(theta).unbind(1))
@@ -62,8 +65,8 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
     """
     if kind != "physics":
         return None
-    mesh, load, course = (batch[f"{name}_{side}"] for name in ("mesh", "load", "course"))
-    return change(theta, mesh, load, course, mechanics)
+    meshes, loads, course = (batch[f"{name}_{side}"] for name in ("mesh", "load", "course"))
+    return change(theta, meshes, loads, course, mechanics)
 
 
 def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
@@ -82,34 +85,32 @@ def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
 class _Surroundings:
     """The tissue around B contacts as maps of S × S pixels, of the type of `like`; M vertices of each mesh move."""
 
-    def __init__(self, mesh: MeshBatch, load: PressBatch, like: Tensor) -> None:
-        height, width = mesh.grid_shape
-        self._shape = height, width
-        starts, ends, sample = mesh.vertex_offsets[:-1], mesh.vertex_offsets.tolist(), mesh.sample_of_vertex()
-        batch, contacts = len(starts), load.vertices[load.offsets[:-1]]
-        centre = mesh.pixels[starts + contacts]
-        apart = mesh.pixels - centre[sample]
-        near = (apart.abs() <= CARRIED_RADIUS).all(dim=1)
-        found = [near[first:last].nonzero()[:, 0] for first, last in pairwise(ends)]
-        most = max(len(vertices) for vertices in found)
+    def __init__(self, meshes: Sequence[Mesh], loads: Sequence[Press], like: Tensor) -> None:
+        height, width = self._shape = meshes[0].grid_shape
+        if any(mesh.grid_shape != self._shape for mesh in meshes):
+            raise ValueError(f"meshes of grids {sorted({mesh.grid_shape for mesh in meshes})} don't form one batch.")
+        batch, contacts = len(meshes), [load.vertex for load in loads]
+        centres = np.stack([mesh.pixels[vertex] for mesh, vertex in zip(meshes, contacts, strict=True)])
+        apart = [mesh.pixels - centre for mesh, centre in zip(meshes, centres, strict=True)]
+        found = [np.flatnonzero((np.abs(own) <= CARRIED_RADIUS).all(axis=1)) for own in apart]
+        most = max(map(len, found))
         both = zip(found, contacts, strict=True)
-        self.watched = torch.stack([torch.cat([own, contact.expand(most - len(own))]) for own, contact in both])
+        watched = np.stack([np.pad(own, (0, most - len(own)), constant_values=contact) for own, contact in both])
+        self.watched = torch.from_numpy(watched)
         """Vertices near the contacts, numbered within their own mesh, shape [B, M]; padded by repeating the contact."""
-        joined = self.watched + starts[:, None]
-        vertices = mesh.vertices.to(like)
-        self._vertices = vertices[joined]
-        self._places = ((apart[joined] + MAP_RADIUS) * like.new_tensor([MAP_SIDE, 1], dtype=torch.int64)).sum(dim=-1)
+        vertices = np.stack([mesh.vertices[own] for mesh, own in zip(meshes, watched, strict=True)])
+        self._vertices = torch.from_numpy(vertices).to(like)
+        places = np.stack([own[at] for own, at in zip(apart, watched, strict=True)]) + MAP_RADIUS
+        self._places = torch.from_numpy(places @ [MAP_SIDE, 1])
         """Flat indices of the vertices' pixels in the maps, shape [B, M]."""
-        inner = (apart.abs() <= MAP_RADIUS).all(dim=1)
-        self._rest = vertices.new_zeros(batch, 2, MAP_SIDE, MAP_SIDE)
+        rest = np.zeros((batch, 2, MAP_SIDE, MAP_SIDE), np.float32)
+        for maps, mesh, own in zip(rest, meshes, apart, strict=True):
+            inner = (np.abs(own) <= MAP_RADIUS).all(axis=1)
+            maps[:, *(own[inner] + MAP_RADIUS).T] = mesh.vertices[inner, 2], np.ones(inner.sum())
+        self._rest = torch.from_numpy(rest).to(like)
         """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
-        rows, columns = (apart[inner] + MAP_RADIUS).unbind(dim=1)
-        self._rest[sample[inner], 0, rows, columns] = vertices[inner, 2]
-        self._rest[sample[inner], 1, rows, columns] = 1.0
-        self._camera = vertices.new_zeros(batch, 1, 3, 3)
-        focal = [_focal_lengths(vertices[first:last], mesh.pixels[first:last]) for first, last in pairwise(ends)]
-        self._camera[:, 0, [0, 1], [0, 1]] = torch.stack(focal)
-        self._camera[:, 0, 2, 2] = 1.0
+        self._camera = torch.from_numpy(np.stack([_camera(mesh) for mesh in meshes])[:, None]).to(like)
+        centre = torch.from_numpy(centres)
         steps = torch.arange(MAP_SIDE, device=like.device)
         grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))
         self._pixels = grid.flip(0).to(like).expand(batch, -1, -1, -1)
@@ -146,8 +147,8 @@ def _at(maps: Tensor, places: Tensor) -> Tensor:
     return remap(maps, places[:, 0], places[:, 1], align_corners=True)
 
 
-def _focal_lengths(vertices: Tensor, pixels: Tensor) -> Tensor:
-    """Focal lengths along x and y, from vertices [N, 3] and their rows and columns [N, 2], shape [2] [grid px]."""
-    rays, places = vertices[:, :2] / vertices[:, 2:], pixels.flip(1).to(vertices)
-    rays, places = rays - rays.mean(dim=0), places - places.mean(dim=0)
-    return (rays * places).sum(dim=0) / rays.square().sum(dim=0)
+def _camera(mesh: Mesh) -> np.ndarray:
+    """Matrix of a camera that sees a mesh's vertices as far apart as its pixels are, shape [3, 3] [grid px]."""
+    rays, places = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:], mesh.pixels[:, ::-1]
+    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
+    return np.diag(np.append((rays * places).sum(axis=0) / np.square(rays).sum(axis=0), 1.0))

@@ -6,6 +6,7 @@ A term that belongs to one generator is added over the two directions of time, a
 share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,9 +14,11 @@ from torch import Tensor
 
 from palpate.common.settings import require_numbers
 from palpate.models.evidence import negative_evidence
+from palpate.physics.load import Press
 from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
+from palpate.physics.mesh import Mesh
 from palpate.physics.msd import rollout, rollout_sensitivities
-from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
 
 
@@ -92,30 +95,29 @@ def identity_loss(unchanged: Tensor, real: Tensor) -> Tensor:
 
 
 def physics_loss(
-    theta: Tensor, mesh: MeshBatch, load: PressBatch, observation: ObservationBatch, mechanics: Mechanics
+    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], observation: ObservationBatch, mechanics: Mechanics
 ) -> Tensor:
     """E[‖Φ_MSD(θ) − d_obs‖²], gradient through all steps of the rollout (Bini 2026, equations 14 and 15).
 
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
-        mesh: the frames' tissue meshes.
-        load: place, direction and duration of the force.
+        meshes: the frames' tissue meshes.
+        loads: place, direction and duration of the force.
         observation: observed contact displacements [scene units], and their steps.
         mechanics: the rollout's constants.
 
     Returns:
         Mean squared displacement error [scene units²], a scalar.
     """
-    at_mesh = theta.to(mesh.vertices.device)
-    return displacement_error(rollout(at_mesh, mesh, load, mechanics), observation).mean().to(theta.device)
+    return displacement_error(rollout(theta.cpu(), meshes, loads, mechanics), observation).mean().to(theta.device)
 
 
 def posterior_physics_loss(
     mean: Tensor,
     factor: Tensor,
     noise: Tensor,
-    mesh: MeshBatch,
-    load: PressBatch,
+    meshes: Sequence[Mesh],
+    loads: Sequence[Press],
     observation: ObservationBatch,
     mechanics: Mechanics,
     box: tuple[Tensor, Tensor],
@@ -126,21 +128,21 @@ def posterior_physics_loss(
     Args:
         mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
         noise: σ of every observed coordinate, shape [B] [scene units].
-        mesh, load, observation, mechanics: as in `physics_loss`.
+        meshes, loads, observation, mechanics: as in `physics_loss`.
         box: φ's lower and upper bounds, shape [3] each.
         dent: observed depth of the tissue around the contact, which replaces the motion of its point alone.
 
     Returns:
         The bound [nats], a scalar on the means' device, and the Fisher information at the means, shape [B, 3, 3], a
-        constant where the meshes are.
+        constant on the CPU.
     """
-    theta = torch.exp(mean.detach().to(mesh.vertices.device, torch.float64))
+    theta = torch.exp(mean.detach().to("cpu", torch.float64))
     theta = theta * theta.new_tensor(SIGNS)
     if dent is None:
-        path, slopes = rollout_sensitivities(theta.to(mean.dtype), mesh, load, mechanics)
+        path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics)
         misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
     else:
-        path, slopes = rollout_sensitivities(theta.to(mean.dtype), mesh, load, mechanics, watch=dent.vertices)
+        path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics, watch=dent.vertices)
         misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
     return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 

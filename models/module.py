@@ -31,6 +31,8 @@ UNTRAINED = "picture.weight", "picture.bias"
 """Parameters of a pretrained posterior that its file does not hold."""
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
+FOR_NETWORKS = "window", "contact_features"
+"""Beginnings of the names of what networks read of a batch."""
 Own = TypeVar("Own")
 
 
@@ -70,8 +72,6 @@ class PhysicsInformedGAN(LightningModule):
             training [scene units]; the depth maps in the losses stay without it, and 0 is none.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
-        compile: whether torch.compile translates encoders, decoders and discriminators when fit starts, which takes
-            minutes and a C++ compiler.
     """
 
     def __init__(
@@ -90,7 +90,6 @@ class PhysicsInformedGAN(LightningModule):
         noise: float = 0.0,
         learning_rate: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
-        compile: bool = False,
     ) -> None:
         super().__init__()
         bounds, mechanics = _settings(Bounds, bounds), _settings(Mechanics, mechanics)
@@ -115,7 +114,7 @@ class PhysicsInformedGAN(LightningModule):
         self.automatic_optimization = False
         self.bounds, self.mechanics, self.weights = bounds, mechanics, weights
         self.learning_rate, self.betas = learning_rate, betas
-        self.pretrained, self.pretrained_rate, self.compiles = pretrained, pretrained_rate, compile
+        self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
         self.discriminator_a = PatchDiscriminator(1, width)
         self.discriminator_b = PatchDiscriminator(1, width)
@@ -127,8 +126,14 @@ class PhysicsInformedGAN(LightningModule):
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
         self._validated: list[Tensor] = []
 
+    def transfer_batch_to_device(
+        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
+    ) -> dict[str, Any]:
+        """What networks read, on a device; the rest stays on the CPU, where rollouts are compiled."""
+        return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
+
     def on_fit_start(self) -> None:
-        """Load the pretrained head, unless training resumes from a checkpoint, and compile the networks if asked to.
+        """Load the pretrained head, unless training resumes from a checkpoint.
 
         Raises:
             CheckpointError: the file is missing, holds no contact posterior, or was trained with another box.
@@ -137,11 +142,6 @@ class PhysicsInformedGAN(LightningModule):
             path = SHIPPED if self.pretrained == "shipped" else Path(self.pretrained)
             for generator in (self.generator_ab, self.generator_ba):
                 load_posterior(generator.posterior, path)
-        if self.compiles:
-            generators = self.generator_ab, self.generator_ba
-            parts = [part for generator in generators for part in (generator.encoder, generator.decoder)]
-            for part in (*parts, self.discriminator_a, self.discriminator_b):
-                part.compile()
 
     def on_train_start(self) -> None:
         """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
@@ -246,16 +246,6 @@ class PhysicsInformedGAN(LightningModule):
         with self._precise():
             self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
-    def predict_step(self, batch: dict[str, Any], batch_index: int) -> dict[str, Any]:
-        """What is estimated from the frames of a batch.
-
-        Returns:
-            `clip` (names), `frame` [B] (indices of t), and the fields of `HeadOutput`: `theta` [B, 3] (physical units),
-            with head posterior also `mean` [B, 3] and `factor` [B, 3, 3] of φ, else None.
-        """
-        answer = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
-        return {"clip": batch["clip"], "frame": batch["frame"], **answer._asdict()}
-
     def on_train_epoch_end(self) -> None:
         self._log_theta("train")
 
@@ -320,12 +310,12 @@ class PhysicsInformedGAN(LightningModule):
         head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
         the mean: nothing better is known then, and how often such verdicts are right was not measured.
         """
-        mesh = batch[f"mesh_{side}"]
+        meshes = batch[f"mesh_{side}"]
         if output.mean is None or output.factor is None:
-            load, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return losses.physics_loss(output.theta, mesh, load, observation, self.mechanics)
-        noise, load, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior, what = generator.posterior, (noise, mesh, load, observed, self.mechanics)
+            loads, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
+            return losses.physics_loss(output.theta, meshes, loads, observation, self.mechanics)
+        noise, loads, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
+        posterior, what = generator.posterior, (noise, meshes, loads, observed, self.mechanics)
         box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
         evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, box, dent)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ

@@ -45,19 +45,18 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
         `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
     """
     window, now, later = batch["window_a"], batch["window_a"][:, -1:], batch["window_b"][:, -1:]
-    mesh, load, observation = batch["mesh_a"], batch["load_a"], batch["observation_a"]
+    meshes, loads, observation = batch["mesh_a"], batch["load_a"], batch["observation_a"]
     features = generator.encode(window)
     theta = generator.answer(features, batch.get("contact_features_a")).theta
     predicted, moved = (
         generator.decode(features, value, shifted(now, change_of(generator.decoder.kind, value, batch, "a", mechanics)))
         for value in (theta, farthest_corner(theta, generator.head.lower, generator.head.upper))
     )
-    at_mesh = theta.to(mesh.vertices.device)
-    trajectory = rollout(at_mesh, mesh, load, mechanics)
-    reference = rollout(with_reference_tissue(at_mesh), mesh, load, mechanics)
+    trajectory = rollout(theta.cpu(), meshes, loads, mechanics)
+    reference = rollout(with_reference_tissue(theta.cpu()), meshes, loads, mechanics)
     error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))
     records = []
-    for index, (clip, sheet, press) in enumerate(zip(batch["clip"], mesh.split(), load.split(), strict=True)):
+    for index, (clip, sheet, press) in enumerate(zip(batch["clip"], meshes, loads, strict=True)):
         target = later[index] * (now[index] > 0)
         kept = observation.weight[index] > 0
         times = (_numpy(observation.steps[index][kept]) + 1) * mechanics.time_step

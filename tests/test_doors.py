@@ -23,7 +23,6 @@ MODULES = [
     "evaluation.online",
     "evaluation.palpation",
     "evaluation.palpation.example",
-    "evaluation.paper.recovered",
     "evaluation.plain_video",
     "evaluation.real",
 ]

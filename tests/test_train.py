@@ -121,8 +121,8 @@ def test_fit_leaves_checkpoints_logs_configuration_and_pictures(trained: Path):
 def test_validate_and_test_write_the_evaluation(trained: Path, config: Path, capsys):
     assert train.main(["validate", "-c", str(config), "--ckpt_path", "best"]) == 0
     assert train.main(["test", "-c", str(config), "--ckpt_path", "best"]) == 0
-    assert str(trained / "evaluation" / "table2.md") in capsys.readouterr().out
-    for name in ("table2.md", "table2.csv", "figure3.png", "collapse.md", "evaluation.json"):
+    assert str(trained / "evaluation" / "report.html") in capsys.readouterr().out
+    for name in ("table2.csv", "figure3.png", "report.html", "evaluation.json"):
         assert (trained / "evaluation" / name).stat().st_size > 0
 
 
@@ -179,7 +179,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, k
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
     assert train.main(["test", "-c", str(config), "-c", str(known), "--ckpt_path", "last"]) == 0
-    assert (config.parent / "posterior" / "evaluation" / "table2.md").stat().st_size > 0
+    assert (config.parent / "posterior" / "evaluation" / "table2.csv").stat().st_size > 0
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import require_between, require_choices, require_numbers
 from palpate.data.contact.outlines import tool_depth
 from palpate.data.contact.surface import smooth_surface
 from palpate.data.labels import TISSUE, TOOL
@@ -131,11 +131,8 @@ class GeometrySettings:
         require_choices(self, "geometry.")
         lengths = "smoothing", "contact_pixels", "contact_distance"
         require_numbers(self, not_negative=lengths, positive=("max_edge",), group="geometry.")
-        least = {"height": 8, "width": 8, "min_tool_pixels": 1, "min_tissue_pixels": 1}
-        for name, low in least.items():
-            most = MOST_SIDE if low == 8 else MOST_SIDE**2
-            if not low <= getattr(self, name) <= most:
-                raise ValueError(f"geometry.{name} is {getattr(self, name)}; give {low} to {most}.")
+        side, pixels = (8, MOST_SIDE), (1, MOST_SIDE**2)
+        require_between(self, "geometry.", height=side, width=side, min_tool_pixels=pixels, min_tissue_pixels=pixels)
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
         if not 0.01 <= self.keep <= 1:

@@ -12,7 +12,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import require_between, require_choices, require_numbers
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
@@ -87,9 +87,7 @@ class DepthSettings:
         if not 0 < self.field_of_view_deg < 180:
             raise ValueError(f"depth.field_of_view_deg is {self.field_of_view_deg}; give degrees between 0 and 180.")
         require_numbers(self, positive=("scale", "scale_seconds"), group="depth.")
-        for name, least, most in (("scale_samples", 1, 10_000), ("threads", 0, MOST_THREADS)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"depth.{name} is {getattr(self, name)}; give {least} to {most}.")
+        require_between(self, "depth.", scale_samples=(1, 10_000), threads=(0, MOST_THREADS))
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:

@@ -18,7 +18,8 @@ from palpate.data.contact.patches import Patches
 from palpate.data.contact.sequence_features import dent_features, network_noise
 from palpate.data.training.samples import Sample, SampleSettings, make_sample
 from palpate.data.training.splits import Place
-from palpate.physics.msd.batch import DepthBatch, MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.load import Press
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 
 class SampleDataset(Dataset):
@@ -42,12 +43,12 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         samples: what `SampleDataset` gives.
 
     Returns:
-        `window_a`, `window_b` [B, K, h, w] float32; `mesh_a`, `mesh_b` MeshBatch; `load_a`, `load_b` PressBatch;
+        `window_a`, `window_b` [B, K, h, w] float32; `mesh_a`, `mesh_b` B meshes; `load_a`, `load_b` B presses;
         `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `course_a`, `course_b` [B, 2] int64,
         the rollout's steps at the window's last frame and at the predicted one; `clip` names; `frame` [B] int64.
         For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
         sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
-        [scene units], `known_load_a`, … PressBatch and `known_observation_a`, … ObservationBatch. Where
+        [scene units], `known_load_a`, … B presses and `known_observation_a`, … ObservationBatch. Where
         depth-change sequences are asked for, these vectors describe them, too (`data.contact.sequence_features`), and
         `dent_a`, … DepthBatch holds them.
     """
@@ -64,7 +65,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
         batch[f"window_{side}"] = torch.from_numpy(windows)
         batch[f"course_{side}"] = torch.tensor([getattr(sample, f"course_{side}") for sample in samples])
-        batch[f"mesh_{side}"] = MeshBatch.from_meshes([interaction.mesh for interaction in interactions])
+        batch[f"mesh_{side}"] = [interaction.mesh for interaction in interactions]
         batch[f"load_{side}"], batch[f"observation_{side}"] = _join(interactions)
         if all_known:
             batch[f"contact_features_{side}"] = torch.from_numpy(features)
@@ -75,19 +76,10 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     return batch
 
 
-FOR_NETWORKS = "window", "contact_features"
-"""Beginnings of the names of what networks read of a batch."""
-
-
-def on_device(batch: dict[str, Any], device: torch.device) -> dict[str, Any]:
-    """The batch with what networks read on a device; the rest stays on the CPU, where rollouts are compiled."""
-    return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
-
-
-def _join(interactions: Sequence[Interaction]) -> tuple[PressBatch, ObservationBatch]:
-    """Loads and observations of some interactions, as batches."""
+def _join(interactions: Sequence[Interaction]) -> tuple[list[Press], ObservationBatch]:
+    """Loads and observations of some interactions."""
     observations = [interaction.observation for interaction in interactions]
-    loads = PressBatch.of([interaction.load for interaction in interactions])
+    loads = [interaction.load for interaction in interactions]
     return loads, ObservationBatch.of(observations, interactions[0].time_step)
 
 

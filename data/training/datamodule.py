@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from lightning.pytorch import LightningDataModule
 from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
 from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
@@ -19,7 +18,7 @@ from palpate.data.cache import PreparedClip
 from palpate.data.contact.interaction import Interaction
 from palpate.data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
-from palpate.data.training.batches import SampleDataset, collate, on_device
+from palpate.data.training.batches import SampleDataset, collate
 from palpate.data.training.cholecseg8k import join_folders, list_clips
 from palpate.data.training.preparation import prepare_all
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
@@ -120,16 +119,6 @@ class ClipDataModule(LightningDataModule):
     def test_dataloader(self) -> DataLoader:
         """Batches in order."""
         return self._loader("test", shuffle=False)
-
-    def predict_dataloader(self) -> DataLoader:
-        """Batches of the test split in order."""
-        return self._loader("test", shuffle=False)
-
-    def transfer_batch_to_device(
-        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
-    ) -> dict[str, Any]:
-        """`on_device`: meshes stay on the CPU."""
-        return on_device(batch, device)
 
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
         """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""

@@ -74,16 +74,13 @@ def points_as_one(spacing: float, reach: float = REACH) -> float:
     return 6 * np.pi * (reach / spacing) ** 2
 
 
-def pair_products(points: np.ndarray, spacing: int, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pairs of points on a square grid, by the way from one to the other, W ways there and back.
+def correlated_points(points: np.ndarray, spacing: int, errors: np.ndarray) -> float:
+    """How many points on a square grid have the same error, effectively: the sum of its autocorrelation.
 
     Args:
         points: shape [N, 2] [px].
         spacing: of the grid [px].
         errors: by axis, shape [N, 2] [px]; not a number where a point is lost.
-
-    Returns:
-        length of every way in spacings, rounded; how many pairs have it; sum of their errors' products; shape [W] each.
     """
     cells = np.rint(points / spacing).astype(int)
     cells -= cells.min(axis=0)
@@ -92,19 +89,12 @@ def pair_products(points: np.ndarray, spacing: int, errors: np.ndarray) -> tuple
     fields = np.zeros((3, *shape))
     fields[(0, *cells[known].T)] = 1
     fields[(slice(1, 3), *cells[known].T)] = errors[known].T
+    # Of pairs of points, by the way from one to the other there and back: how many, and their errors' products.
     pairs, *products = np.fft.irfft2(np.square(np.abs(np.fft.rfft2(fields))), shape)
     steps = (np.minimum(np.arange(side), side - np.arange(side)) for side in shape)
-    lengths = np.rint(np.hypot(*np.meshgrid(*steps, indexing="ij"))).astype(int)
-    return lengths.ravel(), pairs.round().ravel(), sum(products).ravel()
-
-
-def correlated_points(points: np.ndarray, spacing: int, errors: np.ndarray) -> float:
-    """How many points on a square grid have the same error, effectively: the sum of its autocorrelation.
-
-    Arguments as of `pair_products`.
-    """
-    rings, pairs, products = pair_products(points, spacing, errors)
-    correlation = np.where(pairs > 0, products / np.maximum(pairs, 1), 0.0)
+    rings = np.rint(np.hypot(*np.meshgrid(*steps, indexing="ij"))).astype(int).ravel()
+    pairs = pairs.round().ravel()
+    correlation = np.where(pairs > 0, sum(products).ravel() / np.maximum(pairs, 1), 0.0)
     correlation /= correlation[0]
     mean = np.bincount(rings, correlation) / np.bincount(rings)
     # Beyond the first ring without correlation there is only chance.

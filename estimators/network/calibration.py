@@ -102,13 +102,23 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
     Raises:
         ValueError: as `check_record` does, or results can't be read.
     """
-    rows = []
     for folder in folders:
         check_record(folder, model_sha256, seen, onset)
+    return rows_in(folders)
+
+
+def rows_in(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Results that an evaluation wrote into some folders.
+
+    Raises:
+        ValueError: they can't be read.
+    """
+    rows = []
+    for folder in folders:
         try:
             rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
         except (OSError, ValueError, RecursionError) as error:
-            raise ValueError(f"{folder / RESULTS} holds no results; run the benchmark into {folder} anew.") from error
+            raise ValueError(f"{folder / RESULTS} holds no results; run the evaluation into {folder} anew.") from error
     return rows
 
 

@@ -19,7 +19,6 @@ if __name__ == "__main__":
 
 import argparse
 import dataclasses
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,9 +26,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.common.command_line import path_option
-from palpate.common.files import file_sha256, read_file
+from palpate.common.files import file_sha256
 from palpate.data.source.layout import read_mapping
-from palpate.estimators.network.calibration import MAX_RESULTS_BYTES, RECORD, RESULTS
+from palpate.estimators.network.calibration import RECORD, rows_in
 from palpate.estimators.network.causal_graph import write_causal
 from palpate.estimators.network.light_training import new_light_posterior
 from palpate.models.calibration import LightCalibration
@@ -51,15 +50,11 @@ def calibration_of(model: Path, folders: Sequence[Path]) -> LightCalibration:
     Raises:
         ValueError: results of another file, none that can be read, or too few.
     """
-    digest, rows = file_sha256(model), []
+    digest = file_sha256(model)
     for folder in folders:
         if read_mapping(folder / RECORD, "a record of an evaluation").get("model_sha256") != digest:
             raise ValueError(f"{folder} was not made with {model}; run evaluation.plain_video with that file.")
-        try:
-            rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
-        except (OSError, ValueError, RecursionError) as error:
-            raise ValueError(f"{folder / RESULTS} holds no results; run evaluation.plain_video anew.") from error
-    known = [row for row in rows if row.get("explained")]
+    known = [row for row in rows_in(folders) if row.get("explained")]
     errors, sds = (
         np.array([[row[f"{name}_{end}"] for name in QUANTITIES] for row in known]).reshape(-1, len(QUANTITIES))
         for end in ("error", "sd")

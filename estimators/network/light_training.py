@@ -21,6 +21,7 @@ from torch import Tensor
 from palpate.common.command_line import LARGEST_NUMBER, progress_bars
 from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
+from palpate.common.settings import require_between
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.light_features import LIGHT_FEATURES, SHAPES, LightSlots, turned
@@ -64,10 +65,8 @@ class LightSettings:
     def __post_init__(self) -> None:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
-        for name, least in {"sheets": 1, "steps": LEAST_STEPS, "seed": 0, "workers": 0}.items():
-            value = getattr(self, name)
-            if value is not None and not least <= value <= LARGEST_NUMBER:
-                raise ValueError(f"{name} is {value}; give {least} to {LARGEST_NUMBER}.")
+        least = {"sheets": 1, "steps": LEAST_STEPS, "seed": 0, "workers": 0}
+        require_between(self, **{name: (low, LARGEST_NUMBER) for name, low in least.items()})
 
 
 class Disturbed:

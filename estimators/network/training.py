@@ -36,6 +36,7 @@ from palpate.common.command_line import LARGEST_NUMBER, progress_bars
 from palpate.common.files import as_json, read_file
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.provenance import code_digest
+from palpate.common.settings import require_between
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
 from palpate.data.contact.interaction import Interaction
@@ -101,11 +102,9 @@ class ContactSettings:
     def __post_init__(self) -> None:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
-        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), LEAST_STEPS)
-        for name, least in {"contacts": 1, "seed": 0, "workers": 0, **steps}.items():
-            value = getattr(self, name)
-            if value is not None and not least <= value <= LARGEST_NUMBER:
-                raise ValueError(f"{name} is {value}; give {least} to {LARGEST_NUMBER}.")
+        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (LEAST_STEPS, LARGEST_NUMBER))
+        any_number = 0, LARGEST_NUMBER
+        require_between(self, contacts=(1, LARGEST_NUMBER), seed=any_number, workers=any_number, **steps)
 
 
 def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:

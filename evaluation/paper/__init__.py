@@ -5,5 +5,4 @@ analysis    all numbers of an evaluation
 statistics  means with intervals, paired tests, and whether the network gives the same θ for every input
 simulated   no network: no motion, one constant θ; when a motion comes to rest
 figures     the pictures
-recovered   compares estimates with the truth of synthetic clips
 """

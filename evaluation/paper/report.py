@@ -22,10 +22,7 @@ from palpate.evaluation.paper.statistics import format_number as shown
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.record import versions
 
-FILES = (
-    *("figure3.png", "theta.png", "table2.md", "table2.csv", "collapse.md", "collapse.csv"),
-    *("settling.csv", "per_frame.csv", "report.html", "evaluation.json"),
-)
+FILES = ("figure3.png", "theta.png", "table2.csv", "per_frame.csv", "report.html", "evaluation.json")
 FORMAT_VERSION = 2
 """Version of `evaluation.json`."""
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -63,15 +60,10 @@ def write_evaluation(
         "figure3.png": as_png(draw_response(found.trajectories, found.frames["release_s"].to_numpy(), mechanics)),
         "theta.png": as_png(draw_theta(found.frames, found.spread, as_reported(found.constant, bounds))),
     }
-    page = page_text(found, len(training), mechanics, bounds, made)
     texts = {
-        "table2.md": part_of(page, "Simulation error", "Dynamic response"),
         "table2.csv": statistics_table(found).to_csv(index=False),
-        "collapse.md": part_of(page, "Collapse check", "Next depth map"),
-        "collapse.csv": found.spread.to_csv(index_label="parameter"),
-        "settling.csv": found.settling.to_csv(index=False),
         "per_frame.csv": found.frames.to_csv(index=False),
-        "report.html": render_page(TITLE, page, figures),
+        "report.html": render_page(TITLE, page_text(found, len(training), mechanics, bounds, made), figures),
         "evaluation.json": evaluation_json(found, mechanics, bounds, made),
     }
     try:
@@ -86,14 +78,6 @@ def write_evaluation(
         raise EvaluationError(
             f"{output}: the evaluation can't be written ({error.strerror}); choose a folder with space."
         ) from error
-
-
-def part_of(page: str, *headings: str) -> str:
-    """Sections of the page in a text of their own, below its conclusion and its sentences."""
-    lead, *sections = page.split("\n## ")
-    by_heading = dict(section.split("\n", 1) for section in sections)
-    parts = [f"# {headings[0]}\n\n{lead[lead.index('> ') :]}{by_heading['In sentences']}"]
-    return "\n".join([*parts, *(by_heading[heading] for heading in headings)])
 
 
 def _table(table: pd.DataFrame) -> str:

@@ -5,7 +5,7 @@ one that the training contacts allow. Of motions: when the released tissue comes
 which leave the scene.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -17,11 +17,9 @@ from torch import Tensor
 from palpate.data.contact.interaction import Interaction
 from palpate.physics.mechanics import Bounds, Mechanics
 from palpate.physics.msd import rollout
-from palpate.physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.msd.batch import ObservationBatch
 from palpate.physics.msd.likelihoods import displacement_error
 
-BATCH = 2
-"""Contacts simulated together."""
 FIT_STARTS = 8
 """Starting points of the constant-θ fit: θ₀ and a Sobol sequence over the admissible box; a power of 2."""
 REFINED_STARTS = 2
@@ -42,19 +40,16 @@ SCENE_SIZE = 1.0
 
 def no_motion_errors(contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
     """Displacement errors [n] when nothing moves, F = 0 [scene units²]."""
-    observations = ObservationBatch.of([contact.observation for contact in contacts], mechanics.time_step)
-    return displacement_error(torch.zeros(len(contacts), mechanics.steps, 3), observations).double().numpy()
+    return displacement_error(torch.zeros(len(contacts), mechanics.steps, 3), _observed(contacts)).double().numpy()
 
 
-def _batches(contacts: Sequence[Interaction]) -> Iterator[tuple[MeshBatch, PressBatch, ObservationBatch]]:
-    """Contacts in simulator batches."""
-    for start in range(0, len(contacts), BATCH):
-        members = contacts[start : start + BATCH]
-        yield (
-            MeshBatch.from_meshes([contact.mesh for contact in members]),
-            PressBatch.of([contact.load for contact in members]),
-            ObservationBatch.of([contact.observation for contact in members], members[0].time_step),
-        )
+def _observed(contacts: Sequence[Interaction]) -> ObservationBatch:
+    return ObservationBatch.of([contact.observation for contact in contacts], contacts[0].time_step)
+
+
+def _rolled_out(theta: Tensor, contacts: Sequence[Interaction], mechanics: Mechanics) -> Tensor:
+    """Contact-vertex displacements [n, T, 3] of every contact with its own θ [n, 3]."""
+    return rollout(theta, [contact.mesh for contact in contacts], [contact.load for contact in contacts], mechanics)
 
 
 @torch.no_grad()
@@ -71,12 +66,9 @@ def simulate_contacts(
     Returns:
         Contact-vertex displacements [n, T, 3] [scene units] and displacement errors [n] [scene units²].
     """
-    each = torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3).split(BATCH)
-    trajectories, errors = [], []
-    for some, (mesh, load, observation) in zip(each, _batches(contacts), strict=True):
-        trajectories.append(rollout(some, mesh, load, mechanics))
-        errors.append(displacement_error(trajectories[-1], observation))
-    return torch.cat(trajectories).numpy(), torch.cat(errors).double().numpy()
+    each = torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3)
+    trajectories = _rolled_out(each, contacts, mechanics)
+    return trajectories.numpy(), displacement_error(trajectories, _observed(contacts)).double().numpy()
 
 
 def _warped_box(bounds: Bounds) -> tuple[Tensor, Tensor, Tensor]:
@@ -114,17 +106,16 @@ def fit_constant_theta(contacts: list[Interaction], bounds: Bounds, mechanics: M
     """
     if not contacts:
         return np.full(3, np.nan), np.nan
-    batches = list(_batches(contacts))
+    observed = _observed(contacts)
     # The error of "nothing moves" sets the scale, so that the optimiser's tolerances mean the same in every scene.
     scale = max(float(no_motion_errors(contacts, mechanics).sum()), 1e-30)
 
     def objective(unit: np.ndarray) -> tuple[float, np.ndarray]:
-        leaf, total = torch.tensor(unit, requires_grad=True), 0.0
-        for mesh, load, observation in batches:
-            theta = to_theta(leaf, bounds).float().expand(len(observation.steps), 3)
-            error = displacement_error(rollout(theta, mesh, load, mechanics), observation).sum() / scale
-            error.backward()
-            total += error.item()
+        leaf = torch.tensor(unit, requires_grad=True)
+        theta = to_theta(leaf, bounds).float().expand(len(contacts), 3)
+        error = displacement_error(_rolled_out(theta, contacts, mechanics), observed).sum() / scale
+        error.backward()
+        total = error.item()
         slope = torch.zeros(3) if leaf.grad is None else leaf.grad
         if not (np.isfinite(total) and slope.isfinite().all()):
             return NOT_FINITE_ERROR, np.zeros(3)

@@ -16,11 +16,9 @@ from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.sheet import PointGrid
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery.grip_bound import grip_bound, measure_following
 
 STIRRED = 1.0
 """Tool or tissue moves where either has gone so far since the frame before [px]."""
@@ -63,30 +61,22 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
 def _grip_against_truth(
     onset: int, grip: GripEstimate, scene: Scene, motion: GrippedMotion, frames: Sequence[PreparedFrame]
 ) -> Row:
-    """Truth, estimate and bound of a run of contact that begins in a frame."""
+    """Truth and estimate of a run of contact that begins in a frame."""
     cell = np.array(scene.settings.cell)
     used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    follower, moved, noise = _followed(frames[onset : used[-1] + 1])
-    points = follower.points.astype(np.float64)
-    true_moved = np.array([picture_motion(scene, motion, index, points) for index in (onset, *used)])
-    true = true_moved[1:] - true_moved[0]
-    error = moved[used - onset - 1] - true
-    visible = np.isfinite(error[-1]).all(axis=1)
-    size = float(np.sqrt(np.square(error[-1, visible]).mean()))
-    grid = PointGrid(points[visible], follower.distance[visible], follower.hidden, SPACING)
-    followed = measure_following(grid, noise[visible], error[:, visible])
     log_anchor = math.log(motion.anchor * SPACING**2 / cell.prod())
-    bound = grip_bound(grid, true[:, visible], followed, log_anchor)
     force = motion.reaction[used] / scene.spacing * cell
     unit = force[-1] / (force[-1] @ force[-1])
     found: Row = {
-        "foundation": np.array([log_anchor, *log_of(grip, "foundation_over_stiffness"), bound.foundation]),
-        "force": np.array([math.log(np.linalg.norm(force[-1])), *log_of(grip, "reaction_over_stiffness"), bound.force]),
+        "foundation": np.array([log_anchor, *log_of(grip, "foundation_over_stiffness")]),
+        "force": np.array([math.log(np.linalg.norm(force[-1])), *log_of(grip, "reaction_over_stiffness")]),
         "curve": np.array([force @ unit, grip.force, grip.force_sd]),
-        "following": size,
     }
     if scene.settings.regions > 1 and grip.stiffness is not None:
-        found |= compare_fields(grip.stiffness, points, true[-1], scene, motion)
+        picture, labels = frames[onset].view
+        points = PointFollower(picture, labels == TOOL).points.astype(np.float64)
+        before, after = (picture_motion(scene, motion, index, points) for index in (onset, used[-1]))
+        found |= compare_fields(grip.stiffness, points, after - before, scene, motion)
     return found
 
 
@@ -105,21 +95,6 @@ def picture_motion(scene: Scene, motion: GrippedMotion, frame: int, points: np.n
     grid[tuple(scene.mesh.pixels.T)] = shift
     place = (points[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
     return np.stack([map_coordinates(grid[..., axis], place.T, order=1, mode="nearest") for axis in (0, 1)], axis=1)
-
-
-def _followed(frames: Sequence[PreparedFrame]) -> tuple[PointFollower, np.ndarray, np.ndarray]:
-    """Points followed through frames as the estimator follows them.
-
-    Returns:
-        The follower, displacements since the first frame in those after it [F - 1, N, 2] and the stated noise of the
-        last ones [N] [px].
-    """
-    first, *others = [(frame.view[0], frame.view[1] == TOOL) for frame in frames]
-    follower, moved = PointFollower(*first), []
-    for picture, tool in others:
-        follower.step(picture, tool)
-        moved.append(follower.moved)
-    return follower, np.array(moved), follower.noise
 
 
 def compare_fields(

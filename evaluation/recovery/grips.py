@@ -1,8 +1,6 @@
 """Suites of grips: how well foundation and force are known, where the tissue is stiff, and whether there is contact.
 
-The very session that users run is asked (estimator `direct`). Errors of the foundation and of the force are compared
-with the Cramér–Rao bound (`evaluation.recovery.grip_bound`) of somebody who knows the sheet and how well each point is
-followed in the clip, which is measured: followed minus true place (`evaluation.recovery.grip_truth`).
+The very session that users run is asked (estimator `direct`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,13 +12,12 @@ import pandas as pd
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery.scores import coverage, rms
 
-COLUMNS = ("suite", "quantity", "n", "rmse", "bound", "ratio", "coverage90", "value")
+COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
 
 
 AVERAGES = {
     "skill": "skill, mean",
     "contact_right": "moving frames whose contact is right",
-    "following": "error of following in the last frame, RMS [px]",
     "rank": "rank correlation of the stiffness field, mean",
     "rank_most": "that of regions separated exactly, in any order within each",
     "held_between": "points of the stiffness field within the 90 % intervals",
@@ -43,9 +40,8 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
 
     for name in ("foundation", "force"):
         if of(name):
-            true, log, sd, bound = np.array(of(name)).T
-            error, least = rms(log - true), rms(bound)
-            cells = {"rmse": error, "bound": least, "ratio": error / least, "coverage90": coverage(log - true, sd)}
+            true, log, sd = np.array(of(name)).T
+            cells = {"rmse": rms(log - true), "coverage90": coverage(log - true, sd)}
             yield {"quantity": f"{name} over stiffness", "n": len(true), **cells}
     if of("curve"):
         off, sd = curve_errors(of("curve"))

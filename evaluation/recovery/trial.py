@@ -28,9 +28,8 @@ of a grip on a sheet:
 contact_right                   share of the frames in which something moves whose contact is the true one
 skill                           as estimated
 foundation, force               log of foundation, and of the force in the last frame, over stiffness: true, estimated,
-                                its standard deviation and bound, shape [4]
+                                its standard deviation, shape [3]
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
-following                       error of a followed point by axis in the last frame, root mean square [px]
 rank, rank_most                 rank correlation of the stiffness field with the true one where tissue moves; of regions
                                 that are separated exactly, in any order within each: √(3p(1 - p)), p the share of one
 held, knots, held_between       share of the field's knots there whose 90 % interval holds the truth; how many they are;

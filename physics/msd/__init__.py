@@ -2,7 +2,7 @@
 
 reference     the equations in plain numpy: read this one
 simulation    the numpy door: simulate, simulate_sensitivities; one sample through the kernels
-rollouts      the torch door: rollout, rollout_sensitivities; batch: what it takes
+rollouts      the torch door: rollout, rollout_sensitivities; batch: what was observed
 likelihoods   the paper's squared error of a batch, and its likelihood
 grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
 autograd      torch's view of the compiled rollout
@@ -14,6 +14,6 @@ __getattr__ = exported(
     {
         "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
         "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),
-        "palpate.physics.msd.batch": ("DepthBatch", "MeshBatch", "ObservationBatch", "PressBatch"),
+        "palpate.physics.msd.batch": ("DepthBatch", "ObservationBatch"),
     },
 )

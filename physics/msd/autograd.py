@@ -41,11 +41,11 @@ class CompiledRollout(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx, theta: Tensor, mesh, load, watched: Tensor, mechanics: Mechanics, sensitive: bool
+        ctx, theta: Tensor, meshes, loads, watched: Tensor, mechanics: Mechanics, sensitive: bool
     ) -> tuple[Tensor, Tensor]:
         """Compute the trajectories, and the Jacobian where it is wanted or a gradient may be; empty otherwise."""
-        parts = zip(theta.detach().numpy(), mesh.split(), load.split(), watched.numpy(), strict=True)
-        samples = [Case(values, single, press, mechanics, watch) for values, single, press, watch in parts]
+        parts = zip(theta.detach().numpy(), meshes, loads, watched.numpy(), strict=True)
+        samples = [Case(values, mesh, load, mechanics, watch) for values, mesh, load, watch in parts]
         for case in samples:
             require_inside(case.mesh, case.load, case.watch)
         results = map_samples(functools.partial(watched_rollout, sensitive=sensitive), samples)

@@ -29,7 +29,7 @@ def test_what_computes_something_else_is_not_timed(what):
 
 
 def test_the_mesh_has_the_papers_size():
-    assert len(make_task(1, 1).mesh.vertices) == pytest.approx(14_800, rel=0.01)
+    assert len(make_task(1, 1).meshes[0].vertices) == pytest.approx(14_800, rel=0.01)
 
 
 def test_ratios_are_to_the_baseline_of_the_same_run(monkeypatch, capsys):

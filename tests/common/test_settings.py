@@ -7,7 +7,7 @@ from typing import Literal
 
 import pytest
 
-from palpate.common.settings import described, fits, require_numbers, shown, sound
+from palpate.common.settings import described, fits, require_between, require_numbers, shown, sound
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.depth.preset import DepthPreset
@@ -114,3 +114,10 @@ def test_numbers_out_of_range_are_refused(value: dict[str, float], said: str):
     require_numbers(SimpleNamespace(**fine), positive=("length", "open"), not_negative=("error",), group="the ")
     with pytest.raises(ValueError, match=said):
         require_numbers(SimpleNamespace(**fine | value), positive=("length",), not_negative=("error",), group="the ")
+
+
+@pytest.mark.parametrize(("value", "said"), [({"side": 7}, "the side is 7; give 8 to 9"), ({"side": 10}, "is 10;")])
+def test_what_lies_outside_its_range_is_refused(value: dict[str, int], said: str):
+    require_between(SimpleNamespace(side=9, open=None), "the ", side=(8, 9), open=(1, 2))
+    with pytest.raises(ValueError, match=said):
+        require_between(SimpleNamespace(**value), "the ", side=(8, 9))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from palpate.physics import Mechanics, Press, contact_normal, grid_mesh, held
-from palpate.physics.msd.batch import MeshBatch, ObservationBatch, PressBatch
+from palpate.physics.msd.batch import ObservationBatch
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)
@@ -45,11 +45,11 @@ def make_batch() -> Callable[..., dict[str, Any]]:
             meshes = [_mesh(depth) for depth in batch[f"window_{side}"][:, -1].numpy()]
             vertices = [len(mesh.vertices) // 2 for mesh in meshes]
             normals = [contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)]
-            batch[f"mesh_{side}"] = MeshBatch.from_meshes(meshes)
+            batch[f"mesh_{side}"] = meshes
             factor = held(MECHANICS.load_steps, MECHANICS.steps)
-            batch[f"load_{side}"] = PressBatch.of(
-                [Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)]
-            )
+            batch[f"load_{side}"] = [
+                Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)
+            ]
             batch[f"course_{side}"] = torch.tensor([[0, 8], [0, 8]])
             batch[f"observation_{side}"] = ObservationBatch(
                 torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)

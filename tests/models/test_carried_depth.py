@@ -12,15 +12,17 @@ from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.carried_depth import change, change_of, shifted
+from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd import MeshBatch, PressBatch, rollout
+from palpate.physics.mesh import Mesh
+from palpate.physics.msd import rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 SECOND = Mechanics(scheme="dkd")
 THETA = torch.tensor([[0.4, 0.05, -0.05], [0.3, 0.08, -0.08]])
 
 
-def parts(batch) -> tuple[MeshBatch, PressBatch]:
+def parts(batch) -> tuple[list[Mesh], list[Press]]:
     return batch["mesh_a"], batch["load_a"]
 
 
@@ -61,11 +63,10 @@ def test_a_motion_along_the_line_of_sight_is_the_change_of_the_depth(make_batch)
     """Of the pressed vertex, which lies on the optical axis: hardly anything shifts it sideways in its pixel."""
     batch = make_batch()
     depth, (mesh, load) = batch["window_a"][:, -1:], parts(batch)
-    load = dataclasses.replace(load, direction=torch.tensor([[0.0, 0.0, -1.0]]).expand(2, 3))
+    load = [dataclasses.replace(press, direction=np.array([0.0, 0.0, -1.0])) for press in load]
     moved = rollout(THETA, mesh, load, MECHANICS)[:, 7]
     after = carried(depth, THETA, mesh, load, course(0, 8), MECHANICS)
-    contacts = load.vertices[load.offsets[:-1]] + mesh.vertex_offsets[:-1]
-    rows, columns = mesh.pixels[contacts].T
+    rows, columns = np.transpose([sheet.pixels[press.vertex] for sheet, press in zip(mesh, load, strict=True)])
     seen = (after - depth)[torch.arange(2), 0, rows, columns]
     assert (seen > 0.004).all()
     torch.testing.assert_close(seen, moved[:, 2], rtol=0.08, atol=0)
@@ -96,7 +97,7 @@ def test_the_true_theta_makes_the_renderers_next_picture(seed: int) -> None:
     stream = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
     frames = list(stream)
     contact = observed_contacts(frames, ClipInfo.of(stream))[motion.onset_frame]
-    sheet = MeshBatch.from_meshes([contact.mesh]), PressBatch.of([contact.load])
+    sheet = [contact.mesh], [contact.load]
     theta = torch.tensor(motion.theta[None], dtype=torch.float32)
     row, column = contact.mesh.pixels[contact.vertex]
     near = np.s_[row - 7 : row + 8, column - 7 : column + 8]
@@ -127,3 +128,6 @@ def test_only_decoder_physics_starts_from_a_carried_map(make_batch) -> None:
 def test_a_mesh_of_another_grid_is_refused(make_batch) -> None:
     with pytest.raises(ValueError, match="give one grid"):
         carried(torch.rand(2, 1, 20, 20), THETA, *parts(make_batch()), course(0, 8), MECHANICS)
+    [first, second], loads = parts(make_batch())
+    with pytest.raises(ValueError, match="don't form one batch"):
+        change(THETA, [first, dataclasses.replace(second, grid_shape=(24, 33))], loads, course(0, 8), MECHANICS)

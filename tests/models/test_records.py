@@ -7,7 +7,7 @@ import torch
 from palpate.models.generator import Generator
 from palpate.models.records import farthest_corner, pair_records, with_reference_tissue
 from palpate.physics.mechanics import Bounds, Mechanics
-from palpate.physics.msd import MeshBatch, PressBatch, rollout
+from palpate.physics.msd import rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -50,8 +50,7 @@ def test_records_hold_what_their_names_say(make_batch):
 
 def test_a_record_simulates_to_its_trajectory(make_batch):
     _, record = pair_records(make_batch(), Generator(width=4, residual_blocks=1, bounds=BOUNDS), MECHANICS)
-    place = MeshBatch.from_meshes([record["mesh"]]), PressBatch.of([record["load"]])
-    trajectory = rollout(torch.from_numpy(record["theta"])[None], *place, MECHANICS)
+    trajectory = rollout(torch.from_numpy(record["theta"])[None], [record["mesh"]], [record["load"]], MECHANICS)
     np.testing.assert_allclose(trajectory[0].numpy(), record["trajectory"], atol=1e-6)
 
 

@@ -62,12 +62,12 @@ def test_a_batch_holds_what_the_training_step_needs(one_clip):
     data = module(one_clip, window=3)
     batch = next(iter(data.train_dataloader()))
     for side in ("a", "b"):
-        window, load, observation = (batch[f"{name}_{side}"] for name in ("window", "load", "observation"))
-        assert (window.shape, window.dtype, load.vertices.dtype) == ((2, 3, 48, 64), torch.float32, torch.int64)
-        assert load.direction.norm(dim=1).tolist() == pytest.approx([1, 1], abs=1e-5)
+        window, loads, observation = (batch[f"{name}_{side}"] for name in ("window", "load", "observation"))
+        assert (window.shape, window.dtype) == ((2, 3, 48, 64), torch.float32)
+        assert [np.linalg.norm(load.direction) for load in loads] == pytest.approx([1, 1], abs=1e-5)
         assert observation.steps.tolist() == [[199], [199]]
         theta = torch.tensor([[0.5, 0.1, -0.1]]).repeat(2, 1)
-        trajectory = rollout(theta, batch[f"mesh_{side}"], load, data.mechanics)
+        trajectory = rollout(theta, batch[f"mesh_{side}"], loads, data.mechanics)
         assert torch.isfinite(displacement_error(trajectory, observation)).all()
 
 
@@ -114,13 +114,13 @@ def test_workers_see_the_same(one_clip):
     alone, helped = module(one_clip), module(one_clip, {"num_workers": 2})
     for batch, other in zip(alone.val_dataloader(), helped.val_dataloader(), strict=True):
         assert torch.equal(batch["window_a"], other["window_a"])
-        assert torch.equal(batch["mesh_b"].vertices, other["mesh_b"].vertices)
+        for mesh, same in zip(batch["mesh_b"], other["mesh_b"], strict=True):
+            np.testing.assert_array_equal(mesh.vertices, same.vertices)
 
 
 def test_processes_share_the_test_s_samples_without_repeating_one(four_videos):
     data = module(four_videos, {"batch_size": 1})
     whole, parts = order(data.test_dataloader()), []
-    assert order(data.predict_dataloader()) == whole
     for rank in range(3):
         data.trainer = SimpleNamespace(world_size=3, global_rank=rank)
         parts.append(order(data.test_dataloader()))

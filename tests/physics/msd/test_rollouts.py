@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.physics import Bounds, Mechanics, Press, contact_normal, ramped
-from palpate.physics.msd import MeshBatch, reference, rollout, rollout_sensitivities, simulate_sensitivities
-from tests.physics.batches import batch_of, joined
+from palpate.physics.msd import reference, rollout, rollout_sensitivities, simulate_sensitivities
+from tests.physics.batches import batch_of
 from tests.physics.sheets import hand_mesh, loose, pressed, sheet
 
 LOADS = {
@@ -29,11 +29,11 @@ def test_rollouts_equal_numpy_over_a_mixed_batch(kind, mechanics):
     meshes = [sheet(9, 8), sheet(9, 8, keep=0.5)]
     theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64)
     watch = torch.tensor([[31, 30, 3], [5, 6, 20]])
-    mesh, load = joined(meshes, LOADS[kind](meshes))
-    first = rollout(theta, mesh, load, mechanics)
-    seen = rollout(theta, mesh, load, mechanics, watch)
+    loads = LOADS[kind](meshes)
+    first = rollout(theta, meshes, loads, mechanics)
+    seen = rollout(theta, meshes, loads, mechanics, watch)
     for index in range(2):
-        acts = load.split()[index]
+        acts = loads[index]
         plain = reference.steps(theta[index].numpy(), meshes[index], acts, mechanics)
         expected = np.stack([displacement for displacement, _ in plain])
         np.testing.assert_allclose(seen[index].numpy(), expected[:, watch[index]], atol=1e-12)
@@ -49,7 +49,7 @@ def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, kee
     loads = LOADS[kind](meshes)
     theta = torch.tensor([[0.7, 0.05, -0.1], [0.2, 0.3, -0.4]], dtype=torch.float64, requires_grad=True)
     for watch in (None, torch.tensor([[31, 30, 3], [5, 6, 20]])):
-        path, slopes = rollout_sensitivities(theta, *joined(meshes, loads), mechanics, watch)
+        path, slopes = rollout_sensitivities(theta, meshes, loads, mechanics, watch)
         assert not path.requires_grad
         assert not slopes.requires_grad
         for index, sample in enumerate(zip(meshes, loads, strict=True)):
@@ -58,7 +58,7 @@ def test_sensitivities_are_those_of_numpy_and_gradients_their_products(kind, kee
             for values, others in zip((path, slopes), expected, strict=True):
                 np.testing.assert_allclose(values[index], others, atol=1e-7 * np.abs(others).max())
         weights = torch.randn(path.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-        moved = rollout(theta, *joined(meshes, loads), mechanics, watch)
+        moved = rollout(theta, meshes, loads, mechanics, watch)
         (gradient,) = torch.autograd.grad((weights * moved).sum(), theta)
         product = (weights[..., None] * slopes).flatten(1, -2).sum(dim=1)
         torch.testing.assert_close(gradient, product, rtol=1e-7, atol=1e-7 * float(product.abs().max()))
@@ -93,10 +93,10 @@ def test_motion_is_finite_on_the_whole_box(theta, scheme, mesh):
 
 def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertices():
     mesh = hand_mesh([[0, 0, 1], [0, 0, 1], [0.01, 0, 1]], [[0, 1], [0, 2], [1, 2]])
-    joined, load = batch_of([mesh], [0])
+    meshes, load = batch_of([mesh], [0])
     for values in ([0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.5, 0.1, -1.0]):
         theta = torch.tensor([values], requires_grad=True)
-        rollout(theta, joined, load, Mechanics()).square().sum().backward()
+        rollout(theta, meshes, load, Mechanics()).square().sum().backward()
         assert torch.isfinite(theta.grad).all()
 
 
@@ -109,9 +109,11 @@ def test_shapes_that_do_not_belong_together_are_named():
     mesh, load = batch_of([sheet(6, 6)], [14])
     with pytest.raises(ValueError, match=r"theta has shape \(2, 3\); give \(1, 3\) for 1 meshes"):
         rollout(torch.zeros(2, 3), mesh, load)
-    with pytest.raises(ValueError, match="no mesh"):
-        MeshBatch.from_meshes([])
-    with pytest.raises(ValueError, match="no vertices"):
-        MeshBatch.from_meshes([hand_mesh([], [])])
-    with pytest.raises(ValueError, match="don't form one batch"):
-        MeshBatch.from_meshes([sheet(6, 6), sheet(6, 7)])
+    with pytest.raises(ValueError, match="0 meshes have 0 loads; give a load for each mesh, one at least"):
+        rollout(torch.zeros(0, 3), [], [])
+    with pytest.raises(ValueError, match="1 meshes have 2 loads"):
+        rollout(torch.zeros(1, 3), mesh, load * 2)
+    with pytest.raises(ValueError, match="names vertex 14; the mesh has 0"):
+        rollout(torch.zeros(1, 3), [hand_mesh([], [])], load)
+    with pytest.raises(ValueError, match=r"loads have \[100, 200\] steps; give all the same number"):
+        rollout(torch.zeros(2, 3), mesh * 2, [load[0], load[0].until(100)])

@@ -119,8 +119,11 @@ class Batch:
             raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         if self.calibration is not None and self.known is not None:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
-        if options.force_limit is not None and self.estimator.name == "online":
-            raise ValueError("--force-limit is for estimators of forces; --estimator online knows none, leave it out.")
+        if options.force_limit is not None and self.estimator.name not in MAPPING:
+            raise ValueError(
+                "--force-limit needs a force and its interval, which --estimator "
+                f"{self.estimator.name} does not give; take network or direct."
+            )
         if options.force_limit is not None and self.calibration is not None and not self.calibration.tells:
             raise ValueError(
                 f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "

@@ -1,14 +1,15 @@
 """From measured forces to material constants.
 
     palpate calibrate palpation SCENE.yaml --output OUT
-    palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU]
+    palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU] [--predict MM …]
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
             (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
             errors.png, where these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
-            probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
-            displacement_mm). Writes curves.csv.
+            probes (probe, contact_x …, depth_mm, fn_N), of a press (depth_mm, force_N) or of a pull (pull_mm,
+            force_N); where the curve stiffens, by how much; and the force beyond its largest depth where that is told
+            within 25 %. A relaxation from tables of a hold (t_s, force_N, displacement_mm). Writes curves.csv.
 
 Not a medical device.
 """
@@ -29,9 +30,19 @@ from palpate.common.output import replacing_own, require_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
+from palpate.estimators.palpation import (
+    Indenter,
+    Probe,
+    fit_indentation,
+    fit_relaxation,
+    fit_stiffening,
+    read_hold,
+    read_probes,
+    read_pull,
+    told,
+)
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
-from palpate.estimators.palpation.curves import HOLD, kind_of
+from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, kind_of
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
@@ -46,7 +57,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
-CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
+CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
+FURTHER = (1.25, 1.5, 2.0)
+"""Where the force is predicted unless told otherwise, times the curve's own range."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -67,6 +80,8 @@ def build_parser() -> argparse.ArgumentParser:
     curves.add_argument("--size", type=size, metavar="MM", help="its radius, of a cone its half-angle in degrees")
     poisson = real_number("from 0 to 0.5", 0.0)
     curves.add_argument("--poisson", type=poisson, default=0.5, metavar="NU", help="of the tissue (default 0.5)")
+    text = "where the force is predicted (default: 1.25, 1.5 and 2 times as far as each curve goes)"
+    curves.add_argument("--predict", type=size, nargs="+", metavar="MM", help=text)
     for door in (palpation, curves):
         door.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
     return parser
@@ -84,13 +99,11 @@ def main(arguments: list[str] | None = None) -> int:
             indenter = Indenter(options.indenter, options.size, options.poisson)
         except ValueError as error:
             parser.error(str(error))
-    if not curves and options.export is not None and options.optimizer == "gradient":
-        parser.error("--export writes E with its interval, which --optimizer gradient does not give; leave one out.")
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in (("curves.csv",) if curves else PALPATION)))
         if curves:
-            return _curves(options.files, indenter, options.output, console)
+            return _curves(options, indenter, console)
         return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -160,27 +173,61 @@ def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
-def _curves(files: list[Path], indenter: Indenter | None, output: Path, console: Console) -> int:
-    rows, status = [], 0
-    for path in files:
+def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Console) -> int:
+    rows, status, output = [], 0, options.output
+    for path in options.files:
         try:
-            if kind_of(path) == HOLD:
+            if (kind := kind_of(path)) == HOLD:
                 fit = fit_relaxation(read_hold(path), branches=1)
                 if fit.solid is None:
                     raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
-                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None))
-                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s"))
+                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None, None))
+                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s", None))
                 continue
-            for probe in read_probes(path):
-                found = fit_indentation(probe.depth, probe.force, indenter)
-                name = "stiffness, indenter unknown" if indenter is None else f"Young's modulus, {indenter.shape}"
-                rows.append((path.name, probe.name, name, found.value, found.low, found.high, found.unit))
+            if kind == PULL and indenter is not None:
+                raise InputError(f"{path} is of a pull, in which nothing indents; leave --indenter and --size out.")
+            beyond = []
+            for probe in [read_pull(path, kind)] if kind in (PULL, PRESS) else read_probes(path):
+                known = _curve(probe, indenter, kind == PULL, options.predict)
+                rows += [(path.name, probe.name, *row) for row in known]
+                beyond += [row for row in known if row[0].startswith("force at")]
+            if missed := [row for row in beyond if row[1] is None]:
+                low, high = np.median([row[2:4] for row in missed], axis=0)
+                text = "are not told within 25 %, as laws that fit the curve part there"
+                span = f"their 90 % intervals are {low:.3g} to {high:.3g} N in the median; press or pull further"
+                say(console, f"{path.name}: {len(missed)} of {len(beyond)} forces {text}: {span}.", "yellow")
         except (InputError, ValueError) as error:
             say(console, str(error), "red")
             status = 1
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status
+
+
+def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[tuple[Any, ...]]:
+    """Rows of curves.csv from its third column on."""
+    found, law = fit_indentation(probe.depth, probe.force, indenter), fit_stiffening(probe.depth, probe.force)
+    name = "stiffness" if pull else "stiffness, indenter unknown"
+    stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
+    rows: list[tuple[Any, ...]] = []
+    if indenter is not None:
+        name = f"Young's modulus, {indenter.shape}"
+    rows.append((name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None))
+    doubt = "stiffening, not determined" if stiffens else "not determined"
+    if stiffens:
+        value, low, high = law.rate.tolist()
+        known = high - low <= value
+        verdict = "determined" if known else doubt
+        rows.append(("stiffness at the least depth", *law.stiffness.tolist(), "N/mm", verdict))
+        rows.append(("growth of the stiffness, b", value if known else None, low, high, "1/mm", verdict))
+    depths = law.begin + (law.end - law.begin) * np.array(FURTHER) if predict is None else np.array(predict)
+    for depth, force in zip(depths, law.force(depths).T, strict=True):
+        value, low, high = force.tolist()
+        known = bool(told(*force))
+        rows.append(
+            (f"force at {depth:.4g} mm", value if known else None, low, high, "N", "determined" if known else doubt)
+        )
+    return rows
 
 
 def _write(output: Path, name: str, text: str) -> None:

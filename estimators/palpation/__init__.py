@@ -16,9 +16,8 @@ from palpate.common.lazy import exported
 
 __getattr__ = exported(
     {
-        "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes", "read_pull"),
+        "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),
-        "palpate.estimators.palpation.stiffening": ("fit_stiffening", "told"),
         "palpate.estimators.palpation.region": ("fit_region",),
         "palpate.estimators.palpation.relaxation": ("fit_relaxation",),
         "palpate.estimators.palpation.skin": ("Skin", "cover"),

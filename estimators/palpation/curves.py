@@ -17,6 +17,8 @@ KINDS = (PROBES, HOLD, PULL, PRESS)
 """Columns by which a table is known."""
 LEAST = 4
 """Rows of a curve, below which nothing is fitted to it."""
+TURN = 0.02
+"""Share of a curve's range by which it goes back where it turns."""
 DEEPEST, SHALLOWEST = 100.0, -1.0
 """Depths beyond are slips of the pen of whoever recorded them, and are left out [mm]."""
 
@@ -85,17 +87,22 @@ def read_probes(path: Path) -> list[Probe]:
     return found
 
 
-def read_pull(path: Path, columns: tuple[str, ...]) -> Probe:
+def read_pull(path: Path) -> Probe:
     """Read one curve with the columns PULL or PRESS, rows in order of time, and keep its loading: what goes further.
 
     Raises:
         InputError: it can't be read, has too few rows that go further, or its force falls all the way.
     """
+    columns = PRESS if kind_of(path) == PRESS else PULL
     table = read_columns(path, columns, "table of a curve")
     table = table[np.isfinite(table).all(axis=1)]
     depth = table[:, 0]
-    # Strictly: after a turn the force falls at once, by which a few samples would spoil the end.
-    depth, force = table[depth > np.concatenate([[-np.inf], np.maximum.accumulate(depth)[:-1]])].T
+    furthest = np.maximum.accumulate(depth)
+    kept = np.diff(furthest, prepend=-np.inf) > 0
+    if len(depth) and (furthest - depth > TURN * np.ptp(depth)).any():
+        # At a turn the force falls at once, and readings that err make samples after it look as if they went further.
+        kept &= depth < depth.max() - TURN * np.ptp(depth)
+    depth, force = table[kept].T
     if len(depth) < LEAST:
         give = f"give {LEAST} different ones in order of time, loading first"
         raise InputError(f"{printable(path)} has {len(depth)} values of {columns[0]} that grow; {give}.")

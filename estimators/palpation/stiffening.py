@@ -18,14 +18,16 @@ GROWTH = np.linspace(-1.0, 4.5, 111)
 """Logarithm of the stiffness at the largest over that at the least depth, as likely before; 0 is among them."""
 FLOOR = 0.004
 """Root mean square of what the best law leaves, at least, over the range of the forces."""
-ASKED = 3.0
-"""Logarithm of the odds from which on the evidence asks for stiffening: 20 to 1."""
+ASKED = 20.0
+"""Odds from which on the evidence asks for stiffening."""
 OTHER_LAW = 0.2
 """Standard deviation of the logarithm of a force at twice the largest depth, for laws that are none of these: by it
 90 % intervals hold on 25 ramps into meat (docs/reports/palpation.md)."""
 WIDEST = 1.25
 """Factor between a value and either end of its interval, up to which it is told."""
 DRAWS = 2000
+INTERVAL = (0.5, 0.05, 0.95)
+"""Median and ends of a 90 % interval."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -36,8 +38,8 @@ class Stiffening:
     begin: float
     end: float
     """Least and largest depth [mm]."""
-    odds: float
-    """Logarithm of the evidence for a growing stiffness over that for a constant one."""
+    stiffens: bool
+    """Whether the evidence asks for a growing stiffness."""
     offset: np.ndarray
     """Force at the least depth, shape [M] [N]."""
     slope: np.ndarray
@@ -50,19 +52,12 @@ class Stiffening:
     """What a sample differs from the law by, shape [M] [N]."""
 
     @property
-    def stiffens(self) -> bool:
-        """Whether the evidence asks for a growing stiffness."""
-        return self.odds > ASKED
+    def numbers(self) -> np.ndarray:
+        """The stiffness at the least depth [N/mm], and by how much its logarithm grows in the mean, Fung's b [1/mm].
 
-    @property
-    def stiffness(self) -> np.ndarray:
-        """At the least depth: median and 90 % interval, shape [3] [N/mm]."""
-        return _interval(self.slope / (self.end - self.begin))
-
-    @property
-    def rate(self) -> np.ndarray:
-        """Mean growth of the stiffness's logarithm, Fung's b: median and 90 % interval, shape [3] [1/mm]."""
-        return _interval(self.growth / (self.end - self.begin))
+        Median and 90 % interval, shape [2, 3].
+        """
+        return np.quantile(np.stack([self.slope, self.growth]) / (self.end - self.begin), INTERVAL, axis=1).T
 
     def force(self, depth: np.ndarray) -> np.ndarray:
         """A sample's force at depths, shape [Q] [mm]: median and 90 % interval, shape [3, Q] [N]."""
@@ -74,8 +69,8 @@ class Stiffening:
         tangent = _risen(np.minimum(x, 1), self.growth, self.law) + beyond * np.exp(self.growth)[:, None]
         taut = np.maximum(chance.uniform(-1, 1, (len(risen), 1)), 0)
         force = self.offset[:, None] + self.slope[:, None] * (risen + taut * np.minimum(tangent - risen, 0))
-        other = np.exp(OTHER_LAW * beyond**1.5 * chance.standard_normal((len(risen), 1)))
-        return _interval(force * other + self.noise[:, None])
+        other = np.exp(OTHER_LAW * beyond * chance.standard_normal((len(risen), 1)))
+        return np.quantile(force * other + self.noise[:, None], INTERVAL, axis=0)
 
 
 def told(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -94,15 +89,13 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     x = (depth - begin) / (end - begin)
     if len(x) > BINS:
         bins = np.minimum((BINS * x).astype(int), BINS - 1)
-        x, force = (
-            np.bincount(bins, each)[np.unique(bins)] / np.unique(bins, return_counts=True)[1] for each in (x, force)
-        )
+        kept, count = np.unique(bins, return_counts=True)
+        x, force = (np.bincount(bins, each)[kept] / count for each in (x, force))
     growth, law = (each.ravel() for each in np.meshgrid(GROWTH, np.arange(len(LAWS))))
     scale = _risen(np.ones(1), growth, law)
     # Over what the law rises by in all, so that the flat prior is of forces.
     root = np.stack(np.broadcast_arrays(1.0, _risen(x, growth, law) / scale), axis=2)
-    normal = root.swapaxes(1, 2) @ root
-    inverse = np.linalg.inv(normal)
+    inverse = np.linalg.inv(root.swapaxes(1, 2) @ root)
     best = np.einsum("gij,gnj,n->gi", inverse, root, force)
     left = force - np.einsum("gni,gi->gn", root, best)
     square = np.square(left).sum(axis=1)
@@ -112,21 +105,16 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     counting = len(x) * (1 - alike) / (1 + alike)
     freedom = max(counting - 3, 1.0)
     square += floor
-    evidence = -0.5 * freedom * np.log(square) - 0.5 * np.linalg.slogdet(normal)[1]
+    evidence = -0.5 * freedom * np.log(square) + 0.5 * np.linalg.slogdet(inverse)[1]
     weight = np.exp(evidence - evidence.max())
-    grows, constant = growth > 1e-9, np.abs(growth) < 1e-9
-    odds = float(np.log(weight[grows].mean() / weight[constant].mean()))
+    stiffens = weight[growth > 1e-9].mean() > ASKED * weight[np.abs(growth) < 1e-9].mean()
     chance = np.random.default_rng(0)
     drawn = chance.choice(len(weight), DRAWS, p=weight / weight.sum())
     spread = np.sqrt(square[drawn] / chance.chisquare(freedom, DRAWS))
     shift = np.linalg.cholesky(inverse[drawn]) @ chance.standard_normal((DRAWS, 2, 1))
     offset, rise = (best[drawn] + spread[:, None] * shift[..., 0]).T
     noise = spread * np.sqrt(freedom / max(len(x) - 3, 1)) * chance.standard_normal(DRAWS)
-    return Stiffening(begin, end, odds, offset, rise / scale[drawn, 0], growth[drawn], law[drawn], noise)
-
-
-def _interval(draws: np.ndarray) -> np.ndarray:
-    return np.quantile(draws, (0.5, 0.05, 0.95), axis=0)
+    return Stiffening(begin, end, bool(stiffens), offset, rise / scale[drawn, 0], growth[drawn], law[drawn], noise)
 
 
 def _risen(x: np.ndarray, growth: np.ndarray, law: np.ndarray) -> np.ndarray:

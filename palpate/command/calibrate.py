@@ -30,21 +30,12 @@ from palpate.common.output import replacing_own, require_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation import (
-    Indenter,
-    Probe,
-    fit_indentation,
-    fit_relaxation,
-    fit_stiffening,
-    read_hold,
-    read_probes,
-    read_pull,
-    told,
-)
+from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
-from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, kind_of
+from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, Probe, kind_of, read_pull
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
+from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
 from palpate.results.scene.files import scene_text
@@ -56,6 +47,7 @@ from palpate.results.surface_plot import draw_surface_errors
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Row = tuple[Any, ...]
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
 FURTHER = (1.25, 1.5, 2.0)
@@ -174,7 +166,7 @@ def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
 
 
 def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Console) -> int:
-    rows, status, output = [], 0, options.output
+    rows, status, missed, output = [], 0, 0, options.output
     for path in options.files:
         try:
             if (kind := kind_of(path)) == HOLD:
@@ -186,47 +178,43 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
                 continue
             if kind == PULL and indenter is not None:
                 raise InputError(f"{path} is of a pull, in which nothing indents; leave --indenter and --size out.")
-            beyond = []
-            for probe in [read_pull(path, kind)] if kind in (PULL, PRESS) else read_probes(path):
+            for probe in [read_pull(path)] if kind in (PULL, PRESS) else read_probes(path):
                 known = _curve(probe, indenter, kind == PULL, options.predict)
                 rows += [(path.name, probe.name, *row) for row in known]
-                beyond += [row for row in known if row[0].startswith("force at")]
-            if missed := [row for row in beyond if row[1] is None]:
-                low, high = np.median([row[2:4] for row in missed], axis=0)
-                text = "are not told within 25 %, as laws that fit the curve part there"
-                span = f"their 90 % intervals are {low:.3g} to {high:.3g} N in the median; press or pull further"
-                say(console, f"{path.name}: {len(missed)} of {len(beyond)} forces {text}: {span}.", "yellow")
+                missed += sum(row[0].startswith("force at") and row[1] is None for row in known)
         except (InputError, ValueError) as error:
             say(console, str(error), "red")
             status = 1
+    if missed:
+        say(
+            console,
+            f"{missed} forces are not told within 25 %: laws part beyond a curve; press or pull further.",
+            "yellow",
+        )
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status
 
 
-def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[tuple[Any, ...]]:
+def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[Row]:
     """Rows of curves.csv from its third column on."""
     found, law = fit_indentation(probe.depth, probe.force, indenter), fit_stiffening(probe.depth, probe.force)
-    name = "stiffness" if pull else "stiffness, indenter unknown"
+    unknown = "stiffness" if pull else "stiffness, indenter unknown"
+    name = unknown if indenter is None else f"Young's modulus, {indenter.shape}"
     stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
-    rows: list[tuple[Any, ...]] = []
-    if indenter is not None:
-        name = f"Young's modulus, {indenter.shape}"
-    rows.append((name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None))
     doubt = "stiffening, not determined" if stiffens else "not determined"
-    if stiffens:
-        value, low, high = law.rate.tolist()
-        known = high - low <= value
-        verdict = "determined" if known else doubt
-        rows.append(("stiffness at the least depth", *law.stiffness.tolist(), "N/mm", verdict))
-        rows.append(("growth of the stiffness, b", value if known else None, low, high, "1/mm", verdict))
+    rows: list[Row] = [(name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None)]
     depths = law.begin + (law.end - law.begin) * np.array(FURTHER) if predict is None else np.array(predict)
-    for depth, force in zip(depths, law.force(depths).T, strict=True):
-        value, low, high = force.tolist()
-        known = bool(told(*force))
-        rows.append(
-            (f"force at {depth:.4g} mm", value if known else None, low, high, "N", "determined" if known else doubt)
-        )
+    laws = [
+        (f"force at {at:.4g} mm", one, "N", told(*one)) for at, one in zip(depths, law.force(depths).T, strict=True)
+    ]
+    if stiffens:
+        stiffness, rate = law.numbers
+        known = rate[2] - rate[1] <= rate[0]
+        laws.insert(0, ("growth of the stiffness, b", rate, "1/mm", known))
+        laws.insert(0, ("stiffness at the least depth", stiffness, "N/mm", known))
+    for name, (value, low, high), unit, known in laws:
+        rows.append((name, value if known else None, low, high, unit, "determined" if known else doubt))
     return rows
 
 

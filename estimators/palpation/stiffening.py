@@ -87,10 +87,9 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     """
     begin, end = float(depth.min()), float(depth.max())
     x = (depth - begin) / (end - begin)
-    if len(x) > BINS:
-        bins = np.minimum((BINS * x).astype(int), BINS - 1)
-        kept, count = np.unique(bins, return_counts=True)
-        x, force = (np.bincount(bins, each)[kept] / count for each in (x, force))
+    bins = np.minimum((BINS * x).astype(int), BINS - 1)
+    kept, count = np.unique(bins, return_counts=True)
+    x, force = (np.bincount(bins, each)[kept] / count for each in (x, force))
     growth, law = (each.ravel() for each in np.meshgrid(GROWTH, np.arange(len(LAWS))))
     scale = _risen(np.ones(1), growth, law)
     # Over what the law rises by in all, so that the flat prior is of forces.
@@ -102,8 +101,7 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     floor = len(x) * (FLOOR * float(np.ptp(force))) ** 2 + 1e-30
     least = left[square.argmin()]
     alike = max(float(least[1:] @ least[:-1]) / (float(least @ least) + floor), 0.0)
-    counting = len(x) * (1 - alike) / (1 + alike)
-    freedom = max(counting - 3, 1.0)
+    freedom = max(len(x) * (1 - alike) / (1 + alike) - 3, 1.0)
     square += floor
     evidence = -0.5 * freedom * np.log(square) + 0.5 * np.linalg.slogdet(inverse)[1]
     weight = np.exp(evidence - evidence.max())

@@ -1,8 +1,8 @@
 """What measured forces tell, judged on what was kept back from the fits.
 
 Judges every CSV file under --data whose columns it knows, whatever its name: probes of a region (probe, contact_x …,
-depth_mm, fn_N), indentations that are held (t_s, force_N, displacement_mm), a press (depth_mm, force_N) and a pull
-(pull_mm, force_N). Writes table.csv (file, measure, value); what the measures mean is in docs/reports/palpation.md.
+depth_mm, fn_N) and indentations that are held (t_s, force_N, displacement_mm). Writes table.csv (file, measure, value);
+what the measures mean is in docs/reports/palpation.md.
 """
 
 import functools
@@ -16,7 +16,7 @@ import numpy as np
 from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
-from palpate.estimators.palpation.curves import HOLD, LEAST, PRESS, PROBES, PULL, kind_of, read_pull
+from palpate.estimators.palpation.curves import HOLD, LEAST, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
 from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.evaluation.harness import Measurements, Row
@@ -159,12 +159,5 @@ def judge_relaxation(path: Path) -> Row:
     return found | {"force that remains in the end / at once": fit_relaxation(hold).relaxed_share}
 
 
-def judge_pull(path: Path) -> Row:
-    """Measures of a press or a pull; raises a ValueError where it can't be read."""
-    pull = read_pull(path)
-    return larger_halves([(pull.depth, pull.force)])
-
-
 JUDGES: dict[tuple[str, ...], Callable[[Path], Row]] = {PROBES: judge_probing, HOLD: judge_relaxation}
-JUDGES |= dict.fromkeys((PULL, PRESS), judge_pull)
 """By the columns of a table."""

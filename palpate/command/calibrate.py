@@ -47,11 +47,8 @@ from palpate.results.surface_plot import draw_surface_errors
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Row = tuple[Any, ...]
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
-FURTHER = (1.25, 1.5, 2.0)
-"""Where the force is predicted unless told otherwise, times the curve's own range."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -186,34 +183,26 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
             say(console, str(error), "red")
             status = 1
     if missed:
-        say(
-            console,
-            f"{missed} forces are not told within 25 %: laws part beyond a curve; press or pull further.",
-            "yellow",
-        )
+        say(console, f"{missed} forces are not told within 25 %, as laws part there; press or pull further.", "yellow")
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status
 
 
-def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[Row]:
+def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[tuple]:
     """Rows of curves.csv from its third column on."""
     found, law = fit_indentation(probe.depth, probe.force, indenter), fit_stiffening(probe.depth, probe.force)
     unknown = "stiffness" if pull else "stiffness, indenter unknown"
     name = unknown if indenter is None else f"Young's modulus, {indenter.shape}"
     stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
     doubt = "stiffening, not determined" if stiffens else "not determined"
-    rows: list[Row] = [(name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None)]
-    depths = law.begin + (law.end - law.begin) * np.array(FURTHER) if predict is None else np.array(predict)
-    laws = [
-        (f"force at {at:.4g} mm", one, "N", told(*one)) for at, one in zip(depths, law.force(depths).T, strict=True)
-    ]
-    if stiffens:
-        stiffness, rate = law.numbers
-        known = rate[2] - rate[1] <= rate[0]
-        laws.insert(0, ("growth of the stiffness, b", rate, "1/mm", known))
-        laws.insert(0, ("stiffness at the least depth", stiffness, "N/mm", known))
-    for name, (value, low, high), unit, known in laws:
+    rows: list[tuple] = [(name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None)]
+    stiffness, growth = law.numbers
+    numbers = [("stiffness at the least depth", stiffness, "N/mm"), ("growth of the stiffness, b", growth, "1/mm")]
+    depths = law.begin + (law.end - law.begin) * np.array([1.25, 1.5, 2.0]) if predict is None else np.array(predict)
+    forces = [(f"force at {at:.4g} mm", force, "N") for at, force in zip(depths, law.force(depths).T, strict=True)]
+    for name, (value, low, high), unit in numbers * stiffens + forces:
+        known = told(value, low, high)
         rows.append((name, value if known else None, low, high, unit, "determined" if known else doubt))
     return rows
 

@@ -73,7 +73,7 @@ def read_probes(path: Path) -> list[Probe]:
     Raises:
         InputError: it can't be read, or holds no probe.
     """
-    table = read_columns(path, PROBES, "table of probes")
+    table = read_columns(path, PROBES, "table of probes, of a hold or of a pull (pull_mm, force_N)")
     depth = table[:, 4]
     table = table[np.isfinite(table).all(axis=1) & (depth > SHALLOWEST) & (depth < DEEPEST)]
     found = []

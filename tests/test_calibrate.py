@@ -154,7 +154,7 @@ def test_a_pull_s_force_is_told_beyond_it_or_refused(tmp_path, capsys):
     (tmp_path / "pull.csv").write_text("pull_mm,force_N\n" + "\n".join(rows))
     command = ["curves", str(tmp_path / "pull.csv"), "--output", str(tmp_path / "out")]
     assert calibrate.main([*command, "--predict", "5", "20"]) == 0
-    assert "1 forces are not told within 25 %" in capsys.readouterr().err
+    assert "forces not told within 25 %: 1," in capsys.readouterr().err
     found = {row["quantity"]: row for row in read_rows(tmp_path / "out" / "curves.csv")}
     near, far, growth = found["force at 5 mm"], found["force at 20 mm"], found["growth of the stiffness, b"]
     assert found["stiffness"]["verdict"] == "stiffening"

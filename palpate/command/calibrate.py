@@ -183,7 +183,7 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
             say(console, str(error), "red")
             status = 1
     if missed:
-        say(console, f"forces not told within 25 %: {missed}, as laws part beyond a curve; press or pull further.", "yellow")
+        say(console, f"forces not told within 25 %: {missed}, as laws part there; go further.", "yellow")
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status

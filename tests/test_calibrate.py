@@ -137,10 +137,34 @@ def test_curves_say_what_their_numbers_are(tmp_path):
         assert calibrate.main(["curves", *files, *more, "--output", str(tmp_path / "out")]) == 0
         rows = read_rows(tmp_path / "out" / "curves.csv")
         probes = [row for row in rows if row["file"] == "probes.csv"]
-        assert {row["unit"] for row in probes} == {unit}
-        assert all(float(row["low"]) < float(row["value"]) < float(row["high"]) for row in probes)
+        assert {row["unit"] for row in probes} - {"1/mm", "N"} == {unit}
+        moduli = [row for row in probes if row["quantity"].startswith(("stiffness, indenter", "Young"))]
+        assert len(moduli) == 40
+        assert all(float(row["low"]) < float(row["value"]) < float(row["high"]) for row in moduli)
+        assert all(float(row["low"]) < float(row["high"]) for row in probes)
         (time,) = [row for row in rows if row["quantity"] == "relaxation time"]
         assert float(time["value"]) == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_pull_s_force_is_told_beyond_it_or_refused(tmp_path, capsys):
+    """Fung's curve with 3 mN of noise: what is told is true within 25 %, and the rest is empty and said."""
+    pull, chance = np.linspace(0, 4, 80), np.random.default_rng(0)
+    force = 0.2 * np.expm1(0.3 * pull) / 0.3 + chance.normal(0, 0.003, 80)
+    rows = [f"{at},{each}" for at, each in zip(pull, force, strict=True)]
+    (tmp_path / "pull.csv").write_text("pull_mm,force_N\n" + "\n".join(rows))
+    command = ["curves", str(tmp_path / "pull.csv"), "--output", str(tmp_path / "out")]
+    assert calibrate.main([*command, "--predict", "5", "20"]) == 0
+    assert "forces not told within 25 %: 1," in capsys.readouterr().err
+    found = {row["quantity"]: row for row in read_rows(tmp_path / "out" / "curves.csv")}
+    near, far, growth = found["force at 5 mm"], found["force at 20 mm"], found["growth of the stiffness, b"]
+    assert found["stiffness"]["verdict"] == "stiffening"
+    assert float(growth["low"]) < 0.3 < float(growth["high"])
+    assert near["verdict"] == "determined"
+    assert float(near["value"]) == pytest.approx(0.2 * np.expm1(1.5) / 0.3, rel=0.1)
+    assert (far["value"], far["verdict"]) == ("", "stiffening, not determined")
+    assert float(far["low"]) < 0.2 * np.expm1(6) / 0.3 < float(far["high"])
+    assert calibrate.main([*command, "--indenter", "sphere", "--size", "3"]) == 1
+    assert "in which nothing indents" in capsys.readouterr().err
 
 
 PRESS = {"contact": [0, 0, 0.1], "points": "observed.csv"}

@@ -2,6 +2,7 @@
 
 curves      tables of probes and of indentations that are held
 indentation one force–depth curve: a modulus where the indenter is stated, a stiffness in N/mm otherwise
+stiffening  how a curve stiffens, and forces beyond its largest depth
 region      the curves of many probes, and what a probe elsewhere on the same tissue will feel
 relaxation  how a force falls while the depth is held: standard linear solids
 skin        a scanned surface on coarser tetrahedra, and the closest places on it

@@ -1,4 +1,4 @@
-"""Tables of measured forces: probes, and indentations that are held. Units are those of such tables, mm and N."""
+"""Tables of measured forces: probes, pulls, and indentations that are held. Their units are mm and N."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +12,13 @@ from palpate.data.source.table import MOST_BYTES, read_columns
 
 PROBES = ("probe", "contact_x", "contact_y", "contact_z", "depth_mm", "fn_N")
 HOLD = ("t_s", "force_N", "displacement_mm")
-KINDS = (PROBES, HOLD)
+PULL, PRESS = ("pull_mm", "force_N"), ("depth_mm", "force_N")
+KINDS = (PROBES, HOLD, PULL, PRESS)
 """Columns by which a table is known."""
 LEAST = 4
 """Rows of a curve, below which nothing is fitted to it."""
+TURN = 0.02
+"""Share of a curve's range by which it goes back where it turns."""
 DEEPEST, SHALLOWEST = 100.0, -1.0
 """Depths beyond are slips of the pen of whoever recorded them, and are left out [mm]."""
 
@@ -27,7 +30,7 @@ class Probe:
     name: str
     """Its number in the table."""
     place: np.ndarray
-    """Where the surface was touched, shape [3] [mm]."""
+    """Where the surface was touched, not a number where the table doesn't tell, shape [3] [mm]."""
     depth: np.ndarray
     """Along the surface's normal, rising, shape [D] [mm]."""
     force: np.ndarray
@@ -70,7 +73,7 @@ def read_probes(path: Path) -> list[Probe]:
     Raises:
         InputError: it can't be read, or holds no probe.
     """
-    table = read_columns(path, PROBES, "table of probes")
+    table = read_columns(path, PROBES, "table of probes, of a hold or of a pull (pull_mm, force_N)")
     depth = table[:, 4]
     table = table[np.isfinite(table).all(axis=1) & (depth > SHALLOWEST) & (depth < DEEPEST)]
     found = []
@@ -82,6 +85,30 @@ def read_probes(path: Path) -> list[Probe]:
     if not found:
         raise InputError(f"{printable(path)} holds no probe of {LEAST} depths; give a table that does.")
     return found
+
+
+def read_pull(path: Path) -> Probe:
+    """Read one curve with the columns PULL or PRESS, rows in order of time, and keep its loading: what goes further.
+
+    Raises:
+        InputError: it can't be read, has too few rows that go further, or its force falls all the way.
+    """
+    columns = PRESS if kind_of(path) == PRESS else PULL
+    table = read_columns(path, columns, "table of a curve")
+    table = table[np.isfinite(table).all(axis=1)]
+    depth = table[:, 0]
+    furthest = np.maximum.accumulate(depth)
+    kept = np.diff(furthest, prepend=-np.inf) > 0
+    if len(depth) and (furthest - depth > TURN * np.ptp(depth)).any():
+        # At a turn the force falls at once, and readings that err make samples after it look as if they went further.
+        kept &= depth < depth.max() - TURN * np.ptp(depth)
+    depth, force = table[kept].T
+    if len(depth) < LEAST:
+        give = f"give {LEAST} different ones in order of time, loading first"
+        raise InputError(f"{printable(path)} has {len(depth)} values of {columns[0]} that grow; {give}.")
+    if np.polyfit(depth, force, 1)[0] < 0:
+        raise InputError(f"{printable(path)}: force_N falls as {columns[0]} grows; give what resists it as positive.")
+    return Probe("1", np.full(3, np.nan), depth, force)
 
 
 def read_hold(path: Path) -> Hold:

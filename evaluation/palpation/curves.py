@@ -16,8 +16,9 @@ import numpy as np
 from palpate.common.files import all_below
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Hold, Probe, fit_region, fit_relaxation, read_hold, read_probes
-from palpate.estimators.palpation.curves import HOLD, PROBES, kind_of
+from palpate.estimators.palpation.curves import HOLD, LEAST, PROBES, kind_of
 from palpate.estimators.palpation.region import LEAST_PROBES
+from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.evaluation.harness import Measurements, Row
 
 FOLDS = 5
@@ -95,7 +96,22 @@ def judge_probing(path: Path) -> Row:
     found: Row = {"probes": len(probes)}
     for name, folds in (("random fifths", drawn), ("strips", strips)):
         found |= {f"{measure}, {name}": value for measure, value in _left_out(probes, folds).items()}
-    return found
+    return found | larger_halves([(probe.depth, probe.force) for probe in probes])
+
+
+def larger_halves(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> Row:
+    """Measures of forces over the larger half of curves' depths, which rise, foretold from the smaller."""
+    parts = []
+    for depth, force in curves:
+        half = depth <= (depth[0] + depth[-1]) / 2
+        if half.sum() >= LEAST:
+            middle, low, high = fit_stiffening(depth[half], force[half]).force(depth[~half])
+            inside = (low <= force[~half]) & (force[~half] <= high)
+            parts.append((inside, told(middle, low, high), np.abs(middle / force[~half] - 1) <= 0.25))
+    held, known, near = np.concatenate(parts, axis=1) if parts else np.zeros((3, 0), bool)
+    shares = {"coverage of 90 % intervals": held, "determined": known}
+    shares |= {"coverage where determined": held[known], "within 25 % where determined": near[known]}
+    return {f"larger half, {name}": float(share.mean()) for name, share in shares.items() if len(share)}
 
 
 def _left_out(probes: Sequence[Probe], folds: np.ndarray) -> dict[str, float]:
@@ -138,6 +154,8 @@ def judge_relaxation(path: Path) -> Row:
             f"{name}second half off, largest / peak": float(np.abs(missed).max()) / peak,
             f"{name}coverage of 90 % intervals": float(np.mean(np.abs(missed) <= NINETY * fit.forecast_sd)),
         }
+    way = (np.cumsum(hold.held) <= 1) & (np.diff(np.maximum.accumulate(hold.depth), prepend=-np.inf) > 0)
+    found |= larger_halves([(hold.depth[way], hold.force[way])])
     return found | {"force that remains in the end / at once": fit_relaxation(hold).relaxed_share}
 
 

@@ -1,14 +1,15 @@
 """From measured forces to material constants.
 
     palpate calibrate palpation SCENE.yaml --output OUT
-    palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU]
+    palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU] [--predict MM …]
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
             (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
             errors.png, where these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
-            probes (probe, contact_x …, depth_mm, fn_N); a relaxation from tables of a hold (t_s, force_N,
-            displacement_mm). Writes curves.csv.
+            probes (probe, contact_x …, depth_mm, fn_N), of a press (depth_mm, force_N) or of a pull (pull_mm,
+            force_N); where the curve stiffens, by how much; and the force beyond its largest depth where that is told
+            within 25 %. A relaxation from tables of a hold (t_s, force_N, displacement_mm). Writes curves.csv.
 
 Not a medical device.
 """
@@ -31,9 +32,10 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
-from palpate.estimators.palpation.curves import HOLD, kind_of
+from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, Probe, kind_of, read_pull
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
+from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
 from palpate.results.scene.files import scene_text
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
-CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit")
+CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -67,6 +69,8 @@ def build_parser() -> argparse.ArgumentParser:
     curves.add_argument("--size", type=size, metavar="MM", help="its radius, of a cone its half-angle in degrees")
     poisson = real_number("from 0 to 0.5", 0.0)
     curves.add_argument("--poisson", type=poisson, default=0.5, metavar="NU", help="of the tissue (default 0.5)")
+    text = "where the force is predicted (default: 1.25, 1.5 and 2 times as far as each curve goes)"
+    curves.add_argument("--predict", type=size, nargs="+", metavar="MM", help=text)
     for door in (palpation, curves):
         door.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
     return parser
@@ -88,7 +92,7 @@ def main(arguments: list[str] | None = None) -> int:
         with writing(options.output):
             require_own(*(options.output / name for name in (("curves.csv",) if curves else PALPATION)))
         if curves:
-            return _curves(options.files, indenter, options.output, console)
+            return _curves(options, indenter, console)
         return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -158,27 +162,49 @@ def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
-def _curves(files: list[Path], indenter: Indenter | None, output: Path, console: Console) -> int:
-    rows, status = [], 0
-    for path in files:
+def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Console) -> int:
+    rows, status, missed, output = [], 0, 0, options.output
+    for path in options.files:
         try:
-            if kind_of(path) == HOLD:
+            if (kind := kind_of(path)) == HOLD:
                 fit = fit_relaxation(read_hold(path), branches=1)
                 if fit.solid is None:
                     raise InputError(f"{path}: the force falls to nothing or not at all; no standard linear solid.")
-                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None))
-                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s"))
+                rows.append((path.name, "hold", "relaxing share", 1 - fit.relaxed_share, None, None, None, None))
+                rows.append((path.name, "hold", "relaxation time", fit.solid.time, None, None, "s", None))
                 continue
-            for probe in read_probes(path):
-                found = fit_indentation(probe.depth, probe.force, indenter)
-                name = "stiffness, indenter unknown" if indenter is None else f"Young's modulus, {indenter.shape}"
-                rows.append((path.name, probe.name, name, found.value, found.low, found.high, found.unit))
+            if kind == PULL and indenter is not None:
+                raise InputError(f"{path} is of a pull, in which nothing indents; leave --indenter and --size out.")
+            for probe in [read_pull(path)] if kind in (PULL, PRESS) else read_probes(path):
+                known = _curve(probe, indenter, kind == PULL, options.predict)
+                rows += [(path.name, probe.name, *row) for row in known]
+                missed += sum(row[0].startswith("force at") and row[1] is None for row in known)
         except (InputError, ValueError) as error:
             say(console, str(error), "red")
             status = 1
+    if missed:
+        say(console, f"forces not told within 25 %: {missed}, as laws part there; go further.", "yellow")
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status
+
+
+def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[float] | None) -> list[tuple]:
+    """Rows of curves.csv from its third column on."""
+    found, law = fit_indentation(probe.depth, probe.force, indenter), fit_stiffening(probe.depth, probe.force)
+    unknown = "stiffness" if pull else "stiffness, indenter unknown"
+    name = unknown if indenter is None else f"Young's modulus, {indenter.shape}"
+    stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
+    doubt = "stiffening, not determined" if stiffens else "not determined"
+    rows: list[tuple] = [(name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None)]
+    stiffness, growth = law.numbers
+    numbers = [("stiffness at the least depth", stiffness, "N/mm"), ("growth of the stiffness, b", growth, "1/mm")]
+    depths = law.begin + (law.end - law.begin) * np.array([1.25, 1.5, 2.0]) if predict is None else np.array(predict)
+    forces = [(f"force at {at:.4g} mm", force, "N") for at, force in zip(depths, law.force(depths).T, strict=True)]
+    for name, (value, low, high), unit in numbers * stiffens + forces:
+        known = told(value, low, high)
+        rows.append((name, value if known else None, low, high, unit, "determined" if known else doubt))
+    return rows
 
 
 def _write(output: Path, name: str, text: str) -> None:

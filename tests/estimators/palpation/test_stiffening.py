@@ -1,0 +1,105 @@
+"""How curves stiffen, and intervals of forces beyond their depths, on laws that are fitted and on laws that are not."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.data.source.layout import InputError
+from palpate.estimators.palpation.curves import read_pull
+from palpate.estimators.palpation.stiffening import fit_stiffening, told
+
+Law = Callable[[np.ndarray, float], np.ndarray]
+FINE = np.linspace(0, 2, 2001)
+
+
+def integrated(stiffness: Law) -> Law:
+    """Force whose stiffness is a function of depth and of what grows."""
+
+    def force(depth: np.ndarray, growth: float) -> np.ndarray:
+        along = stiffness(FINE, growth)
+        return np.interp(depth, FINE, np.concatenate([[0], np.cumsum(along[1:] + along[:-1]) * FINE[1] / 2]))
+
+    return force
+
+
+def fung(depth: np.ndarray, growth: float) -> np.ndarray:
+    return np.expm1(growth * depth) / growth
+
+
+LAWS: dict[str, Law] = {
+    "Fung": fung,
+    "second order": lambda depth, growth: depth + np.expm1(growth) / 2 * depth**2,
+    "third order": lambda depth, growth: depth + np.expm1(growth) / 3 * depth**3,
+    "Ogden": lambda depth, growth: (1 + 0.4 * depth) ** (1 + 4 * growth) - (1 + 0.4 * depth) ** (-2 - 2 * growth),
+    "straight and Fung": integrated(lambda depth, growth: 1 + 0.1 * np.expm1(1.8 * growth * depth)),
+    "fibres grow taut": integrated(lambda depth, growth: 1 + 7 * growth * (1 + np.tanh(2 * (depth - 1.3)))),
+}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_intervals_beyond_the_curve_hold_or_it_is_not_told(law: Law) -> None:
+    """From the smaller half, at a quarter, a half and all of it further."""
+    chance, further = np.random.default_rng(11), np.array([1.25, 1.5, 2.0])
+    inside, known, near = [], [], []
+    for case in range(45):
+        depth, noise = np.linspace(0, 1, (12, 60, 250)[case % 3]), (0.01, 0.005, 0.01)[case % 3]
+        growth = chance.uniform(0.6, 2.0)
+        clean, truth = law(depth, growth), law(further, growth)
+        middle, low, high = fit_stiffening(depth, clean + noise * clean.max() * chance.normal(size=len(depth))).force(
+            further
+        )
+        inside.append((low <= truth) & (truth <= high))
+        known.append(told(middle, low, high))
+        near.append(np.abs(middle / truth - 1) <= 0.25)
+    held, sure, close = np.array(inside), np.array(known), np.array(near)
+    assert (held.mean(axis=0) >= 0.85).all()
+    assert held[sure].mean() >= 0.9
+    assert close[sure].mean() >= 0.95
+    assert sure[:, 0].mean() > 0.5  # refusing all would hold as well
+    assert not sure[:, 2].any()
+
+
+def test_fung_s_numbers_come_back_and_a_straight_line_does_not_stiffen() -> None:
+    depth, chance = np.linspace(0, 4, 60), np.random.default_rng(2)
+    rate_held, stiffness_held = [], []
+    for _ in range(40):
+        rate = chance.uniform(0.2, 0.6)
+        found = fit_stiffening(depth, 0.3 * fung(depth, rate) + chance.normal(0, 0.01, 60))
+        assert found.stiffens
+        stiffness, growth = found.numbers
+        assert growth[0] == pytest.approx(rate, rel=0.4)
+        rate_held.append(growth[1] <= rate <= growth[2])
+        stiffness_held.append(stiffness[1] <= 0.3 <= stiffness[2])
+        assert not fit_stiffening(depth, 0.3 * depth + chance.normal(0, 0.01, 60)).stiffens
+    assert np.mean(rate_held) >= 0.85
+    assert np.mean(stiffness_held) >= 0.85
+
+
+def test_a_pull_s_loading_is_read(tmp_path: Path) -> None:
+    """Three cycles of which only the first stretches virgin tissue; the way back is softer by a quarter."""
+    way, chance = np.linspace(0, 4, 100), np.random.default_rng(3)
+    pull = np.concatenate([way, way[::-1], way]) + chance.normal(0, 0.01, 300)
+    force = np.concatenate([fung(way, 0.3), 0.75 * fung(way[::-1], 0.3), 0.75 * fung(way, 0.3)])
+    rows = [f"{at:.4f},{each:.4f}" for at, each in zip(pull, force, strict=True)]
+    (tmp_path / "pull.csv").write_text("pull_mm,force_N\n" + "\n".join(rows))
+    read = read_pull(tmp_path / "pull.csv")
+    assert 60 < len(read.depth) <= 100
+    assert np.abs(read.force - fung(read.depth, 0.3)).max() < 0.15
+    _, low, high = fit_stiffening(read.depth, read.force).force(np.array([6.0]))
+    assert low[0] < fung(np.array(6.0), 0.3) < high[0]
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (["4,1", "3,1", "2,1", "1,0"], "0 values of pull_mm that grow"),
+        (["1,-1", "2,-2", "3,-3", "4,-4"], "falls as pull_mm grows"),
+        (["0,0", "1,1", "2,2"], "has 3 values"),
+    ],
+)
+def test_pulls_that_say_nothing_are_a_sentence(tmp_path: Path, rows: list[str], says: str) -> None:
+    (tmp_path / "pull.csv").write_text("\n".join(["pull_mm,force_N", *rows]))
+    with pytest.raises(InputError, match=says):
+        read_pull(tmp_path / "pull.csv")

@@ -67,7 +67,6 @@ demo: $(INSTALLED)
 	@echo "Look at the results in a browser: file://$(abspath $(DEMO)/results/index.html)"
 
 bench: $(INSTALLED)
-	$(BIN)/python -m benchmarks.rollout
 	$(BIN)/python -m benchmarks.inference
 
 # Calibrates an exported posterior:

@@ -17,17 +17,23 @@ if __name__ == "__main__":
 import dataclasses
 import itertools
 import json
+import os
+import platform
+import time
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
+from datetime import date
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 
-from palpate.benchmarks.shared import command_line, machine, print_table, timed
 from palpate.command.infer import main as infer
+from palpate.common.command_line import described_parser
+from palpate.common.tables import to_markdown
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic.__main__ import main as make_clips
 from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
@@ -44,6 +50,8 @@ from palpate.models.onnx_export import export
 from palpate.models.onnx_session import ParameterModel, PosteriorModel, open_model
 from palpate.physics.mechanics import RECOMMENDED
 
+Result = TypeVar("Result")
+
 SIZE = 120, 214
 """Height and width of the networks' input."""
 RUNS, FRAMES = 20, 32
@@ -58,6 +66,13 @@ CONTACTS = 9
 """Contacts that are timed, a third of them in each regime."""
 SIZES = (GRID_SIZE, (854, 480))
 """Width and height of their pictures [px]."""
+
+
+def timed(work: Callable[..., Result], *arguments: object) -> tuple[Result, float]:
+    """What a call returns, and how long it took [ms]."""
+    start = time.perf_counter()
+    result = work(*arguments)
+    return result, 1e3 * (time.perf_counter() - start)
 
 
 def exported(name: str, folder: Path) -> Path:
@@ -127,23 +142,24 @@ def plain_video(width: int, folder: Path) -> list[dict[str, float]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; returns the exit status."""
-    command_line(__doc__).parse_args(arguments)
+    described_parser("python -m benchmarks.inference", __doc__, "0 done; 1 failed; 2 wrong usage").parse_args(arguments)
     with TemporaryDirectory() as folder:
         _measure(Path(folder))
     return 0
 
 
 def _measure(folder: Path) -> None:
-    title = f"ms a frame ({machine()}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
+    machine = f"{os.cpu_count()} cores {platform.machine()}, {date.today()}"
+    title = f"ms a frame ({machine}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
     print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
     files = {name: exported(name, folder) for name in NETWORKS}
     rows = ([name, *(f"{encoder_and_head(file, each):.1f}" for each in (1, None))] for name, file in files.items())
-    print_table(("configuration", "1 thread", "all threads"), rows)
+    print(to_markdown(("configuration", "1 thread", "all threads"), rows))
     print("\nOne contact by the network that ships, 1 thread [ms]\n")
     columns = ("pictures", "--onset", "median", "of it vector and network", "longest")
     cases = itertools.product(SIZES, ONSETS)
-    print_table(columns, ((f"{size}", onset, *(f"{t:.1f}" for t in one_contact(size, onset))) for size, onset in cases))
-    print()
+    rows = ((f"{size}", onset, *(f"{t:.1f}" for t in one_contact(size, onset))) for size, onset in cases)
+    print(to_markdown(columns, rows), end="\n\n")
     make_clips(["--output", str(folder / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
     frames = next(path.parent for path in (folder / "clips").rglob("clip.json"))
     found = {
@@ -153,14 +169,13 @@ def _measure(folder: Path) -> None:
     }
     names = list(dict.fromkeys(stage for times in found.values() for stage in times))
     print(f"\nStages of infer.py on frames of 854x480, {title}\n")
-    print_table(
-        ("source", "estimator", *names),
-        ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items()),
-    )
-    print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine()})\n")
+    rows = ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items())
+    print(to_markdown(("source", "estimator", *names), rows))
+    print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine})\n")
     columns = ("pictures", *(f"--rate {rate}: frames a second" for rate in RATES))
     whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
-    print_table(columns, ((size, *(f"{1e3 / times['total']:.1f}" for times in rates)) for size, rates in whole))
+    rows = ((size, *(f"{1e3 / times['total']:.1f}" for times in rates)) for size, rates in whole)
+    print(to_markdown(columns, rows))
 
 
 if __name__ == "__main__":

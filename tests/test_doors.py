@@ -12,7 +12,6 @@ from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
     "benchmarks.inference",
-    "benchmarks.rollout",
     "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",

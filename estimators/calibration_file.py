@@ -443,12 +443,16 @@ def read_calibration(path: Path) -> Calibration:
         measured = read_forces(files[-1])
     if given.palpation is not None:
         files.append(path.parent / given.palpation)
-        young = _palpated(files[-1])
+        young = palpated_young(files[-1])
     return Calibration(given, path, tuple(dict.fromkeys(files)), measured, young)
 
 
-def _palpated(path: Path) -> tuple[float, float]:
-    """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote."""
+def palpated_young(path: Path) -> tuple[float, float]:
+    """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote.
+
+    Raises:
+        InputError: the file tells neither.
+    """
     if path.suffix.lower() == ".csv":
         return _of_curves(path)
     values = read_mapping(path, "a palpation's calibration.json")

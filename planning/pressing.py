@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
 
 from palpate.estimators.estimate import NINETY
 from palpate.planning.press import simulate_press
@@ -22,6 +23,8 @@ RADIUS = 0.01
 """Of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
+DEPTHS = 81
+"""Of a press: so many that the energy, which is between them as straight as the force, is off by little."""
 STEP = 0.25
 """Of places along an edge, over the radius."""
 AT_ONCE = 50_000
@@ -33,8 +36,9 @@ SHAPE_SD = 0.2
 def unit_press(poisson: float) -> np.ndarray:
     """A tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
-    stiffness = BLOCK.young * RADIUS**2
-    return np.stack([found.lengths / RADIUS, found.force / stiffness, found.work / (stiffness * RADIUS)])
+    depth = np.linspace(0, found.lengths[-1], DEPTHS) / RADIUS
+    force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
+    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
 
 
 class PressingCosts:

@@ -65,4 +65,6 @@ def read_space_scene(path: Path, values: dict[str, Any], alpha: float | None = N
         young, log_sd = palpated_young(path.parent / str(values.pop("calibration")))
         values |= {"young": young, "young_log_sd": log_sd}
     scene = from_mapping(SpaceScene, values, printable(path))
+    if not (path.parent / scene.mesh).is_file():
+        raise InputError(f"{printable(path)}: there is no mesh {printable(path.parent / scene.mesh)}; give its file.")
     return replace(scene, mesh=str(path.parent / scene.mesh), alpha=scene.alpha if alpha is None else alpha)

@@ -21,7 +21,7 @@ from palpate.planning.surface import measure
 
 NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 """Places, lines from each, and lines from start and from goal."""
-AROUND = 10
+AROUND = 8
 """How far beyond the grid places are drawn, over the radius."""
 VERSION = 1
 """Of what is in a file."""

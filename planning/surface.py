@@ -17,7 +17,7 @@ MOST_VOXELS = 2_000_000
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
-    """Signed distances from a closed surface, two radii of the tip beyond its box, on a grid of at least a third of one.
+    """Signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
 
     Close to the surface they are those from the tangent plane, of second order in the step. What lies behind openings
     narrower than four steps counts as body.
@@ -28,7 +28,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         radius: of the tip [m].
 
     Returns:
-        low, the grid's first place, shape [3] [m], step [m], and values, negative within, shape [X, Y, Z] [m].
+        low, the grid's first place, shape [3] [m]; step [m], a third of a radius or more; values, negative within, shape
+        [X, Y, Z] [m].
 
     Raises:
         InputError: the file can't be read, is not closed, or has the size of another unit.

@@ -28,8 +28,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         radius: of the tip [m].
 
     Returns:
-        low, the grid's first place, shape [3] [m]; step [m], a third of a radius or more; values, negative within, shape
-        [X, Y, Z] [m].
+        low, the grid's first place, shape [3] [m]; step [m], a third of a radius or more; and values, negative within,
+        shape [X, Y, Z] [m].
 
     Raises:
         InputError: the file can't be read, is not closed, or has the size of another unit.

@@ -1,6 +1,6 @@
 """The cheapest way of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
-    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR]
+    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR] [--planner roadmap|ompl]
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
@@ -29,6 +29,7 @@ from palpate.physics.fem import NoEquilibrium
 from palpate.planning import Blocked, find_plan, open_tables, read_plan_scene, simulate_press
 from palpate.planning.pictures import Pressed, draw_plan, force_along
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
+from palpate.planning.sampled import plan_by_ompl
 from palpate.planning.scene import PlanScene
 from palpate.planning.space import SpaceScene, read_space_scene
 from palpate.planning.space_map import open_costs, plan_in_space
@@ -48,6 +49,8 @@ def build_parser() -> argparse.ArgumentParser:
     share = real_number("a number from 0 on", 0.0)
     parser.add_argument("--alpha", type=share, metavar="A", help="0 = the shortest way, 1 = the gentlest")
     parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses and road maps")
+    planner = "of a scene with a mesh: a road map (default), or OMPL's RRT*, which takes 20 s each time"
+    parser.add_argument("--planner", choices=("roadmap", "ompl"), default="roadmap", help=planner)
     return parser
 
 
@@ -64,7 +67,9 @@ def main(arguments: list[str] | None = None) -> int:
             require_own(*(options.output / name for name in (SPACE_NAMES if "mesh" in values else NAMES)))
         if "mesh" in values:
             space = read_space_scene(options.scene, values, options.alpha)
-            return _plan_in_space(space, options.output, cache, console)
+            return _plan_in_space(space, options.output, cache, options.planner, console)
+        if options.planner != "roadmap":
+            raise InputError(f"{options.scene} has no mesh, which --planner is for; leave the option out.")
         return _plan(read_plan_scene(options.scene, options.alpha), options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -111,17 +116,17 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     return 0
 
 
-def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Console) -> int:
+def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, console: Console) -> int:
     make_output(output)
     with writing(cache):
         costs, found = open_costs(scene, cache)
     say(console, "road map found in the cache" if found else "road map made")
     begun = time.perf_counter()
-    plan = plan_in_space(costs)
+    plan = plan_by_ompl(costs) if planner == "ompl" else plan_in_space(costs)
     seconds = time.perf_counter() - begun
     rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
     record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
-    record |= {"alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
+    record |= {"planner": planner, "alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
     texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"

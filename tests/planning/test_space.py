@@ -83,18 +83,16 @@ def test_the_limit_holds_between_waypoints_too(scene, cache, limit):
     tips = np.stack([np.interp(gone, np.arange(len(places)), each) for each in places.T], axis=1)
     upper = costs.loads(tips)[0].max() * scene.young * costs.spread
     assert 0 < upper < 1.05 * limit
-    free = plan_in_space(open_costs(replace(scene, alpha=1.0), cache)[0])
-    assert (free.deformation, costs.deformation(*costs.edges(places[:-1], places[1:])).sum() > 0) == (0, True)
+    assert plan_in_space(open_costs(replace(scene, alpha=1.0), cache)[0]).deformation == 0
 
 
-def test_cost_intervals_widen_with_e(scene, cache):
-    sure, unsure = (open_costs(replace(scene, young_log_sd=sd, alpha=0.5), cache)[0] for sd in (0.0, 0.4))
+def test_cost_intervals_are_those_of_a_log_normal_e(scene, cache):
+    unsure = open_costs(replace(scene, young_log_sd=0.4, alpha=0.5), cache)[0]
     press = np.array([[0.0, 0.0, 0.026], [0.0, 0.0, 0.0185]])
     found = unsure.plan(press)
     factor = np.exp(1.645 * np.hypot(0.4, 0.2))
     wanted = [found.cost + 0.5 * found.deformation * (each - 1) for each in (1 / factor, factor)]
     assert unsure.interval(found) == pytest.approx(wanted, rel=1e-3)
-    assert np.diff(sure.interval(found)) < np.diff(unsure.interval(found))
 
 
 @pytest.mark.slow
@@ -145,10 +143,10 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
     assert told["young_pa"] == 4000
     assert told["cost_low"] <= told["cost"] <= told["cost_high"]
     assert api.plan(path, cache).cost == told["cost"]
-    lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
-    assert lines[0] == "time_s,x,y,z,qx,qy,qz,qw,expected_force_N,low,high"
+    columns, *lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
+    assert columns == "time_s,x,y,z,qx,qy,qz,qw,expected_force_N,low,high"
     poses = json.loads((body.parent / "scene" / "path.json").read_text())["poses"]
-    assert len(poses) == len(lines) - 1
+    assert len(poses) == len(lines)
     assert poses[0]["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
     assert list(poses[-1]["pose"]["position"].values()) == pytest.approx(FILE["goal"])
 
@@ -156,13 +154,14 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"unit": "mm"}, "8e-05 m long in unit mm; give `unit: m`"),
+        ({"mesh": "mm.ply"}, "is 80 m long in unit m; give `unit: mm`"),
         ({"mesh": "open.ply"}, "is not closed"),
         ({"mesh": "none.stl"}, "there is no mesh"),
         ({"mesh": "bad.yaml"}, "is no mesh of triangles"),
         ({"start": [0.0, 0.0, 0.0]}, "start [0.0, 0.0, 0.0] lies inside the tissue"),
         ({"goal": [60.0, 0.0, 0.0]}, "lies over 1 m from"),
-        ({"goal": [0.0, 0.0, -0.0206]}, "at the goal [0.0, 0.0, -0.0206] the force is over limit_N, 0.1"),
+        # Under the body, so that the shaft would lead through it.
+        ({"goal": [0.0, 0.0, -0.03]}, "at the goal [0.0, 0.0, -0.03] the force is over limit_N, 0.1"),
         ({"calibration": "calibration.json"}, "each tell E; give one"),
         ({"limit_N": -1.0}, "limit_N"),
     ],
@@ -170,6 +169,7 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
 def test_bad_input_is_a_sentence(body, cache, capsys, changes, said):
     box = trimesh.creation.box(SIZE)
     trimesh.Trimesh(box.vertices, box.faces[1:]).export(body.parent / "open.ply")
+    trimesh.Trimesh(1000 * box.vertices, box.faces).export(body.parent / "mm.ply")
     assert planned(body, cache, "bad", **changes)[1] == 1
     assert said in " ".join(capsys.readouterr().err.split())
 
@@ -198,8 +198,3 @@ def test_no_way_below_the_limit_is_a_sentence(scene, cache):
     costs.known["edges"] = np.full_like(costs.known["edges"], np.inf)
     with pytest.raises(Blocked, match="no way to the goal keeps the force below limit_N, 1; raise it"):
         plan_in_space(costs)
-
-
-def test_places_are_not_reached_through_the_body(scene, cache):
-    with pytest.raises(Blocked, match="goal"):  # under the body, where the shaft would lead through it
-        open_costs(replace(scene, goal=(0.0, 0.0, -0.03)), cache)

@@ -455,15 +455,15 @@ def read_calibration(path: Path) -> Calibration:
         measured = read_forces(files[-1])
     if given.palpation is not None:
         files.append(path.parent / given.palpation)
-        young = palpated(files[-1])
+        young = palpated_young(files[-1])
     return Calibration(given, path, tuple(dict.fromkeys(files)), measured, young)
 
 
-def palpated(path: Path) -> tuple[float, float]:
+def palpated_young(path: Path) -> tuple[float, float]:
     """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote.
 
     Raises:
-        InputError: the file can't be used, or determines nothing.
+        InputError: the file tells neither.
     """
     if path.suffix.lower() == ".csv":
         return _of_curves(path)

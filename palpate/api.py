@@ -5,6 +5,7 @@ from typing import Any
 
 from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
+from palpate.data.source.layout import read_mapping
 from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.open import EstimatorOptions, preparation
 from palpate.estimators.open import open_estimator as open_by_options
@@ -15,6 +16,8 @@ from palpate.estimators.session import estimates_of
 from palpate.planning.cost_table import open_tables
 from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
 from palpate.planning.scene import read_plan_scene
+from palpate.planning.space import read_space_scene
+from palpate.planning.space_map import open_costs, plan_in_space
 
 
 def open_estimator(name: str | None = None, **options: Any) -> Estimator:
@@ -92,12 +95,15 @@ def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Pl
 
     Args:
         scene: YAML file as of `palpate plan`.
-        cache: folder of simulated presses, which is filled where it lacks any.
+        cache: folder of simulated presses and road maps, which is filled where it lacks any.
         alpha: 0 = the shortest path, 1 = the gentlest; None = as the scene has it.
 
     Raises:
         InputError: the scene can't be used.
         Blocked: there is no path.
     """
+    values = read_mapping(Path(scene), "a scene to plan in")
+    if "mesh" in values:
+        return plan_in_space(open_costs(read_space_scene(Path(scene), values, alpha), Path(cache))[0])
     read = read_plan_scene(Path(scene), alpha)
     return find_plan(EdgeCosts(read, open_tables(read, Path(cache))))

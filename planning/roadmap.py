@@ -6,7 +6,7 @@ way to the cost, and whole ways are compared by the pair of cost and way. Afterw
 lowers this price.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +35,7 @@ class Plan:
     """A way; P places."""
 
     places: np.ndarray
-    """From start to goal, shape [P, 2] [m]."""
+    """From start to goal, shape [P, 2], in space [P, 3] [m]."""
     deformation: float
     """[mJ]."""
     way: float
@@ -111,11 +111,11 @@ class EdgeCosts:
         """What a way costs, its places [P, 2] given."""
         deformation = self.deformation(places[:-1], places[1:])
         way = MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1)
-        cost = _weighed(self.scene.alpha, deformation, way)
+        cost = weighed(self.scene.alpha, deformation, way)
         return Plan(places, float(deformation.sum()), float(way.sum()), float(cost.sum()))
 
 
-def _weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarray:
+def weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Equation 5, infinite through obstacles also where α is 0."""
     open_ways = np.isfinite(deformation)
     return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
@@ -150,14 +150,14 @@ def find_plan(costs: EdgeCosts) -> Plan:
     one, two = np.unique(np.sort(np.concatenate([pairs, [[0, 1]]]), axis=1), axis=0).T
     starts, ends = np.take(places, one, axis=0), np.take(places, two, axis=0)
     way = MILLI * np.linalg.norm(ends - starts, axis=1)
-    cost = _weighed(scene.alpha, costs.deformation(starts, ends), way)
-    chain = _shortest(len(places), one, two, cost, way)
+    cost = weighed(scene.alpha, costs.deformation(starts, ends), way)
+    chain = cheapest_chain(len(places), one, two, cost, way)
     if chain is None:
         raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")
-    return _shortened(costs, places[chain])
+    return shortened(costs.plan, places[chain])
 
 
-def _shortest(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, way: np.ndarray) -> list[int] | None:
+def cheapest_chain(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, way: np.ndarray) -> list[int] | None:
     """The cheapest chain of nodes from 0 to 1, of equally cheap ones the shortest; None = there is no way.
 
     Args:
@@ -174,11 +174,11 @@ def _shortest(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, wa
     return chain[::-1] if chain[-1] == 0 else None
 
 
-def _shortened(costs: EdgeCosts, places: np.ndarray) -> Plan:
+def shortened(plan_of: Callable[[np.ndarray], Plan], places: np.ndarray) -> Plan:
     """The way with places left out where that lowers the price."""
-    found = costs.plan(places)
+    found = plan_of(places)
     while len(found.places) > 2:
-        others = [costs.plan(np.delete(found.places, i, axis=0)) for i in range(1, len(found.places) - 1)]
+        others = [plan_of(np.delete(found.places, i, axis=0)) for i in range(1, len(found.places) - 1)]
         better = min(others, key=lambda plan: plan.price)
         if not better.price < found.price:
             break

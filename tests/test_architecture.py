@@ -54,6 +54,7 @@ FENCES = {
     "jinja2": ("results/page/render.py",),
     "viser": ("palpate/command/view.py",),
     "pandas": ("evaluation/",),
+    "trimesh": ("planning/surface.py",),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
 """Where a library may be imported, by whatever door."""

@@ -17,7 +17,7 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
-from palpate.estimators.calibration_file import SHEET_FACTOR, palpated
+from palpate.estimators.calibration_file import SHEET_FACTOR, palpated_young
 from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.particle_field import ParticleField
@@ -100,7 +100,7 @@ class SequenceTissue:
         """
         given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
         if given.palpation is not None and given.palpated_at is not None:
-            young, log_sd = palpated(self._sequence.path.parent / given.palpation)
+            young, log_sd = palpated_young(self._sequence.path.parent / given.palpation)
             at = int(np.linalg.norm(field.rest - scale * np.array(given.palpated_at), axis=1).argmin())
             own = math.hypot(log_sd, float(field.distance_log_sd[at]))
             return (young / 1000 / float(field.distance[at]), own) if field.known[at] else None

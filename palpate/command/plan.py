@@ -1,10 +1,14 @@
-"""The cheapest way of an instrument's tip through a plane with tissue that gives way (Frank 2010, section VII).
+"""The cheapest way of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
-    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR]
+    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR] [--planner roadmap|ompl]
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
-cost, the tissue pushed aside and the forces along both. Not a medical device.
+cost, the tissue pushed aside and the forces along both.
+
+A scene with a mesh is planned in space, past a body of any shape and through a port: its road map is kept in the cache
+for other starts, goals, moduli and limits. Writes plan.json, and path.csv and path.json: times, poses and expected
+forces. Not a medical device.
 """
 
 import argparse
@@ -19,15 +23,21 @@ from rich.console import Console
 from palpate.common.command_line import described_parser, path_option, progress_bars, real_number, say
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own
-from palpate.data.source.layout import InputError
+from palpate.common.tables import to_csv
+from palpate.data.source.layout import InputError, read_mapping
 from palpate.physics.fem import NoEquilibrium
 from palpate.planning import Blocked, find_plan, open_tables, read_plan_scene, simulate_press
 from palpate.planning.pictures import Pressed, draw_plan, force_along
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
+from palpate.planning.sampled import plan_by_ompl
 from palpate.planning.scene import PlanScene
+from palpate.planning.space import SpaceScene, read_space_scene
+from palpate.planning.space_map import open_costs, plan_in_space
+from palpate.planning.waypoints import COLUMNS, as_path, waypoints
 from palpate.results.store import OutputError, make_output, writing
 
 NAMES = ("plan.json", "plan.png")
+SPACE_NAMES = ("plan.json", "path.csv", "path.json")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -38,7 +48,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
     share = real_number("a number from 0 on", 0.0)
     parser.add_argument("--alpha", type=share, metavar="A", help="0 = the shortest way, 1 = the gentlest")
-    parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses")
+    parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses and road maps")
+    planner = "of a scene with a mesh: a road map (default), or OMPL's RRT*, which takes 20 s each time"
+    parser.add_argument("--planner", choices=("roadmap", "ompl"), default="roadmap", help=planner)
     return parser
 
 
@@ -49,10 +61,16 @@ def main(arguments: list[str] | None = None) -> int:
     if options.alpha is not None and options.alpha > 1:
         parser.error(f"--alpha is {options.alpha:g}; give 0 to 1.")
     try:
+        values = read_mapping(options.scene, "a scene to plan in")
+        cache = options.cache or options.output / "presses"
         with writing(options.output):
-            require_own(*(options.output / name for name in NAMES))
-        scene = read_plan_scene(options.scene, options.alpha)
-        return _plan(scene, options.output, options.cache or options.output / "presses", console)
+            require_own(*(options.output / name for name in (SPACE_NAMES if "mesh" in values else NAMES)))
+        if "mesh" in values:
+            space = read_space_scene(options.scene, values, options.alpha)
+            return _plan_in_space(space, options.output, cache, options.planner, console)
+        if options.planner != "roadmap":
+            raise InputError(f"{options.scene} has no mesh, which --planner is for; leave the option out.")
+        return _plan(read_plan_scene(options.scene, options.alpha), options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
     except (Blocked, NoEquilibrium, ValueError) as error:
@@ -95,6 +113,29 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
             f"largest force {found['largest_force']:.2f} N"
         )
     say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
+    return 0
+
+
+def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, console: Console) -> int:
+    make_output(output)
+    with writing(cache):
+        costs, found = open_costs(scene, cache)
+    say(console, "road map found in the cache" if found else "road map made")
+    begun = time.perf_counter()
+    plan = plan_by_ompl(costs) if planner == "ompl" else plan_in_space(costs)
+    seconds = time.perf_counter() - begun
+    rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
+    record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
+    record |= {"planner": planner, "alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
+    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
+    table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
+    texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"
+    with writing(output):
+        for name, text in zip(SPACE_NAMES, texts, strict=True):
+            with replacing_own(output / name) as partial:
+                partial.write_text(text, encoding="utf-8")
+    print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {record['largest_force']:.2f} N")
+    say(console, f"written: {output}/{', '.join(SPACE_NAMES)}")
     return 0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from palpate.planning import Blocked, CostTable, find_plan, read_plan_scene
 from palpate.planning.cost_table import grid_of, mirrored
-from palpate.planning.roadmap import EdgeCosts, _shortest
+from palpate.planning.roadmap import EdgeCosts, cheapest_chain
 from palpate.planning.scene import Placed
 from tests.planning.test_scene import SHIPPED
 
@@ -21,7 +21,7 @@ def costs(work: float, **changed: object) -> EdgeCosts:
     return EdgeCosts(scene, {"curtain": CostTable(places, angles, lengths, works, 0.0045)})
 
 
-def test_without_alpha_the_shortest_way_is_taken() -> None:
+def test_without_alpha_thecheapest_chain_way_is_taken() -> None:
     found = find_plan(costs(1.0, alpha=0.0))
     assert found.places.tolist() == [[0.025, -0.04], [0.025, 0.04]]
     assert found.way == pytest.approx(80)
@@ -76,7 +76,7 @@ def test_the_search_finds_what_trying_all_finds(free: float) -> None:
         price = share * apart + (work + work.T) * apart
         pairs = [[(price[i, j].item(), apart[i, j].item()) for j in range(7)] for i in range(7)]
         one, two = np.triu_indices(7, 1)
-        chain = _shortest(7, one, two, price[one, two], apart[one, two])
+        chain = cheapest_chain(7, one, two, price[one, two], apart[one, two])
         ways = [(0, *middle, 1) for n in range(6) for middle in itertools.permutations(range(2, 7), n)]
         best = min(np.sum([pairs[a][b] for a, b in itertools.pairwise(way)], axis=0).tolist() for way in ways)
         assert chain is not None

@@ -1,0 +1,119 @@
+"""Forces and costs of an instrument that presses a body in space.
+
+The tip is a ball, the shaft a row of balls to the port, one radius apart, each bearing half of what a tip would. A ball
+bears what its depth in the resting body tells by a press on a large block, simulated once for E = 1 and scaled: forces
+and work are linear in E. Contact slides without friction: work is the rise of the energy that the presses store, and
+of an edge half of all rises and falls, so that it costs the same both ways.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
+
+from palpate.estimators.estimate import NINETY
+from palpate.planning.press import simulate_press
+from palpate.planning.roadmap import DIGITS, MILLI, TIE, Plan, weighed
+from palpate.planning.scene import SoftObject
+from palpate.planning.space import SpaceScene
+
+RADIUS = 0.01
+"""Of the tip that presses the block [m]."""
+BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
+"""Four radii are the deepest press that is known; deeper ones count as too much force."""
+DEPTHS = 81
+"""Of a press: so many that the energy, which is between them as straight as the force, is off by little."""
+STEP = 0.25
+"""Of places along an edge, over the radius."""
+AT_ONCE = 50_000
+"""Places of the tip whose loads are found at once."""
+SHAPE_SD = 0.2
+"""Of the logarithm of forces: how far bodies of other shapes, and finer elements, are from the block."""
+
+
+def unit_press(poisson: float) -> np.ndarray:
+    """A tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
+    found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
+    depth = np.linspace(0, found.lengths[-1], DEPTHS) / RADIUS
+    force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
+    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
+
+
+class PressingCosts:
+    """Costs of straight lines of the tip in a scene.
+
+    Args:
+        scene: as read.
+        known: `press` of `unit_press`, and the grid that `surface.measure` returns.
+    """
+
+    def __init__(self, scene: SpaceScene, known: dict[str, Any]) -> None:
+        self.scene, self.known, self.radius = scene, known, scene.tip_radius
+        self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
+        self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
+        """Of the grid, shape [2, 3] [m]."""
+        self.spread = float(np.exp(NINETY * np.hypot(scene.young_log_sd, SHAPE_SD)))
+        """From a force to the upper end of its 90 % interval, a factor."""
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Of points [M, 3] from the body, negative within, shape [M] [m]; outside the grid as at its border."""
+        cells = (points - self.known["low"]) / self.known["step"]
+        return ndimage.map_coordinates(self.known["values"], cells.T, order=1, mode="nearest").astype(float)
+
+    def loads(self, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N], infinite where it is not known, and stored energy [J] with the tip at places [M, 3], shapes [M].
+
+        Both are for E = 1 Pa.
+        """
+        depths, forces, energies = self.known["press"] * self.radius ** np.array([[1], [2], [3]])
+        found = []
+        for some in np.split(tips, range(AT_ONCE, len(tips), AT_ONCE)):
+            away = self.port - some
+            length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+            away = np.where(away == 0, 1e-12, away) / length
+            # Beyond where it leaves the grid of distances the shaft is free.
+            leaves = np.maximum(*((corner - some) / away for corner in self.corners)).min(axis=1)
+            counts = np.ceil(np.clip(leaves, 0, length[:, 0]) / self.radius).astype(int)
+            row = np.repeat(np.arange(len(some)), counts)
+            ball = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
+            depth = self.radius - self.distance(some[row] + self.radius * ball[:, None] * away[row])
+            share = np.where(ball == 0, 1.0, 0.5)
+            force, energy = np.interp(depth, depths, forces, right=np.inf), np.interp(depth, depths, energies)
+            found.append([np.bincount(row, share * each, len(some)) for each in (force, energy)])
+        force, energy = np.concatenate(found, axis=1)
+        return force, energy
+
+    def edges(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K] [N]."""
+        counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (STEP * self.radius)).astype(int) + 2
+        begin = np.cumsum(counts) - counts
+        line = np.repeat(np.arange(len(starts)), counts)
+        share = (np.arange(len(line)) - begin[line]) / (counts[line] - 1)
+        force, energy = self.loads(starts[line] + share[:, None] * (ends - starts)[line])
+        changes = np.abs(np.diff(energy, prepend=0.0))
+        changes[begin] = 0.0
+        return np.add.reduceat(changes, begin) / 2, np.maximum.reduceat(force, begin)
+
+    def deformation(self, work: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Of lines of which `edges` told work and force, infinite over the limit, shape [K] [mJ]."""
+        over = force * self.scene.young * self.spread > self.scene.limit_N
+        return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))
+
+    def price(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """What lines [K, 3] → [K, 3] cost, of those that cost the same the shorter a little less, shape [K]."""
+        way = MILLI * np.linalg.norm(ends - starts, axis=1)
+        return weighed(self.scene.alpha, self.deformation(*self.edges(starts, ends)), way) + TIE * way
+
+    def plan(self, places: np.ndarray) -> Plan:
+        """What a way costs, its places [P, 3] given."""
+        begun, ended = MILLI * self.scene.young * self.loads(places[[0, -1]])[1]
+        deformation = self.deformation(*self.edges(places[:-1], places[1:])).sum() + (ended - begun) / 2
+        way = MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+        return Plan(places, float(deformation), float(way), float(weighed(self.scene.alpha, deformation, way)))
+
+    def interval(self, plan: Plan) -> tuple[float, float]:
+        """The 90 % interval of a way's cost; its deformation is log-normal."""
+        share = self.scene.alpha * plan.deformation
+        return plan.cost - share * (1 - 1 / self.spread), plan.cost + share * (self.spread - 1)

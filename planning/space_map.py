@@ -1,0 +1,96 @@
+"""A road map around a body in space, and the way through it.
+
+The map is kept in a file for all starts, goals, moduli, limits and α. Places of its cheapest chain are left out as
+long as that lowers the cost.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from palpate.common.files import digest_of, file_sha256
+from palpate.common.output import replacing_own, require_own
+from palpate.common.provenance import code_digest
+from palpate.data.source.layout import InputError
+from palpate.planning.pressing import PressingCosts, unit_press
+from palpate.planning.roadmap import MILLI, Blocked, Plan, cheapest_chain, shortened, weighed
+from palpate.planning.space import SpaceScene
+from palpate.planning.surface import measure
+
+NODES, NEIGHBOURS, JOINED = 3000, 12, 40
+"""Places, lines from each, and lines from start and from goal."""
+AROUND = 8
+"""How far beyond the grid places are drawn, over the radius."""
+VERSION = 1
+"""Of what is in a file."""
+FAR = 1.0
+"""From the body [m]; points farther off are taken for another unit."""
+
+
+def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
+    """A scene's costs with its road map, and whether that was found in the folder; otherwise it is made and kept.
+
+    Raises:
+        InputError: the mesh can't be used, or start, goal or port lie far from it.
+        Blocked: they lie inside the tissue, or the instrument presses over its limit there.
+        ForeignFile: a file that is not this program's lies in the folder.
+        OSError: the mesh or the folder can't be read or written.
+    """
+    fields = scene.unit, scene.port, scene.tip_radius, scene.poisson
+    key = digest_of([VERSION, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
+    path = cache / f"space-{key[:16]}.npz"
+    require_own(path)
+    found = path.exists()
+    if not found:
+        content = _made(scene)
+        cache.mkdir(parents=True, exist_ok=True)
+        with replacing_own(path) as partial, partial.open("wb") as file:
+            np.savez(file, **content)
+    with np.load(path, allow_pickle=False) as file:
+        costs = PressingCosts(scene, dict(file))
+    for name in ("start", "goal", "port"):
+        place = getattr(costs, name)
+        said = f"{name} {place.tolist()}"
+        if np.linalg.norm(place - np.clip(place, *costs.corners)) > FAR:
+            raise InputError(f"{said} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
+        if name != "goal" and costs.distance(place[None])[0] < 0:
+            raise Blocked(f"{said} lies inside the tissue; move it out.")
+        if name != "port" and not np.isfinite(costs.price(place[None], place[None]))[0]:
+            raise Blocked(f"at the {said} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
+    return costs, found
+
+
+def plan_in_space(costs: PressingCosts) -> Plan:
+    """The cheapest way found.
+
+    Raises:
+        Blocked: no way keeps below the limit.
+    """
+    known = costs.known
+    places = np.concatenate([[costs.start, costs.goal], known["places"]])
+    near = KDTree(known["places"]).query(places[:2], k=JOINED)[1] + 2
+    joined = np.concatenate([[[0, 1]], np.stack([np.repeat([0, 1], JOINED), near.ravel()], axis=1)])
+    one, two = np.concatenate([joined, known["pairs"] + 2]).T
+    fresh = costs.edges(places[joined[:, 0]], places[joined[:, 1]])
+    deformation = costs.deformation(*np.concatenate([fresh, known["edges"]], axis=1))
+    way = MILLI * np.linalg.norm(places[one] - places[two], axis=1)
+    chain = cheapest_chain(len(places), one, two, weighed(costs.scene.alpha, deformation, way), way)
+    if chain is None:
+        limit = f"limit_N, {costs.scene.limit_N:g}"
+        raise Blocked(f"no way to the goal keeps the force below {limit}; raise it, or move goal or port.")
+    return shortened(costs.plan, places[chain])
+
+
+def _made(scene: SpaceScene) -> dict[str, Any]:
+    """Content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges` [2, E]."""
+    known = measure(Path(scene.mesh), scene.unit, scene.tip_radius) | {"press": unit_press(scene.poisson)}
+    costs = PressingCosts(scene, known)
+    around = AROUND * scene.tip_radius * np.array([[-1.0], [1.0]])
+    drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
+    places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
+    near = KDTree(places).query(places, k=NEIGHBOURS + 1)[1]
+    pairs = np.stack([np.repeat(np.arange(len(places)), NEIGHBOURS), near[:, 1:].ravel()], axis=1)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return known | {"places": places, "pairs": pairs, "edges": costs.edges(*places[pairs.T])}

@@ -1,0 +1,200 @@
+"""Plans in space: a body's distances, what presses on it cost, ways that keep below a limit, and what is told."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+
+from palpate import api
+from palpate.command import plan as door
+from palpate.planning import space_map
+from palpate.planning.press import simulate_press
+from palpate.planning.pressing import RADIUS, PressingCosts, unit_press
+from palpate.planning.roadmap import Blocked
+from palpate.planning.sampled import plan_by_ompl
+from palpate.planning.scene import SoftObject
+from palpate.planning.space import SpaceScene
+from palpate.planning.space_map import open_costs, plan_in_space
+from palpate.planning.surface import measure
+from palpate.planning.waypoints import waypoints
+from tests.planning.test_scene import SHIPPED
+
+DEPTHS = np.linspace(0, 4, 81)
+PRESS = np.stack([DEPTHS, DEPTHS, DEPTHS**2 / 2])
+"""A tip that is pushed back by E·R·depth."""
+SIZE = np.array([0.08, 0.06, 0.04])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def body(tmp_path_factory):
+    """A box's file, and presses that need no simulation."""
+    path = tmp_path_factory.mktemp("space") / "body.ply"
+    trimesh.creation.box(SIZE).export(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(space_map, "unit_press", lambda _: PRESS)
+        yield path
+
+
+@pytest.fixture
+def scene(body):
+    ends = {"start": (-0.06, 0.0, 0.0), "goal": (0.06, 0.0, 0.0)}
+    return SpaceScene(str(body), port=(0.0, 0.0, 0.12), limit_N=1.0, young=5000.0, **ends)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("maps")
+
+
+def test_distances_are_those_of_a_box(body):
+    grid = measure(body, "m", 0.0025)
+    costs = PressingCosts(SpaceScene(str(body), *[(0.0, 0.0, 1.0)] * 3, 1.0, 1.0), grid | {"press": PRESS})
+    points = np.random.default_rng(0).uniform(*(costs.corners * 0.98), (4000, 3))
+    beyond = np.abs(points) - SIZE / 2
+    true = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+    error = np.abs(costs.distance(points) - true)
+    assert np.median(error) < 0.06 * grid["step"]  # rounded edges err most
+    assert error.max() < 0.8 * grid["step"]
+
+
+def test_a_straight_press_costs_its_work_and_both_ways_the_same(scene, cache):
+    costs = open_costs(scene, cache)[0]
+    above, pressed = np.array([[0, 0, 0.026]]), np.array([[0, 0, 0.0185]])
+    depth = 0.0025 - (0.0185 - 0.02)
+    force, energy = (each[0] * scene.young for each in costs.loads(pressed))
+    balls = sum(max(depth - (k * 0.0025), 0) ** np.array([1, 2]) * (1 if k == 0 else 0.5) for k in range(3))
+    assert force == pytest.approx(scene.young * 0.0025 * balls[0], rel=0.02)
+    assert energy == pytest.approx(scene.young * 0.0025 * balls[1] / 2, rel=0.02)
+    assert costs.plan(np.concatenate([above, pressed])).deformation == pytest.approx(1000 * energy, rel=1e-6)
+    assert costs.price(above, pressed) == pytest.approx(costs.price(pressed, above))
+    assert costs.loads(np.array([[0.0, 0.0, 0.001]]))[0] == np.inf  # deeper than is known
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.3])
+def test_the_limit_holds_between_waypoints_too(scene, cache, limit):
+    costs = open_costs(replace(scene, limit_N=limit, alpha=0.1), cache)[0]
+    places = plan_in_space(costs).places
+    gone = np.linspace(0, len(places) - 1, 5000)
+    tips = np.stack([np.interp(gone, np.arange(len(places)), each) for each in places.T], axis=1)
+    upper = costs.loads(tips)[0].max() * scene.young * costs.spread
+    assert 0 < upper < 1.05 * limit
+    assert plan_in_space(open_costs(replace(scene, alpha=1.0), cache)[0]).deformation == 0
+
+
+def test_cost_intervals_are_those_of_a_log_normal_e(scene, cache):
+    unsure = open_costs(replace(scene, young_log_sd=0.4, alpha=0.5), cache)[0]
+    press = np.array([[0.0, 0.0, 0.026], [0.0, 0.0, 0.0185]])
+    found = unsure.plan(press)
+    factor = np.exp(1.645 * np.hypot(0.4, 0.2))
+    wanted = [found.cost + 0.5 * found.deformation * (each - 1) for each in (1 / factor, factor)]
+    assert unsure.interval(found) == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_cost_intervals_hold_on_simulated_presses_of_other_bodies(scene, cache):
+    costs = open_costs(replace(scene, young_log_sd=0.3, alpha=1.0, tip_radius=RADIUS), cache)[0]
+    depth, _, work = unit_press(0.45)
+    held = []
+    drawn = np.exp(0.3 * np.random.default_rng(0).normal(size=200))
+    finer = ((0.1, 0.12, 0.12), ("right", "top", "bottom"), (6, 7, 7)), ((0.06, 0.16, 0.16), ("right",), (4, 6, 6))
+    for size, sides, cells in finer:
+        tissue = SoftObject(size, 1000.0, 0.45, sides, longest=0.03, cells=cells)
+        true = simulate_press(tissue, RADIUS, np.array([-size[0] / 2, 0.0]), 0.0).work_at(np.array([0.02, 0.03]))
+        told = np.interp([2, 3], depth, work) * 1000 * RADIUS**3
+        ratio = true[:, None] * drawn / told[:, None]
+        held.append((1 / costs.spread < ratio) & (ratio < costs.spread))
+    assert np.mean(held) > 0.88
+
+
+def test_waypoints_say_when_where_and_how_hard(scene, cache):
+    costs = open_costs(scene, cache)[0]
+    rows = waypoints(costs, plan := plan_in_space(costs))
+    assert rows[-1, 0] == pytest.approx(plan.way / 1000 / scene.speed)
+    assert np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1) == pytest.approx(np.diff(rows[:, 0]) * 0.01, abs=1e-5)
+    axes = Rotation.from_quat(rows[:, 4:8]).apply([0, 0, 1])
+    shaft = rows[:, 1:4] - costs.port
+    assert axes == pytest.approx(shaft / np.linalg.norm(shaft, axis=1, keepdims=True), abs=1e-9)
+    assert (rows[:, 9] <= rows[:, 8]).all()
+    assert (rows[:, 10] <= scene.limit_N).all()
+
+
+FILE = {"mesh": "body.ply", "start": [-0.06, 0.0, 0.0], "goal": [0.06, 0.0, 0.0], "port": [0.0, 0.0, 0.12]}
+FILE |= {"limit_N": 0.1, "young": 5000.0}
+
+
+def planned(body, cache, name="scene", options=(), **changes):
+    path = body.parent / f"{name}.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in (FILE | changes).items() if value is not None}))
+    return path, door.main([str(path), "--output", str(body.parent / name), "--cache", str(cache), *options])
+
+
+def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, capsys):
+    e = {"young_pa": 4000.0, "young_low_pa": 3000.0, "young_high_pa": 5333.3}
+    (body.parent / "calibration.json").write_text(json.dumps(e))
+    path, status = planned(body, cache, young=None, calibration="calibration.json")
+    assert (status, planned(body, cache, "other", start=[-0.05, 0.02, 0.0])[1]) == (0, 0)
+    assert "found in the cache" in capsys.readouterr().err
+    told = json.loads((body.parent / "scene" / "plan.json").read_text())
+    assert told["young_pa"] == 4000
+    assert told["cost_low"] <= told["cost"] <= told["cost_high"]
+    assert api.plan(path, cache).cost == told["cost"]
+    columns, *lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
+    assert columns == "time_s,x,y,z,qx,qy,qz,qw,expected_force_N,low,high"
+    poses = json.loads((body.parent / "scene" / "path.json").read_text())["poses"]
+    assert len(poses) == len(lines)
+    assert poses[0]["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
+    assert list(poses[-1]["pose"]["position"].values()) == pytest.approx(FILE["goal"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"mesh": "mm.ply"}, "is 80 m long in unit m; give `unit: mm`"),
+        ({"mesh": "open.ply"}, "is not closed"),
+        ({"mesh": "none.stl"}, "there is no mesh"),
+        ({"mesh": "bad.yaml"}, "is no mesh of triangles"),
+        ({"start": [0.0, 0.0, 0.0]}, "start [0.0, 0.0, 0.0] lies inside the tissue"),
+        ({"goal": [60.0, 0.0, 0.0]}, "lies over 1 m from"),
+        # Under the body, so that the shaft would lead through it.
+        ({"goal": [0.0, 0.0, -0.03]}, "at the goal [0.0, 0.0, -0.03] the force is over limit_N, 0.1"),
+        ({"calibration": "calibration.json"}, "each tell E; give one"),
+        ({"limit_N": -1.0}, "limit_N"),
+    ],
+)
+def test_bad_input_is_a_sentence(body, cache, capsys, changes, said):
+    box = trimesh.creation.box(SIZE)
+    trimesh.Trimesh(box.vertices, box.faces[1:]).export(body.parent / "open.ply")
+    trimesh.Trimesh(1000 * box.vertices, box.faces).export(body.parent / "mm.ply")
+    assert planned(body, cache, "bad", **changes)[1] == 1
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+def test_ompl_finds_nothing_cheaper_by_more_than_5_percent(scene, cache):
+    pytest.importorskip("ompl", reason="OMPL is not installed")
+    costs = open_costs(replace(scene, limit_N=0.3, alpha=0.5), cache)[0]
+    ours, theirs = plan_in_space(costs), plan_by_ompl(costs, 10.0)
+    assert theirs.cost >= 0.95 * ours.cost
+    assert theirs.cost < 2 * ours.cost  # the same objective
+    assert theirs.places[[0, -1]] == pytest.approx(np.stack([costs.start, costs.goal]))
+    assert np.isfinite(costs.price(theirs.places[:-1], theirs.places[1:])).all()
+
+
+def test_ompl_that_is_missing_and_a_scene_without_mesh_are_sentences(body, cache, capsys, monkeypatch, tmp_path):
+    assert door.main([str(SHIPPED), "--output", str(tmp_path), "--planner", "ompl"]) == 1
+    assert "has no mesh, which --planner is for" in " ".join(capsys.readouterr().err.split())
+    monkeypatch.setitem(sys.modules, "ompl.base", None)
+    assert planned(body, cache, "ompl", options=("--planner", "ompl"))[1] == 1
+    assert 'needs OMPL; pip install "palpate[ompl]"' in " ".join(capsys.readouterr().err.split())
+
+
+def test_no_way_below_the_limit_is_a_sentence(scene, cache):
+    costs = open_costs(scene, cache)[0]
+    costs.known["edges"] = np.full_like(costs.known["edges"], np.inf)
+    with pytest.raises(Blocked, match="no way to the goal keeps the force below limit_N, 1; raise it"):
+        plan_in_space(costs)

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from palpate.results import store
+from palpate.results.calibrated import NEWTONS
 from palpate.results.columns import INTERACTIONS
 from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
@@ -36,6 +37,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -46,7 +48,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
         "touching": int(record["statuses"].get("ok", 0)),
         "estimator": str(record["estimator"]["name"]),
         "warnings": [str(warning) for warning in record["warnings"]],
-        "newtons": bool((record.get("calibration") or {}).get("scale")),
+        "newtons": any(contact["unit"].startswith(NEWTONS) for contact in report["contacts"]),
     }
 
 
@@ -69,7 +71,7 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "video": store.OVERLAY if shown else None,
         "video_note": "" if shown else TEXTS["no_video"],
         "found": contacts,
-        "length": record["units"]["length"],
+        "length": record["units"].get("length", ""),
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "verdicts": [_explained(*item) for item in record["verdicts"].items()],

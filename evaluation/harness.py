@@ -2,14 +2,14 @@
 
 An `Experiment` is a frozen dataclass whose fields are its options. `run` reads them from the command line, does the
 cases that no earlier run has done, keeps every row of results as a line of results.jsonl, so that the same command
-continues an interrupted run, and writes what the experiment makes of all rows: tables, pictures, a page.
+continues an interrupted run, and writes the tables that the experiment makes of all rows.
 """
 
 import json
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,7 +29,6 @@ from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.source.layout import InputError
-from palpate.evaluation.page import render_page
 from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, make_output, writing
 
@@ -57,10 +56,6 @@ class Report:
     """Printed."""
     lines: Sequence[tuple[str, str]] = ()
     """Lines on the terminal, each with its style."""
-    figures: Mapping[str, bytes] = field(default_factory=dict)
-    """PNG files by their name in figures/."""
-    page: tuple[str, str] | None = None
-    """Title of report.html, and its text as Markdown, in which figures stand by their names."""
     failed: bool = False
     """Whether the program ends with status 1."""
 
@@ -272,22 +267,17 @@ def _cut_unfinished(path: Path, beginning: bytes) -> None:
 
 
 def write(output: Path, report: Report) -> list[str]:
-    """Write tables, pictures and page; returns their names.
+    """Write tables; returns their names.
 
     Raises:
         OutputError: they can't be written, or a user's file is there.
     """
-    files = {name: csv_of(frame).encode() for name, frame in report.tables.items()}
-    files |= {f"figures/{name}": content for name, content in report.figures.items()}
-    if report.page is not None:
-        files["report.html"] = render_page(*report.page, report.figures).encode()
     with writing(output):
-        require_own(*(output / name for name in files))
-        for name, content in files.items():
-            (output / name).parent.mkdir(parents=True, exist_ok=True)
+        require_own(*(output / name for name in report.tables))
+        for name, frame in report.tables.items():
             with replacing_own(output / name) as partial:
-                partial.write_bytes(content)
-    return [name for name in files if "/" not in name] + ["figures/"] * bool(report.figures)
+                partial.write_bytes(csv_of(frame).encode())
+    return [*report.tables]
 
 
 def csv_of(frame: pd.DataFrame) -> str:

@@ -28,7 +28,6 @@ from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.palpation import __main__ as palpation
 from palpate.evaluation.palpation import curves, surfaces
 from palpate.evaluation.real import __main__ as real
-from palpate.evaluation.recovery import figures
 from palpate.planning import cost_table
 from palpate.results.store import OutputError
 from tests.data.clips import SETTINGS
@@ -106,7 +105,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     monkeypatch.setattr(calibrate, "fit_material", lambda *arguments, report: quick_material())
     patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
-    patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
     @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
     def fit(trainer: Any, *_: object, **__: object) -> None:

@@ -74,8 +74,6 @@ class Experiment:
     """Fields of a row that tell it from all others; every row begins with the first of them."""
     work: ClassVar[Callable[[Any], list[Row]]]
     """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
-    refused: ClassVar[tuple[type[Exception], ...]] = ()
-    """What else ends it with a sentence."""
     writes: ClassVar[Sequence[str]] = ("table.csv",)
     """Names of files that are known before the work, where no user's file may be."""
 
@@ -84,17 +82,13 @@ class Experiment:
         """Keys of the cases, where each has one row."""
         raise NotImplementedError
 
-    def case(self, key: Any) -> Any:
-        """The case of a key, as `work` takes it: what is asked for, and of it this."""
-        return self, key
-
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
         return {}
 
     def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
-        """The cases that are left, and how many there are in all."""
-        return [self.case(key) for key in self.wanted if key not in done], len(self.wanted)
+        """The cases that are left, each what is asked for and the key of one of it; and how many there are in all."""
+        return [(self, key) for key in self.wanted if key not in done], len(self.wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """What is written of all rows in the folder, which may be more than this run asks for."""
@@ -114,12 +108,12 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
         Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.
     """
     experiment: Experiment = options(kind, arguments, program, documentation)
-    console, refused = Console(stderr=True), REFUSED + kind.refused
+    console = Console(stderr=True)
     try:
         with writing(experiment.output):
             require_own(*(experiment.output / name for name in experiment.writes))
         store = Store(experiment.output, experiment.record(), experiment.keys)
-    except refused as error:
+    except REFUSED as error:
         say(console, str(error), "red")
         return 2
     if store.outdated:
@@ -136,7 +130,7 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     except KeyboardInterrupt:
         say(console, "Interrupted; what is finished is kept, and the same command continues.", "yellow")
         status = INTERRUPTED
-    except refused as error:
+    except REFUSED as error:
         say(console, f"{error} What is finished is kept.", "red")
         status = 1
     if not store.rows:

@@ -121,11 +121,12 @@ def test_a_folder_of_something_else_is_refused(tmp_path, content):
         harness.Store(tmp_path / "file", WANTED, KEYS)
 
 
-def square(case: int) -> list[harness.Row]:
+def square(case: tuple[harness.Experiment, tuple[int]]) -> list[harness.Row]:
     """Of one number; 13 interrupts."""
-    if case == 13:
+    _, (number,) = case
+    if number == 13:
         raise KeyboardInterrupt
-    return [{"number": case} | harness.attempted(lambda: {"value": 1 / case, "array": np.full(2, case)})]
+    return [{"number": number} | harness.attempted(lambda: {"value": 1 / number, "array": np.full(2, number)})]
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,6 @@ class Squares(harness.Experiment):
     @property
     def wanted(self) -> list[tuple[int]]:
         return [(number,) for number in self.numbers]
-
-    def case(self, key: tuple[int]) -> int:
-        return key[0]
 
     def report(self, rows: Mapping[tuple, harness.Row]) -> harness.Report:
         found = [rows[number,] for number in self.numbers if (number,) in rows]

@@ -334,13 +334,9 @@ class Measurements(Experiment):
         wanted = self.wanted
         return [case for case in wanted.items() if "status" in done.get((case[0],), {"status": ""})], len(wanted)
 
-    def tabled(self, rows: Sequence[Row]) -> list[Row]:
-        """Rows as they are in the table, made of those that were measured."""
-        return list(rows)
-
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The table, and what failed."""
         found = [rows[name,] for name in self.wanted if (name,) in rows]
-        frame = by_measure(self.tabled(found), "file")
+        frame = by_measure(found, "file")
         failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
         return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))

@@ -161,8 +161,11 @@ def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, progr
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
     if name not in kinds:
-        print(text if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
-        return 0 if name == "--help" else 2
+        asked = name == "--help"
+        print(
+            text if asked else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stdout if asked else sys.stderr
+        )
+        return 0 if asked else 2
     return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 

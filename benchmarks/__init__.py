@@ -1,4 +1,4 @@
 """What is timed or measured once, against what; each is run by `python -m benchmarks.NAME`.
 
-inference      where the time of inference goes: encoder and head alone, and every stage of infer.py
+inference      encoder and head alone, one contact, and plain videos from end to end
 """

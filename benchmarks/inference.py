@@ -1,12 +1,12 @@
-"""Where the time of inference goes: the networks alone, one contact, and every stage of `infer.py` a frame.
+"""What inference takes: the networks alone, one contact, and plain videos from end to end.
 
     python -m benchmarks.inference
 
 The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
-encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The clip is synthetic, as frames
-with stored depth and annotated masks, and as a video without either (photometric depth, automatic masks). A contact is
-one call of the network that ships, with what it is given and how well the simulator explains the motion, on one thread.
-Last come plain videos of ten seconds with one press, from their first frame to finished results with the overlay.
+encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. A contact is one call of the
+network that ships, with what it is given and how well the simulator explains the motion, on one thread. Last come plain
+videos of ten seconds with one press, from their first frame to finished results with the overlay; of any clip,
+`timings_s` of its `run.json` says where the time went.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -35,11 +35,10 @@ from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
 from palpate.common.tables import to_markdown
 from palpate.data.contact.features import FEATURES
-from palpate.data.synthetic.__main__ import main as make_clips
 from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.network.estimator import FULL, RATES, NetworkEstimator
+from palpate.estimators.network.estimator import RATES, NetworkEstimator
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.evaluation.plain_video import HEIGHTS, PlainVideo
@@ -54,14 +53,13 @@ Result = TypeVar("Result")
 
 SIZE = 120, 214
 """Height and width of the networks' input."""
-RUNS, FRAMES = 20, 32
+RUNS = 20
 NETWORKS: dict[str, dict[str, Any]] = {
     "paper.yaml": {"channels": 1},
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
 """What differs from the generator's defaults."""
 VIDEO_FRAMES, VIDEO_SEED = 250, 55
-ESTIMATORS = ("network", "direct")
 CONTACTS = 9
 """Contacts that are timed, a third of them in each regime."""
 SIZES = (GRID_SIZE, (854, 480))
@@ -118,26 +116,26 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
 
 
-def stages(clip: Path, output: Path, estimator: str, frames: int = FRAMES, rate: str = FULL) -> dict[str, float]:
-    """Time by stage of `infer.py` on a clip, whose results go to `output` [ms a frame]; stages overlap.
+def frames_a_second(video: Path, output: Path, rate: str) -> float:
+    """How many frames of a video of VIDEO_FRAMES `infer.py` finishes a second at a rate; results go to `output`.
 
     Raises:
         RuntimeError: it failed.
     """
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        status = infer([str(clip), "--estimator", estimator, "--rate", rate, "--output", str(output)])
+        status = infer([str(video), "--estimator", "network", "--rate", rate, "--output", str(output)])
     if status != 0:
-        raise RuntimeError(f"infer.py ended with status {status} on {clip}.")
+        raise RuntimeError(f"infer.py ended with status {status} on {video}.")
     record = json.loads(next(output.rglob("run.json")).read_text(encoding="utf-8"))
-    return {stage: 1e3 * seconds / frames for stage, seconds in record["timings_s"].items()}
+    return VIDEO_FRAMES / record["timings_s"]["total"]
 
 
-def plain_video(width: int, folder: Path) -> list[dict[str, float]]:
-    """`stages` of the network on a video of VIDEO_FRAMES frames of a width [px], at each of RATES; all in a folder."""
+def plain_video(width: int, folder: Path) -> list[float]:
+    """`frames_a_second` of a drawn video of a width [px], at each of RATES; all in a folder."""
     drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
     settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
     video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
-    return [stages(video, folder / f"{rate}{width}", "network", VIDEO_FRAMES, rate) for rate in RATES]
+    return [frames_a_second(video, folder / f"{rate}{width}", rate) for rate in RATES]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -159,22 +157,11 @@ def _measure(folder: Path) -> None:
     columns = ("pictures", "--onset", "median", "of it vector and network", "longest")
     cases = itertools.product(SIZES, ONSETS)
     rows = ((f"{size}", onset, *(f"{t:.1f}" for t in one_contact(size, onset))) for size, onset in cases)
-    print(to_markdown(columns, rows), end="\n\n")
-    make_clips(["--output", str(folder / "clips"), "--clips", "1", "--frames", str(FRAMES), "--seed", "1"])
-    frames = next(path.parent for path in (folder / "clips").rglob("clip.json"))
-    found = {
-        (source, estimator): stages(path, folder / "results" / source / estimator, estimator)
-        for source, path in (("frames", frames), ("video", frames.with_name(f"{frames.name}.mp4")))
-        for estimator in ESTIMATORS
-    }
-    names = list(dict.fromkeys(stage for times in found.values() for stage in times))
-    print(f"\nStages of infer.py on frames of 854x480, {title}\n")
-    rows = ((*key, *(f"{times[name]:.1f}" if name in times else "" for name in names)) for key, times in found.items())
-    print(to_markdown(("source", "estimator", *names), rows))
+    print(to_markdown(columns, rows))
     print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine})\n")
     columns = ("pictures", *(f"--rate {rate}: frames a second" for rate in RATES))
     whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
-    rows = ((size, *(f"{1e3 / times['total']:.1f}" for times in rates)) for size, rates in whole)
+    rows = ((size, *(f"{rate:.1f}" for rate in rates)) for size, rates in whole)
     print(to_markdown(columns, rows))
 
 

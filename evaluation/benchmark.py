@@ -3,8 +3,8 @@
     python -m evaluation.benchmark --suite clean --estimator direct --clips 60 --seed 0 --output runs/benchmark
 
 Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
-continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv, details.csv
-(see `evaluation.recovery.details`) and figures/. A clip that can't be estimated is counted and shown. In table.csv
+continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv and details.csv
+(see `evaluation.recovery.details`). A clip that can't be estimated is counted and shown. In table.csv
 constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
 the mean over another split, can't reach it.
 
@@ -36,7 +36,6 @@ from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.evaluation.harness import OK, Experiment, Report, Row, run
-from palpate.evaluation.page import as_png
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from palpate.evaluation.recovery.grips import grip_table
@@ -189,9 +188,7 @@ class Benchmark(Experiment):
         return cases, len({group(key) for key in self.wanted})
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """Tables of presses, of grips and of slabs, and figures of presses."""
-        from palpate.evaluation.recovery.figures import figures
-
+        """Tables of presses, of grips and of slabs."""
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
         presses, grips, slabs = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
@@ -206,7 +203,7 @@ class Benchmark(Experiment):
         failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
         if failed:
             lines.append(("No clip could be estimated.", "red"))
-        return Report(tables, shown, lines, {name: as_png(figure) for name, figure in figures(judged)}, failed=failed)
+        return Report(tables, shown, lines, failed=failed)
 
 
 def _estimated(scores: Scores) -> list[tuple[str, str]]:

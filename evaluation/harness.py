@@ -2,14 +2,14 @@
 
 An `Experiment` is a frozen dataclass whose fields are its options. `run` reads them from the command line, does the
 cases that no earlier run has done, keeps every row of results as a line of results.jsonl, so that the same command
-continues an interrupted run, and writes what the experiment makes of all rows: tables, pictures, a page.
+continues an interrupted run, and writes the tables that the experiment makes of all rows.
 """
 
 import json
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,7 +29,6 @@ from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.source.layout import InputError
-from palpate.evaluation.page import render_page
 from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, make_output, writing
 
@@ -57,10 +56,6 @@ class Report:
     """Printed."""
     lines: Sequence[tuple[str, str]] = ()
     """Lines on the terminal, each with its style."""
-    figures: Mapping[str, bytes] = field(default_factory=dict)
-    """PNG files by their name in figures/."""
-    page: tuple[str, str] | None = None
-    """Title of report.html, and its text as Markdown, in which figures stand by their names."""
     failed: bool = False
     """Whether the program ends with status 1."""
 
@@ -79,8 +74,6 @@ class Experiment:
     """Fields of a row that tell it from all others; every row begins with the first of them."""
     work: ClassVar[Callable[[Any], list[Row]]]
     """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
-    refused: ClassVar[tuple[type[Exception], ...]] = ()
-    """What else ends it with a sentence."""
     writes: ClassVar[Sequence[str]] = ("table.csv",)
     """Names of files that are known before the work, where no user's file may be."""
 
@@ -89,17 +82,13 @@ class Experiment:
         """Keys of the cases, where each has one row."""
         raise NotImplementedError
 
-    def case(self, key: Any) -> Any:
-        """The case of a key, as `work` takes it: what is asked for, and of it this."""
-        return self, key
-
     def record(self) -> Mapping[str, Any]:
         """What results depend on, as `Store` takes it."""
         return {}
 
     def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
-        """The cases that are left, and how many there are in all."""
-        return [self.case(key) for key in self.wanted if key not in done], len(self.wanted)
+        """The cases that are left, each what is asked for and the key of one of it; and how many there are in all."""
+        return [(self, key) for key in self.wanted if key not in done], len(self.wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """What is written of all rows in the folder, which may be more than this run asks for."""
@@ -119,12 +108,12 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
         Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.
     """
     experiment: Experiment = options(kind, arguments, program, documentation)
-    console, refused = Console(stderr=True), REFUSED + kind.refused
+    console = Console(stderr=True)
     try:
         with writing(experiment.output):
             require_own(*(experiment.output / name for name in experiment.writes))
         store = Store(experiment.output, experiment.record(), experiment.keys)
-    except refused as error:
+    except REFUSED as error:
         say(console, str(error), "red")
         return 2
     if store.outdated:
@@ -141,7 +130,7 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     except KeyboardInterrupt:
         say(console, "Interrupted; what is finished is kept, and the same command continues.", "yellow")
         status = INTERRUPTED
-    except refused as error:
+    except REFUSED as error:
         say(console, f"{error} What is finished is kept.", "red")
         status = 1
     if not store.rows:
@@ -172,8 +161,11 @@ def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, progr
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
     if name not in kinds:
-        print(text if name == "--help" else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stderr)
-        return 0 if name == "--help" else 2
+        asked = name == "--help"
+        print(
+            text if asked else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stdout if asked else sys.stderr
+        )
+        return 0 if asked else 2
     return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 
@@ -272,22 +264,17 @@ def _cut_unfinished(path: Path, beginning: bytes) -> None:
 
 
 def write(output: Path, report: Report) -> list[str]:
-    """Write tables, pictures and page; returns their names.
+    """Write tables; returns their names.
 
     Raises:
         OutputError: they can't be written, or a user's file is there.
     """
-    files = {name: csv_of(frame).encode() for name, frame in report.tables.items()}
-    files |= {f"figures/{name}": content for name, content in report.figures.items()}
-    if report.page is not None:
-        files["report.html"] = render_page(*report.page, report.figures).encode()
     with writing(output):
-        require_own(*(output / name for name in files))
-        for name, content in files.items():
-            (output / name).parent.mkdir(parents=True, exist_ok=True)
+        require_own(*(output / name for name in report.tables))
+        for name, frame in report.tables.items():
             with replacing_own(output / name) as partial:
-                partial.write_bytes(content)
-    return [name for name in files if "/" not in name] + ["figures/"] * bool(report.figures)
+                partial.write_bytes(csv_of(frame).encode())
+    return [*report.tables]
 
 
 def csv_of(frame: pd.DataFrame) -> str:
@@ -350,13 +337,9 @@ class Measurements(Experiment):
         wanted = self.wanted
         return [case for case in wanted.items() if "status" in done.get((case[0],), {"status": ""})], len(wanted)
 
-    def tabled(self, rows: Sequence[Row]) -> list[Row]:
-        """Rows as they are in the table, made of those that were measured."""
-        return list(rows)
-
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The table, and what failed."""
         found = [rows[name,] for name in self.wanted if (name,) in rows]
-        frame = by_measure(self.tabled(found), "file")
+        frame = by_measure(found, "file")
         failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
         return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))

@@ -122,12 +122,12 @@ def test_validate_and_test_write_the_evaluation(trained: Path, config: Path, cap
     assert train.main(["validate", "-c", str(config), "--ckpt_path", "best"]) == 0
     assert train.main(["test", "-c", str(config), "--ckpt_path", "best"]) == 0
     assert str(trained / "evaluation" / "report.html") in capsys.readouterr().out
-    for name in ("table2.csv", "figure3.png", "report.html", "evaluation.json"):
+    for name in ("per_frame.csv", "figure3.png", "report.html", "evaluation.json"):
         assert (trained / "evaluation" / name).stat().st_size > 0
 
 
 def test_a_user_s_file_where_test_or_export_write_stays(trained: Path, config: Path, tmp_path: Path, capsys):
-    table, notes = tmp_path / "run" / "evaluation" / "table2.csv", tmp_path / "notes.onnx"
+    table, notes = tmp_path / "run" / "evaluation" / "per_frame.csv", tmp_path / "notes.onnx"
     table.parent.mkdir(parents=True)
     for path in (table, notes):
         path.write_text("precious")
@@ -179,7 +179,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, k
     assert train.main([*missing, "--ckpt_path", "last"]) == 0
     assert last(config.parent / "posterior")["epoch"] == 1
     assert train.main(["test", "-c", str(config), "-c", str(known), "--ckpt_path", "last"]) == 0
-    assert (config.parent / "posterior" / "evaluation" / "table2.csv").stat().st_size > 0
+    assert (config.parent / "posterior" / "evaluation" / "per_frame.csv").stat().st_size > 0
 
 
 @pytest.mark.slow

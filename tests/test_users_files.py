@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +28,6 @@ from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.palpation import __main__ as palpation
 from palpate.evaluation.palpation import curves, surfaces
 from palpate.evaluation.real import __main__ as real
-from palpate.evaluation.real.pulled import Pull
-from palpate.evaluation.recovery import figures
 from palpate.planning import cost_table
 from palpate.results.store import OutputError
 from tests.data.clips import SETTINGS
@@ -47,14 +45,14 @@ PAGES = ("index.html", "clip/page.html")
 PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
-    "judge_pull": ("table.csv", "report.html", "figures/1.png", "figures/notes.txt"),
+    "judge_pull": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
-    "benchmark": ("table.csv", "details.csv", "figures/errors.png", "results.jsonl", "run.json"),
+    "benchmark": ("table.csv", "details.csv", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
     "write_depth": ("depth.onnx", "notes.txt"),
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
@@ -88,10 +86,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch = monkeypatch.setattr
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
-    patch(real, "evaluate_pull", lambda clip, row: Pull({"status": "ok"}, cast(Any, None)))
-    patch(real, "state", lambda run: "undetermined")
-    patch(real, "draw_fits", lambda *arguments, **options: None)
-    patch(real, "as_png", lambda figure: os.urandom(8))
+    patch(real, "evaluate_pull", lambda clip, row: row.update(status="ok", skill=random.random()))
     monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
@@ -110,7 +105,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     monkeypatch.setattr(calibrate, "fit_material", lambda *arguments, report: quick_material())
     patch(calibrate, "_picture", lambda scene, found: Figure((1, 1)))
     patch(Benchmark, "work", staticmethod(lambda trial: [recovery(trial.index)]))
-    patch(figures, "figures", lambda scores: [("errors.png", Figure((1, 1)))])
 
     @functools.wraps(train.RunTrainer.fit)  # whose arguments are options
     def fit(trainer: Any, *_: object, **__: object) -> None:

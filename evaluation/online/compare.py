@@ -7,7 +7,7 @@ and by the same optimiser as the online estimator's; followed points count where
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -147,31 +147,3 @@ def table(cases: Mapping[tuple, Row]) -> pd.DataFrame:
 
     cells = {", ".join(key): [cell(*key, method) for method in METHODS] for key in columns}
     return pd.DataFrame({"method": METHODS} | cells)
-
-
-def orders(gaps: dict[str, float]) -> bool:
-    """Whether PBD > PBD-RM > PBD-RM-ON, of mean gaps by method."""
-    return gaps["PBD"] > gaps["PBD-RM"] > gaps["PBD-RM-ON"]
-
-
-def summary(cases: Mapping[tuple, Row]) -> Iterator[tuple[str, str]]:
-    """What of the paper's claims holds, a name and a sentence each; of what was run alone.
-
-    Args:
-        cases: by sequence, start and method.
-    """
-    gaps = {key: float(case["gap"].mean()) for key, case in cases.items()}
-    rows = {(one, two): {m: gaps[one, two, m] for m in METHODS if (one, two, m) in gaps} for one, two, _ in cases}
-    whole = {key: row for key, row in rows.items() if {"PBD", "PBD-RM", "PBD-RM-ON"} <= set(row)}
-    if whole:
-        kept = sum(orders(row) for row in whole.values())
-        less = np.mean([1 - row["PBD-RM-ON"] / row["PBD"] for row in whole.values()])
-        yield "order", f"PBD > PBD-RM > PBD-RM-ON in {kept} of {len(whole)} cases"
-        yield "reduction", f"from PBD to PBD-RM-ON by {less:.0%} in the mean over them"
-    ranks = {key[:2]: case.get("rank", np.nan) for key, case in cases.items() if key[2] == "PBD-RM-ON"}
-    for (sequence, start), row in rows.items():
-        if sequence == "thin-shell-2" and {BATCH, "PBD-RM-ON"} <= set(row):
-            yield f"batch fit, {start}", f"PBD-RM-ON has {row['PBD-RM-ON'] / row[BATCH]:.2f} of its gap on thin-shell-2"
-    if ranks:
-        each = ", ".join(f"{sequence} {start} {rank:.2f}" for (sequence, start), rank in ranks.items())
-        yield "rank", f"distance field against truth: {each}; above 0.7 in {sum(r > 0.7 for r in ranks.values())}"

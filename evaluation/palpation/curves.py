@@ -23,15 +23,6 @@ from palpate.evaluation.harness import Measurements, Row
 
 FOLDS = 5
 """Parts of a region, each of which is left out once."""
-SUMMARISED = {
-    "probing": (
-        "that over the mean stiffness's, random fifths",
-        "that over the mean stiffness's, strips",
-        "coverage of 90 % intervals, random fifths",
-    ),
-    "relaxation": ("second half off, rms / peak", "one standard linear solid: second half off, rms / peak"),
-}
-"""Measures whose median over the files is in the table as well."""
 
 
 @dataclass(frozen=True)
@@ -59,22 +50,6 @@ class Curves(Measurements):
     def record(self) -> Mapping[str, Any]:
         """When every file was changed last."""
         return {f"file {name}": (self.data / name).lstat().st_mtime_ns for name in self.wanted}
-
-    def tabled(self, rows: Sequence[Row]) -> list[Row]:
-        """Also medians over the files of a kind."""
-        return [*rows, *medians(rows)]
-
-
-def medians(rows: Sequence[Row]) -> list[Row]:
-    """Medians of the SUMMARISED measures, a row for every kind of file."""
-    found = []
-    for kind, measures in SUMMARISED.items():
-        values = {measure: [row[measure] for row in rows if measure in row] for measure in measures}
-        known = {f"{measure}, median of {len(each)} files": each for measure, each in values.items() if each}
-        named = {name: float(np.median(each)) for name, each in known.items()}
-        if named:
-            found.append({"file": f"all {kind}", **named})
-    return found
 
 
 def judge_probing(path: Path) -> Row:

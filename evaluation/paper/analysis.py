@@ -53,10 +53,8 @@ class Evaluation:
     depth: dict[str, Statistics]
     """Mean |Δz| of the decoded next depth map, of repeating the last frame, and of the decoded map when θ moves to the
     farthest corner of the admissible box; then the paired comparison of the first two."""
-    settling: pd.DataFrame
-    """Settling of every test frame under the predicted and the reference θ."""
     motion: pd.DataFrame
-    """Settling and peaks of these simulations in numbers."""
+    """Settling and peaks under the predicted and the reference θ in numbers."""
     spread: pd.DataFrame
     """Spread of the estimates by parameter."""
     constant: np.ndarray
@@ -118,7 +116,6 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     motion = {name: simulated.motion_row(each) for name, each in settled.items()}
     for name, path in paths.items():
         motion[name]["median of highest peak"] = simulated.median_share(path)
-    settling = {name: frames[["clip", "frame"]].join(each) for name, each in settled.items()}
 
     motions = [(one.observation.times.tobytes(), one.moved.tobytes()) for one in contacts]
     observed = set(zip(clips, motions, strict=True))
@@ -129,7 +126,6 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         summaries={name: summarise(values, clips) for name, values in errors.items()},
         comparisons=comparisons,
         depth=depth,
-        settling=pd.concat(settling, names=["simulation"]).reset_index("simulation").reset_index(drop=True),
         motion=pd.DataFrame.from_dict(motion, orient="index"),
         spread=spread,
         constant=constant,

@@ -22,8 +22,8 @@ from palpate.evaluation.paper.statistics import format_number as shown
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.record import versions
 
-FILES = ("figure3.png", "theta.png", "table2.csv", "per_frame.csv", "report.html", "evaluation.json")
-FORMAT_VERSION = 2
+FILES = ("figure3.png", "theta.png", "per_frame.csv", "report.html", "evaluation.json")
+FORMAT_VERSION = 3
 """Version of `evaluation.json`."""
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 """Lines of tables, and units."""
@@ -61,7 +61,6 @@ def write_evaluation(
         "theta.png": as_png(draw_theta(found.frames, found.spread, as_reported(found.constant, bounds))),
     }
     texts = {
-        "table2.csv": statistics_table(found).to_csv(index=False),
         "per_frame.csv": found.frames.to_csv(index=False),
         "report.html": render_page(TITLE, page_text(found, len(training), mechanics, bounds, made), figures),
         "evaluation.json": evaluation_json(found, mechanics, bounds, made),
@@ -115,17 +114,6 @@ def reading_tables(found: Evaluation) -> dict[str, pd.DataFrame]:
         "constant": pd.DataFrame({"value": constant}),
         "depth": _filled(ERRORS, {label: found.depth[name] for name, label in TEXTS["depth"].items()}),
     }
-
-
-def statistics_table(found: Evaluation) -> pd.DataFrame:
-    """All numbers of Table 2 and its tests, one a row."""
-    regimes = [(name, "", statistics) for name, statistics in found.summaries.items()]
-    regimes += [("predicted θ", name, statistics) for name, statistics in found.comparisons.items()]
-    return pd.DataFrame(
-        {"regime": regime, "compared_with": baseline, "quantity": quantity, **statistic._asdict()}
-        for regime, baseline, statistics in regimes
-        for quantity, statistic in statistics.items()
-    )
 
 
 def page_text(found: Evaluation, contacts: int, mechanics: Mechanics, bounds: Bounds, made: datetime) -> str:

@@ -193,28 +193,23 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
     """Spread of the parameters, as reported, over the test frames in the admissible box.
 
     Args:
-        frames: one row a test frame with its `clip` and parameters.
+        frames: one row a test frame with its parameters.
         bounds: the box.
         contacts: number of different observed motions behind the frames.
 
     Returns:
         One row a parameter. `sd` is the sample SD over all frames, of which a constant predictor has 0; `low` and
         `high` are the admissible range, `sd_of_range` and `sd_of_mean` the SD as a fraction of it and of |mean|,
-        `between_clips_sd` the SD of the clips' means, `within_clips_sd` that around the own clip's mean, `at_bound` the
-        fraction of frames at an end of the range.
+        `at_bound` the fraction of frames at an end of the range.
     """
     low, high = np.sort(as_reported(np.array([bounds.lower, bounds.upper]), bounds), axis=0)
-    values = frames[list(PARAMETERS)]
-    by_clip, width = values.groupby(frames["clip"]), high - low
+    values, width = frames[list(PARAMETERS)], high - low
     spread = values.agg(["mean", "std", "min", "max"]).T.set_axis(["mean", "sd", "minimum", "maximum"], axis="columns")
-    within = np.square(values - by_clip.transform("mean")).sum() / (len(values) - by_clip.ngroups)
     spread = spread.assign(
         low=low,
         high=high,
         sd_of_range=spread["sd"] / width,
         sd_of_mean=spread["sd"] / spread["mean"].abs(),
-        between_clips_sd=by_clip.mean().std(),
-        within_clips_sd=np.sqrt(within),
         at_bound=((values - low < AT_BOUND * width) | (high - values < AT_BOUND * width)).mean(),
     )
     constant = (spread["sd_of_range"] < MINIMUM_SPREAD) & ~(spread["sd_of_mean"] >= MINIMUM_VARIATION)

@@ -8,8 +8,8 @@
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
 fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
 it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes table.csv
-(clip, measure, value), figures/ and report.html; the same command judges again what could not be judged. Not a medical
-device.
+(clip, measure, value); the same command judges again what could not be judged. `infer.py` draws the same session's
+fit.png. Not a medical device.
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import base64
 import functools
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,19 +29,14 @@ from rich.progress import Progress
 
 from palpate.common.doors import interruptible
 from palpate.common.provenance import ROOT
-from palpate.common.tables import to_cell, to_markdown
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, run
-from palpate.evaluation.page import as_png
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
-from palpate.results.plots import draw_fits
-from palpate.results.verdicts import state
 
-TITLE = "Real clips, judged on what was kept back"
 KNOWN = {
     "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
     "video01_00080": PulledClip(Path("cholecseg8k/video01/video01_00080")),
@@ -52,16 +45,13 @@ KNOWN = {
 
 
 def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
-    """What is measured of a clip, by name, as far as it comes; `figure` is a PNG file in base 64."""
+    """What is measured of a clip, by name, as far as it comes."""
     asked, (name,) = case
     clip, row = asked.wanted[name,], Row(clip=name, status="")
     try:
         with interruptible():
             if asked.online is None:
-                pull = evaluate_pull(clip, row)
-                row |= pull.measures
-                figure = draw_fits([pull.run], Counter([state(pull.run)]), name)
-                row["figure"] = base64.b64encode(as_png(figure)).decode()
+                evaluate_pull(clip, row)
             else:
                 row |= evaluate_prediction(clip, asked.online)
     except Exception as error:  # of one clip; the others still are judged
@@ -127,11 +117,6 @@ class Real(Experiment):
             found[f"{name} (2)" if (name,) in found else name,] = clip
         return found
 
-    @property
-    def writes(self) -> list[str]:  # ty: ignore[incompatible-property-override]  nobody sets it
-        """Files of the results."""
-        return ["table.csv", "report.html", *(f"figures/{number}.png" for number in range(1, len(self.wanted) + 1))]
-
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
         return {f"clip {name}": repr((clip, self.online)) for (name,), clip in self.wanted.items()}
@@ -141,17 +126,11 @@ class Real(Experiment):
         return super().cases({key: row for key, row in done.items() if row["status"] == OK}, progress)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """A row a clip and measure, and a figure a clip of what the session says."""
-        found = [dict(rows[key]) for key in self.wanted if key in rows]
-        drawn = [row.pop("figure") for row in found if "figure" in row]
-        figures = {f"{number}.png": base64.b64decode(content) for number, content in enumerate(drawn, 1)}
+        """A row a clip and measure."""
+        found = [rows[key] for key in self.wanted if key in rows]
         frame = by_measure(found, "clip")
         failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
-        lines = [[to_cell(cell, ".3g") for cell in line] for line in frame.itertuples(index=False)]
-        shown = "\n".join(f"![Figure {name}]({name})\n" for name in figures)
-        note = "> **Not a medical device.** Lengths in pixels; forces in newtons only where some were measured.\n"
-        page = TITLE, f"# {TITLE}\n\n{note}\n{shown}\n{to_markdown([*frame.columns], lines)}\n"
-        return Report({"table.csv": frame}, [frame], failed, figures, page, failed=bool(failed))
+        return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -41,23 +41,13 @@ class PulledClip:
         return ClipLayout() if self.layout_file is None else load_layout(self.layout_file)
 
 
-@dataclass(frozen=True, eq=False)
-class Pull:
-    """What is measured of a clip."""
-
-    measures: dict[str, object]
-    """Numbers and words by name."""
-    run: InteractionEstimate
-    """The run of contact that is reported."""
-
-
-def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
+def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> None:
     """Open the session and gather what it says.
 
     Args:
         clip: the clip.
-        measures: gets the probability of contact in every frame with an instrument, by the frame's number, before
-            anything else is asked.
+        measures: gets what it says, numbers and words by name; first the probability of contact in every frame with
+            an instrument, by the frame's number, whatever becomes of the rest.
 
     Raises:
         InputError: the clip can't be read.
@@ -75,7 +65,7 @@ def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> Pull:
     if not gripped:
         raise NoEstimate(" ".join(run.detail for run in runs) or "No run of contact was found.")
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
-    return Pull({"status": "ok"} | grip_measures(run, grip), run)
+    measures |= {"status": "ok"} | grip_measures(run, grip)
 
 
 def opened(clip: PulledClip) -> tuple[Estimator, ClipStream]:

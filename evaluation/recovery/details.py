@@ -7,8 +7,8 @@ collapse                      standard deviation of log θ over all estimated cl
                               estimator that ignores its input
 clips, failed                 number of clips, and of those without an estimate, with the reasons
 sigma, sigma_rms              measured tracking noise [scene units] (see `evaluation.recovery.scores.measure_noise`)
-verdict_accuracy              share of clips where the estimated verdict is the true one
-verdict_accuracy_clear        the same where no bound lies within a factor 1.5 of the limit
+verdict_accuracy_clear        share of clips where the estimated verdict is the true one, of those where no bound lies
+                              within a factor 1.5 of the limit
 warned                        share of clips whose estimate says that its model doesn't explain the motion, or that the
                               contact is pressed aslant
 onset_off, release_off        frames from the true onset and release to those found, of clips with an estimate: mean
@@ -75,13 +75,10 @@ def _whole(scores: Scores) -> Iterator[Row]:
         yield {"quantity": name, "n": total, "value": value}
     true, clear = true_verdicts(scores.bounds)
     given = np.array([row.get("verdict", "") for row in scores.rows])
-    for name, used in (("verdict_accuracy", given != ""), ("verdict_accuracy_clear", (given != "") & clear)):
-        if used.any():
-            pairs = zip(true[used].tolist(), given[used].tolist(), strict=True)
-            mistakes = Counter(f"{a} taken for {b}" for a, b in pairs if a != b)
-            note = "; ".join(f"{count} {mistake}" for mistake, count in mistakes.most_common())
-            value = float((given[used] == true[used]).mean())
-            yield {"quantity": name, "n": int(used.sum()), "value": value, "note": note}
+    used = (given != "") & clear
+    if used.any():
+        value = float((given[used] == true[used]).mean())
+        yield {"quantity": "verdict_accuracy_clear", "n": int(used.sum()), "value": value}
     for name, average in _AVERAGES.items():
         values = np.array([row[name] for row in scores.rows if name in row], float)
         if len(values):

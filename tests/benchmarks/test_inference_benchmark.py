@@ -1,12 +1,13 @@
 """The inference benchmark times the sizes that the configurations have, and reads what infer.py writes down."""
 
+import json
 from pathlib import Path
 
 import pytest
 import yaml
 
 from palpate.benchmarks import inference
-from palpate.benchmarks.inference import NETWORKS, encoder_and_head, exported, one_contact, stages
+from palpate.benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second, one_contact
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.models.onnx_session import open_model
@@ -34,8 +35,11 @@ def test_a_contact_is_timed_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < network < median == longest
 
 
-def test_stages_are_those_of_the_record(tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1)
-    times = stages(clip, tmp_path / "results", "network")
-    assert {"decode", "depth", "geometry", "overlay", "total"} <= set(times)
-    assert max(value for name, value in times.items() if name != "total") <= times["total"]
+def test_a_rate_is_that_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inference, "VIDEO_FRAMES", 16)
+    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1).with_suffix(
+        ".mp4"
+    )
+    rate = frames_a_second(clip, tmp_path / "results", "full")
+    (record,) = (tmp_path / "results").rglob("run.json")
+    assert rate == pytest.approx(16 / json.loads(record.read_text())["timings_s"]["total"])

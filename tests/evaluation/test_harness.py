@@ -93,11 +93,10 @@ def test_a_line_that_is_none_of_ours_is_not_cut_off(tmp_path):
         assert (tmp_path / harness.RESULTS).read_text() == content
 
 
-@pytest.mark.parametrize("name", ["table.csv", "report.html", "figures/bias.png"])
+@pytest.mark.parametrize("name", ["table.csv", "details.csv"])
 def test_a_user_s_file_among_the_tables_stays(tmp_path, name):
-    (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("precious")
-    report = harness.Report({"table.csv": pd.DataFrame()}, figures={"bias.png": b"png"}, page=("title", "text"))
+    report = harness.Report({"table.csv": pd.DataFrame(), "details.csv": pd.DataFrame()})
     with pytest.raises(OutputError, match=rf"{name} is not as this program wrote it; move it away"):
         harness.write(tmp_path, report)
     assert (tmp_path / name).read_text() == "precious"
@@ -122,11 +121,12 @@ def test_a_folder_of_something_else_is_refused(tmp_path, content):
         harness.Store(tmp_path / "file", WANTED, KEYS)
 
 
-def square(case: int) -> list[harness.Row]:
+def square(case: tuple[harness.Experiment, tuple[int]]) -> list[harness.Row]:
     """Of one number; 13 interrupts."""
-    if case == 13:
+    _, (number,) = case
+    if number == 13:
         raise KeyboardInterrupt
-    return [{"number": case} | harness.attempted(lambda: {"value": 1 / case, "array": np.full(2, case)})]
+    return [{"number": number} | harness.attempted(lambda: {"value": 1 / number, "array": np.full(2, number)})]
 
 
 @dataclass(frozen=True)
@@ -155,13 +155,10 @@ class Squares(harness.Experiment):
     def wanted(self) -> list[tuple[int]]:
         return [(number,) for number in self.numbers]
 
-    def case(self, key: tuple[int]) -> int:
-        return key[0]
-
     def report(self, rows: Mapping[tuple, harness.Row]) -> harness.Report:
         found = [rows[number,] for number in self.numbers if (number,) in rows]
         frame = pd.DataFrame([{"number": row["number"], "value": row.get("value")} for row in found])
-        return harness.Report({"table.csv": frame}, page=("Squares", "# Squares"), failed="value" not in found[0])
+        return harness.Report({"table.csv": frame}, failed="value" not in found[0])
 
 
 def measured(*arguments: str) -> int:
@@ -175,7 +172,6 @@ def test_an_experiment_goes_on_where_it_stopped(tmp_path: Path, capsys: pytest.C
     assert measured(*output, "--numbers", "2", "13", "3") == INTERRUPTED
     assert "the same command continues" in capsys.readouterr().err
     assert (tmp_path / "table.csv").read_text() == "number,value\n2,0.5\n"
-    assert "<h1>Squares</h1>" in (tmp_path / "report.html").read_text()
     assert measured(*output, "--numbers", "3", "2") == 0
     assert (tmp_path / "table.csv").read_text() == "number,value\n3,0.333333\n2,0.5\n"
     assert measured(*output, "--unit-name", "mm") == 2

@@ -74,8 +74,6 @@ def test_simulations_that_are_not_finite_or_leave_the_scene_are_counted(followed
     numbers = [followed.summaries[name]["n"].value for name in (analysis.REFERENCE, analysis.PREDICTED)]
     compared = followed.comparisons[analysis.REFERENCE]
     assert (numbers, compared["n"].value, compared["left_out"].value) == ([11, 12], 11, 1)
-    failed = followed.settling[followed.settling["state"] == "not finite"]
-    assert failed["simulation"].tolist() == [analysis.REFERENCE]
 
 
 def test_without_training_contacts_there_is_no_constant():

@@ -9,7 +9,6 @@ from palpate.physics.mechanics import PARAMETERS, Bounds
 
 BOUNDS = Bounds()
 SIGNED = Bounds(force=(-10, 10))
-CLIPS = np.repeat(["a", "b"], 50)
 
 
 def _theta(spread, seed=0):
@@ -18,9 +17,8 @@ def _theta(spread, seed=0):
     return np.array([0.508, 0.09, -7.79]) + noise * spread
 
 
-def _spread(theta, clips=CLIPS, bounds=BOUNDS, contacts=100):
-    frames = pd.DataFrame(as_reported(theta, bounds), columns=list(PARAMETERS)).assign(clip=clips)
-    return spread_of(frames, bounds, contacts)
+def _spread(theta, bounds=BOUNDS, contacts=100):
+    return spread_of(pd.DataFrame(as_reported(theta, bounds), columns=list(PARAMETERS)), bounds, contacts)
 
 
 VARIES = _spread(_theta([0.1, 0.03, 1.0]))
@@ -59,19 +57,10 @@ def test_force_is_a_magnitude_unless_its_range_crosses_zero():
     assert _spread(_theta([0.1, 0.03, 1.0]), bounds=SIGNED).loc["force", "mean"] == pytest.approx(-7.79)
 
 
-def test_spread_between_and_within_clips():
-    theta = np.tile([0.5, 0.1, -5.0], (4, 1))
-    theta[:, 0] = [0.2, 0.4, 0.6, 0.8]  # clip means 0.3 and 0.7, ±0.1 within
-    stiffness = _spread(theta, list("aabb")).loc["stiffness"]
-    assert stiffness["between_clips_sd"] == pytest.approx(np.sqrt(2 * 0.2**2))
-    assert stiffness["within_clips_sd"] == pytest.approx(np.sqrt(4 * 0.1**2 / 2))
-    assert np.isnan(_spread(theta, list("aaaa")).loc["stiffness", "between_clips_sd"])
-
-
 def test_values_at_the_bounds_are_counted():
     theta = np.tile([0.5, 0.1, -5.0], (4, 1))
     theta[:, 1] = [0.0, 0.005, 0.5, 1.0]
-    assert _spread(theta, list("aabb")).loc["damping", "at_bound"] == 0.75
+    assert _spread(theta).loc["damping", "at_bound"] == 0.75
 
 
 def test_frames_of_too_few_contacts_are_undetermined():
@@ -79,7 +68,7 @@ def test_frames_of_too_few_contacts_are_undetermined():
     spread = _spread(_theta([0.001, 0.001, 0.01]), contacts=2)
     assert spread["verdict"].tolist() == ["n too small"] * 3
     assert describe_spread(spread).startswith("Undetermined, n too small")
-    assert np.isnan(_spread(_theta([0.1, 0.1, 1])[:1], CLIPS[:1], contacts=1).loc["stiffness", "sd"])
+    assert np.isnan(_spread(_theta([0.1, 0.1, 1])[:1], contacts=1).loc["stiffness", "sd"])
 
 
 def _compare(shift, clips=None):

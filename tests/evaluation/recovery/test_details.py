@@ -71,9 +71,8 @@ def test_verdicts_and_which_are_clear():
     assert clear.tolist() == [True, False, True, False, True]
 
 
-def test_verdict_accuracy_names_the_mistakes():
+def test_verdict_accuracy_is_that_of_clear_clips():
     rows = [recovery(0), recovery(1, verdict="ratios")]
-    row = details(rows)["all", "all", "verdict_accuracy"]
-    assert row["value"] == 0.5
-    assert row["note"] == "1 determined taken for ratios"
-    assert ("all", "all", "verdict_accuracy") not in details([recovery(verdict="")])
+    row = details(rows)["all", "all", "verdict_accuracy_clear"]
+    assert (row["n"], row["value"]) == (2, 0.5)
+    assert ("all", "all", "verdict_accuracy_clear") not in details([recovery(verdict="")])

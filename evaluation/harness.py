@@ -24,7 +24,7 @@ from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import as_json, read_file, replacing
 from palpate.common.options import options
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import require_own, write_own
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
@@ -285,8 +285,7 @@ def write(output: Path, report: Report) -> list[str]:
         require_own(*(output / name for name in files))
         for name, content in files.items():
             (output / name).parent.mkdir(parents=True, exist_ok=True)
-            with replacing_own(output / name) as partial:
-                partial.write_bytes(content)
+            write_own(output / name, content)
     return [name for name in files if "/" not in name] + ["figures/"] * bool(report.figures)
 
 

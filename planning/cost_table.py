@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from palpate.common.files import digest_of
 from palpate.common.output import replacing_own, require_own
@@ -61,10 +62,8 @@ class CostTable:
         squared = apart**2 + turned**2
         weights = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / 2)  # far from all: the closest
         curves = weights @ self.work / weights.sum(axis=1, keepdims=True)
-        at = np.clip(lengths / self.lengths[-1], 0, 1) * (len(self.lengths) - 1)
-        low = np.minimum(at.astype(int), len(self.lengths) - 2)
-        rows = np.arange(len(at))
-        return curves[rows, low] * (low + 1 - at) + curves[rows, low + 1] * (at - low)
+        at = lengths / self.lengths[-1] * (len(self.lengths) - 1)
+        return map_coordinates(curves, [np.arange(len(at)), at], order=1, mode="nearest")
 
 
 def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

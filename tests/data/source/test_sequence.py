@@ -148,3 +148,12 @@ def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Pa
             np.testing.assert_allclose(checked(path).forces, pulled @ TURN.T, atol=1e-6)
     with pytest.raises(InputError, match=r"forces\.csv .* acts along the tool's motion, .*; reverse Fx, Fy and Fz"):
         checked(path)
+
+
+def test_a_pose_without_a_turn_is_a_sentence(tmp_path: Path) -> None:
+    path = write_sequence(tmp_path)
+    rows = np.loadtxt(tmp_path / "poses.csv", delimiter=",", skiprows=1)
+    rows[3, 4:] = 0
+    np.savetxt(tmp_path / "poses.csv", rows, "%.10g", ",", header="time_s,x,y,z,qx,qy,qz,qw", comments="")
+    with pytest.raises(InputError, match=r"poses\.csv holds a quaternion of length 0; correct that row"):
+        open_sequence(path)

@@ -56,6 +56,12 @@ def replacing_own(path: Path) -> Generator[Path]:
         _write_list(path.parent, files)
 
 
+def write_own(path: Path, content: str | bytes) -> None:
+    """Write a file, text as UTF-8, as `replacing_own` does; raises its ForeignFile."""
+    with replacing_own(path) as partial:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
 def list_folder(folder: Path) -> None:
     """List all that is in a folder and below as written by this program, by relative names."""
     _write_list(folder, {name: [digest] for name, digest in _content(folder).items()})

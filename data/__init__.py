@@ -16,20 +16,5 @@ training   samples, splits and batches; cholecseg8k: the door that prepares a da
 
 import os
 
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    {
-        "palpate.data.clip": ("ClipStream", "prepare"),
-        "palpate.data.settings": ("PrepareSettings",),
-        "palpate.data.prepared": ("PreparedFrame",),
-        "palpate.data.cache": ("PreparedClip",),
-        "palpate.data.source.frames": ("discover", "open_source"),
-        "palpate.data.source.layout": ("ClipLayout", "InputError"),
-        "palpate.data.depth.normalise": ("DepthSettings",),
-        "palpate.data.contact.geometry": ("GeometrySettings", "find_contact"),
-        "palpate.data.contact.interaction": ("Interaction",),
-    },
-)
 # OpenCV reads this limit (MOST_PIXELS of data.source.images) when it is first imported, which happens later.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "33554432")

@@ -24,7 +24,7 @@ from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import as_json, read_file, replacing
 from palpate.common.options import options
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import require_own, write_own
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
@@ -272,8 +272,7 @@ def write(output: Path, report: Report) -> list[str]:
     with writing(output):
         require_own(*(output / name for name in report.tables))
         for name, frame in report.tables.items():
-            with replacing_own(output / name) as partial:
-                partial.write_bytes(csv_of(frame).encode())
+            write_own(output / name, csv_of(frame))
     return [*report.tables]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, KDTree
 
 OCCLUDER_REACH = 2
 """Pixels around the occluder in which a boundary of the mesh counts as hidden, not as an edge of the tissue.
@@ -86,6 +86,26 @@ def nearest_vertex(mesh: Mesh, point: np.ndarray) -> int:
     if len(mesh.vertices) == 0:
         raise ValueError("the mesh has no vertices; a contact needs tissue with valid depth.")
     return int(np.argmin(np.square(mesh.vertices - np.asarray(point)).sum(axis=1)))
+
+
+def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which simplex holds each point, or else is the least way off, and where in it that is.
+
+    Args:
+        corners: of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
+        points: shape [P, D].
+        candidates: so many simplices whose centres are closest are looked at.
+
+    Returns:
+        shapes [P] and, as barycentric coordinates, [P, D + 1].
+    """
+    count = min(candidates, len(corners))
+    near = KDTree(corners.mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
+    inverse = np.linalg.inv(corners[:, 1:] - corners[:, :1])
+    inner = np.einsum("pkj,pkji->pki", points[:, None] - corners[near, 0], inverse[near])
+    shares = np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+    best, rows = shares.min(axis=2).argmax(axis=1), np.arange(len(points))
+    return near[rows, best], shares[rows, best]
 
 
 def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:

@@ -12,14 +12,3 @@ space_map  road map in space, kept in a file, and the cheapest way through it
 sampled    the same by OMPL
 waypoints  times, poses and expected forces of a way in space
 """
-
-from palpate.common.lazy import exported
-
-__getattr__ = exported(
-    {
-        "palpate.planning.scene": ("PlanScene", "SoftObject", "read_plan_scene"),
-        "palpate.planning.press": ("PressCurve", "simulate_press"),
-        "palpate.planning.cost_table": ("CostTable", "open_table", "open_tables"),
-        "palpate.planning.roadmap": ("Blocked", "Plan", "find_plan"),
-    },
-)

@@ -11,8 +11,10 @@ import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from palpate.common.files import digest_of
 from palpate.common.output import replacing_own, require_own
@@ -27,7 +29,7 @@ ANGLES = np.radians(np.arange(-60.0, 61.0, 15.0))
 LENGTHS = 41
 WIDTH = 0.5
 """h of equation 4, over the spacing of places and of angles."""
-VERSION = 2
+VERSION = 3
 """Of what is in a file."""
 
 
@@ -60,10 +62,8 @@ class CostTable:
         squared = apart**2 + turned**2
         weights = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / 2)  # far from all: the closest
         curves = weights @ self.work / weights.sum(axis=1, keepdims=True)
-        at = np.clip(lengths / self.lengths[-1], 0, 1) * (len(self.lengths) - 1)
-        low = np.minimum(at.astype(int), len(self.lengths) - 2)
-        rows = np.arange(len(at))
-        return curves[rows, low] * (low + 1 - at) + curves[rows, low + 1] * (at - low)
+        at = lengths / self.lengths[-1] * (len(self.lengths) - 1)
+        return map_coordinates(curves, [np.arange(len(at)), at], order=1, mode="nearest")
 
 
 def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -73,38 +73,20 @@ def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
-    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends.
-
-    Of those that are each other's mirror images one is named.
-    """
+    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends."""
     width, thickness = kind.size[:2]
     front = [[x, -thickness / 2] for x in np.linspace(-width / 2, width / 2, PLACES)]
     ends = [([-width / 2, 0.0], 0.0), ([width / 2, 0.0], np.pi)]
     found = [(place, np.pi / 2 + angle) for place in front for angle in ANGLES]
     found += [(place, inward + angle) for place, inward in ends for angle in ANGLES]
-    kept: dict[tuple[float, ...], tuple[list[float], float]] = {}
-    for place, angle in found:
-        images = {_key(*image) for image in _images(kind, np.array(place), angle)}
-        if not images & kept.keys():
-            kept[_key(np.array(place), angle)] = (place, angle)
-    return np.array([place for place, _ in kept.values()]), np.array([angle for _, angle in kept.values()])
+    return np.array([place for place, _ in found]), np.array([angle for _, angle in found])
 
 
-def completed(
-    kind: SoftObject, places: np.ndarray, angles: np.ndarray, work: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Presses with their mirror images that are touched in front or at an end, each once.
-
-    Returns:
-        places, angles and work, shapes [K, 2], [K] and [K, L].
-    """
-    found: dict[tuple[float, ...], tuple[np.ndarray, float, np.ndarray]] = {}
-    for place, angle, each in zip(places, angles, work, strict=True):
-        for there, way in _images(kind, place, angle):
-            if there[1] <= 0:
-                found.setdefault(_key(there, way), (there, way, each))
-    there, ways, each = zip(*found.values(), strict=True)
-    return np.array(there), np.array(ways), np.array(each)
+def representatives(kind: SoftObject, places: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Of presses [K, 2], [K] the first one that costs the same as each, shape [K]."""
+    presses = zip(places, angles, strict=True)
+    keys = [min(_key(*image) for image in _images(kind, place, angle)) for place, angle in presses]
+    return np.array([keys.index(key) for key in keys])
 
 
 def _images(kind: SoftObject, place: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
@@ -141,24 +123,38 @@ def open_table(
     Raises:
         ForeignFile: a table that is damaged or not this program's lies in the cache.
     """
-    cache.mkdir(parents=True, exist_ok=True)
-    path = cache / f"presses-{digest(kind, radius)}.npz"
-    require_own(path)  # before minutes of simulation; and what is our own is whole
-    if path.exists():
-        with np.load(path, allow_pickle=False) as file:
-            return CostTable(file["places"], file["angles"], file["lengths"], file["work"], float(file["spacing"])), 0
     places, angles = grid_of(kind)
-    lengths = np.linspace(0, kind.longest, LENGTHS)
-    work = np.zeros((len(places), LENGTHS))
-    for row, (place, angle) in enumerate(zip(places, angles, strict=True)):
-        work[row] = simulate_press(kind, radius, place, float(angle)).work_at(lengths)
-        report(row + 1, len(places))
-    simulated = len(places)
-    places, angles, work = completed(kind, places, angles, work)
-    table = CostTable(places, angles, lengths, work, kind.size[0] / (PLACES - 1))
-    with replacing_own(path) as partial, partial.open("wb") as file:
-        np.savez(file, places=places, angles=angles, lengths=lengths, work=work, spacing=table.spacing)
-    return table, simulated
+    lengths, alike = np.linspace(0, kind.longest, LENGTHS), representatives(kind, places, angles)
+    rows, which = np.unique(alike, return_inverse=True)
+
+    def works() -> dict[str, np.ndarray]:
+        work = np.zeros((len(rows), LENGTHS))
+        for done, row in enumerate(rows):
+            work[done] = simulate_press(kind, radius, places[row], float(angles[row])).work_at(lengths)
+            report(done + 1, len(rows))
+        return {"work": work[which]}
+
+    known, found = kept(cache / f"presses-{digest(kind, radius)}.npz", works)
+    table = CostTable(places, angles, lengths, known["work"], kind.size[0] / (PLACES - 1))
+    return table, 0 if found else len(rows)
+
+
+def kept(path: Path, made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], bool]:
+    """Arrays of a file and whether it was there; otherwise they are made, and kept in it.
+
+    Raises:
+        ForeignFile: a file that is damaged or not this program's lies there.
+        OSError: it, or its folder, can't be read or written.
+    """
+    require_own(path)  # before minutes of simulation; and what is our own is whole
+    found = path.exists()
+    if not found:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = made()
+        with replacing_own(path) as partial, partial.open("wb") as file:
+            np.savez(file, **content)
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file), found
 
 
 def open_tables(

@@ -110,8 +110,7 @@ class PressingCosts:
         """What a way costs, its places [P, 3] given."""
         begun, ended = MILLI * self.scene.young * self.loads(places[[0, -1]])[1]
         deformation = self.deformation(*self.edges(places[:-1], places[1:])).sum() + (ended - begun) / 2
-        way = MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-        return Plan(places, float(deformation), float(way), float(weighed(self.scene.alpha, deformation, way)))
+        return Plan.of(places, float(deformation), self.scene.alpha)
 
     def interval(self, plan: Plan) -> tuple[float, float]:
         """The 90 % interval of a way's cost; its deformation is log-normal."""

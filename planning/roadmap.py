@@ -8,6 +8,7 @@ lowers this price.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -42,6 +43,12 @@ class Plan:
     """[mm]."""
     cost: float
     """α·deformation + (1 - α)·way."""
+
+    @classmethod
+    def of(cls, places: np.ndarray, deformation: float, alpha: float) -> "Plan":
+        """A way's, by its places [P, 2] or [P, 3] [m] and its deformation [mJ]."""
+        way = float(MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+        return cls(places, deformation, way, float(weighed(alpha, np.array(deformation), np.array(way))))
 
     @property
     def price(self) -> tuple[float, float]:
@@ -109,10 +116,7 @@ class EdgeCosts:
 
     def plan(self, places: np.ndarray) -> Plan:
         """What a way costs, its places [P, 2] given."""
-        deformation = self.deformation(places[:-1], places[1:])
-        way = MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1)
-        cost = weighed(self.scene.alpha, deformation, way)
-        return Plan(places, float(deformation.sum()), float(way.sum()), float(cost.sum()))
+        return Plan.of(places, float(self.deformation(places[:-1], places[1:]).sum()), self.scene.alpha)
 
 
 def weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarray:
@@ -144,17 +148,32 @@ def find_plan(costs: EdgeCosts) -> Plan:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
     drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * NODES, 2))
     places = np.concatenate([[scene.start, scene.goal], drawn[is_free(drawn)][:NODES]])
-    count = min(NEIGHBOURS + 1, len(places))
-    _, near = KDTree(places).query(places, k=count)
-    pairs = np.stack([np.repeat(np.arange(len(places)), count - 1), near[:, 1:].ravel()], axis=1)
-    one, two = np.unique(np.sort(np.concatenate([pairs, [[0, 1]]]), axis=1), axis=0).T
-    starts, ends = np.take(places, one, axis=0), np.take(places, two, axis=0)
-    way = MILLI * np.linalg.norm(ends - starts, axis=1)
-    cost = weighed(scene.alpha, costs.deformation(starts, ends), way)
-    chain = cheapest_chain(len(places), one, two, cost, way)
-    if chain is None:
+    pairs = np.unique(np.concatenate([neighbours(places, NEIGHBOURS), [[0, 1]]]), axis=0)
+    plan = cheapest_way(costs, places, pairs, costs.deformation(*places[pairs.T]))
+    if plan is None:
         raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")
-    return shortened(costs.plan, places[chain])
+    return plan
+
+
+def neighbours(places: np.ndarray, count: int) -> np.ndarray:
+    """Pairs of places of which one is among the other's nearest, each pair once, shape [E, 2]."""
+    near = KDTree(places).query(places, k=min(count + 1, len(places)))[1][:, 1:]
+    pairs = np.stack([np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()], axis=1)
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def cheapest_way(costs: Any, places: np.ndarray, pairs: np.ndarray, deformation: np.ndarray) -> Plan | None:
+    """The cheapest way from the first place to the second along lines, `shortened`; None = there is none.
+
+    Args:
+        costs: of the scene, with its `plan` of a way's places.
+        places: shape [P, 2], in space [P, 3] [m].
+        pairs: of places that lines join, shape [E, 2].
+        deformation: by each line, shape [E] [mJ].
+    """
+    way = MILLI * np.linalg.norm(np.diff(places[pairs], axis=1)[:, 0], axis=1)
+    chain = cheapest_chain(len(places), *pairs.T, weighed(costs.scene.alpha, deformation, way), way)
+    return None if chain is None else shortened(costs.plan, places[chain])
 
 
 def cheapest_chain(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, way: np.ndarray) -> list[int] | None:

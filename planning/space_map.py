@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.common.files import digest_of, file_sha256
-from palpate.common.output import replacing_own, require_own
 from palpate.common.provenance import code_digest
 from palpate.data.source.layout import InputError
+from palpate.planning.cost_table import kept
 from palpate.planning.pressing import PressingCosts, unit_press
-from palpate.planning.roadmap import MILLI, Blocked, Plan, cheapest_chain, shortened, weighed
+from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours
 from palpate.planning.space import SpaceScene
 from palpate.planning.surface import measure
 
@@ -41,15 +41,8 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     fields = scene.unit, scene.port, scene.tip_radius, scene.poisson
     key = digest_of([VERSION, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
     path = cache / f"space-{key[:16]}.npz"
-    require_own(path)
-    found = path.exists()
-    if not found:
-        content = _made(scene)
-        cache.mkdir(parents=True, exist_ok=True)
-        with replacing_own(path) as partial, partial.open("wb") as file:
-            np.savez(file, **content)
-    with np.load(path, allow_pickle=False) as file:
-        costs = PressingCosts(scene, dict(file))
+    known, found = kept(path, lambda: _made(scene))
+    costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
         said = f"{name} {place.tolist()}"
@@ -72,15 +65,13 @@ def plan_in_space(costs: PressingCosts) -> Plan:
     places = np.concatenate([[costs.start, costs.goal], known["places"]])
     near = KDTree(known["places"]).query(places[:2], k=JOINED)[1] + 2
     joined = np.concatenate([[[0, 1]], np.stack([np.repeat([0, 1], JOINED), near.ravel()], axis=1)])
-    one, two = np.concatenate([joined, known["pairs"] + 2]).T
     fresh = costs.edges(places[joined[:, 0]], places[joined[:, 1]])
     deformation = costs.deformation(*np.concatenate([fresh, known["edges"]], axis=1))
-    way = MILLI * np.linalg.norm(places[one] - places[two], axis=1)
-    chain = cheapest_chain(len(places), one, two, weighed(costs.scene.alpha, deformation, way), way)
-    if chain is None:
+    plan = cheapest_way(costs, places, np.concatenate([joined, known["pairs"] + 2]), deformation)
+    if plan is None:
         limit = f"limit_N, {costs.scene.limit_N:g}"
         raise Blocked(f"no way to the goal keeps the force below {limit}; raise it, or move goal or port.")
-    return shortened(costs.plan, places[chain])
+    return plan
 
 
 def _made(scene: SpaceScene) -> dict[str, Any]:
@@ -90,7 +81,5 @@ def _made(scene: SpaceScene) -> dict[str, Any]:
     around = AROUND * scene.tip_radius * np.array([[-1.0], [1.0]])
     drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
     places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
-    near = KDTree(places).query(places, k=NEIGHBOURS + 1)[1]
-    pairs = np.stack([np.repeat(np.arange(len(places)), NEIGHBOURS), near[:, 1:].ravel()], axis=1)
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    pairs = neighbours(places, NEIGHBOURS)
     return known | {"places": places, "pairs": pairs, "edges": costs.edges(*places[pairs.T])}

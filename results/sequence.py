@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
@@ -65,10 +65,7 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
             done()
         particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
         for name, table in (("particles.csv", particles), ("parameters.csv", rows)):
-            with replacing_own(folder / name) as partial:
-                partial.write_text(
-                    to_csv(table, [*dict.fromkeys(name for row in table for name in row)]), encoding="utf-8"
-                )
+            write_own(folder / name, to_csv(table, [*dict.fromkeys(column for row in table for column in row)]))
     return verdict, len(rows)
 
 

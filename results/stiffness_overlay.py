@@ -1,7 +1,7 @@
 """Where gripped tissue is stiffer than its mean, drawn on the video as far as that is known."""
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import Delaunay, KDTree
 
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.stiffness_fit import StiffnessField
@@ -33,10 +33,7 @@ class StiffnessMap:
         height, self._width = field.picture.shape[:2]
         columns, rows = np.arange(0, self._width + STEP, STEP), np.arange(0, height + STEP, STEP)
         self._corners = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
-        number = np.arange(len(self._corners)).reshape(len(rows), len(columns))
-        upper, lower = number[:-1], number[1:]
-        one, two, three, four = (part.ravel() for part in (upper[:, :-1], upper[:, 1:], lower[:, 1:], lower[:, :-1]))
-        faces = np.concatenate([np.stack([one, two, three], axis=1), np.stack([one, three, four], axis=1)])
+        faces = Delaunay(self._corners).simplices
         known = field.known(self._corners)
         self._faces = faces[known[faces].all(axis=1)]
         """Triangles whose stiffness is known, shape [F, 3]."""

@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from palpate.data import DepthSettings, GeometrySettings
+from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.depth.normalise import DepthSettings
 from palpate.data.masks.sources import MaskClasses
 from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR

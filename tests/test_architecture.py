@@ -54,7 +54,12 @@ FENCES = {
     "jinja2": ("results/page/render.py",),
     "viser": ("palpate/command/view.py",),
     "pandas": ("evaluation/",),
-    "trimesh": ("planning/surface.py",),
+    "trimesh": (
+        "planning/surface.py",
+        "data/source/clouds.py",
+        "estimators/palpation/",
+        "physics/fem/surface.py",
+    ),
     "scipy.stats": ("estimators/direct/", "evaluation/", "benchmarks/"),
 }
 """Where a library may be imported, by whatever door."""

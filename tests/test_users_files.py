@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from palpate.command import calibrate, infer, plan, train
 from palpate.common.files import replacing
 from palpate.common.output import LIST, ForeignFile
-from palpate.data import InputError, prepare
+from palpate.data.clip import prepare
 from palpate.data.depth.photometric import write_photometric
+from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING

@@ -14,7 +14,7 @@ from palpate.common.files import digest_of
 from palpate.common.robust import trimmed_fit
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.sources import DepthSource, check_map, positive
-from palpate.data.source.camera import Camera, Rig, clip_camera
+from palpate.data.source.camera import Camera, Rig, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, right_beside
@@ -57,16 +57,15 @@ class Rectification:
         offset, size = np.array(rig.offset, float), (left.width, left.height)
         self.product = left.fx * float(np.linalg.norm(offset))
         """Focal length times baseline: depth is this over disparity [px·m]."""
-        self._maps: list[Sequence[np.ndarray]] = []
+        self._lenses: list[Undistortion] = []
         straight = np.allclose(rig.turned, np.eye(3)) and not offset[1:].any()
         if straight and rig.right is None and not any(left.distortion):
             return
         cameras = left, (rig.right or rig).scaled(*size)
-        first, second = lenses = [(each.matrix, np.array(each.distortion or [0.0] * 5)) for each in cameras]
+        first, second = [(each.matrix, np.array(each.distortion or [0.0] * 5)) for each in cameras]
         *turns, seen, seen_right = cv2.stereoRectify(*first, *second, size, rig.turned, offset[:, None])[:4]
         self.product = -float(seen_right[0, 3])
-        for lens, turn, projection in zip(lenses, turns, (seen, seen_right), strict=True):
-            self._maps.append(cv2.initUndistortRectifyMap(*lens, turn, projection, size, cv2.CV_32FC1))
+        self._lenses = [Undistortion(*each) for each in zip(cameras, turns, (seen, seen_right), strict=True)]
         pixels = np.indices(size[::-1], np.float32)[::-1].reshape(2, -1).T[:, None]
         back = cv2.undistortPoints(pixels, *first, R=turns[0], P=seen).reshape(*size[::-1], 2)
         self._back = cv2.split(back.astype(np.float32))
@@ -75,13 +74,12 @@ class Rectification:
 
     def pictures(self, left: np.ndarray, right: np.ndarray) -> Sequence[np.ndarray]:
         """The pair on common rows, each [H, W, 3]."""
-        maps = zip((left, right), self._maps, strict=False)
-        return [cv2.remap(each, across, down, cv2.INTER_LINEAR) for each, (across, down) in maps] or (left, right)
+        return [lens.image(each) for each, lens in zip((left, right), self._lenses, strict=False)] or (left, right)
 
     def depth(self, disparity: np.ndarray) -> np.ndarray:
         """Depth in the left picture as it was, [H, W] [m], of disparity on common rows [px]; 0 = none in both."""
         found = np.divide(self.product, disparity, out=np.zeros_like(disparity), where=disparity > 0)
-        if not self._maps:
+        if not self._lenses:
             return found
         across, down = self._back
         return cv2.remap(found, across, down, cv2.INTER_NEAREST) / self._along

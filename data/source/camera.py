@@ -202,12 +202,16 @@ def back_project(depth: np.ndarray, camera: Camera) -> np.ndarray:
 class Undistortion:
     """Removes a camera's lens distortion from pictures, label maps and depth maps of one size.
 
-    The intrinsics stay as they are, so the undistorted picture is a pinhole picture of `camera` without distortion.
+    Args:
+        camera: of those pictures.
+        turn: rotation into the axes of the camera without distortion, shape [3, 3]; None = as it stands.
+        seen: that camera's intrinsics, or projection, shape [3, 3] or [3, 4]; None = they stay as they are.
     """
 
-    def __init__(self, camera: Camera) -> None:
-        size, bent = (camera.width, camera.height), np.array(camera.distortion, float)
-        self._maps = cv2.initUndistortRectifyMap(camera.matrix, bent, None, camera.matrix, size, cv2.CV_32FC1)
+    def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:
+        lens = camera.matrix, np.array(camera.distortion, float)
+        to = turn, camera.matrix if seen is None else seen, (camera.width, camera.height)
+        self._maps = cv2.initUndistortRectifyMap(*lens, *to, cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

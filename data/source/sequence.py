@@ -12,20 +12,17 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.common.files import read_file
 from palpate.common.settings import require_numbers
 from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
 from palpate.data.source.clouds import read_cloud
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import InputError, from_mapping, matches, read_mapping
-from palpate.data.source.table import MOST_BYTES, read_series
+from palpate.data.source.table import read_series
 
 Row = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 UNITS = {"m": 1.0, "mm": 1e-3}
-QUATERNION = ("x", "y", "z", "qx", "qy", "qz", "qw")
-MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
-"""Columns of a table of poses besides time_s: a place and a turn, or a matrix row by row."""
+POSES = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 WRENCH = ("time_s", "Fx", "Fy", "Fz")
 ROUNDED = 1e-3
 """Tables of poses and forces reach farther by this, since their times are rounded [s]."""
@@ -44,9 +41,9 @@ class SequenceFile:
     """
 
     poses: str
-    """CSV file of the tool's poses in the robot's frame: time_s with x, y, z, qx, qy, qz, qw, or m00 … m33."""
+    """CSV file of the tool's poses in the robot's frame: time_s with x, y, z, qx, qy, qz, qw."""
     clouds: str | None = None
-    """Clouds of tissue alone: PLY, PCD or NPZ, as clouds/{number}.ply."""
+    """Clouds of tissue alone: PLY, binary PCD or NPZ, as clouds/{number}.ply."""
     depth: str | None = None
     """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
     camera: str | None = None
@@ -94,7 +91,8 @@ class SequenceFile:
         if self.thickness is not None and (self.forces is None or self.palpation is not None):
             raise ValueError("thickness is for forces, where no palpation tells kilopascals; leave it out.")
         require_numbers(self, positive=("fps", "depth_factor", "grip_radius", "thickness"))
-        if not is_rigid(np.array(self.hand_eye)):
+        turn = np.array(self.hand_eye)[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
             raise ValueError("hand_eye is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
 
 
@@ -182,8 +180,10 @@ class Tool:
     path: Path
     times: np.ndarray
     """Rising, shape [K] [s]."""
-    poses: np.ndarray
-    """In the robot's frame, shape [K, 4, 4]."""
+    turns: Rotation
+    """K of them, in the robot's frame."""
+    places: np.ndarray
+    """Of its own frame's origin, shape [K, 3] [m]."""
     tip: np.ndarray
     """Where it touches tissue, in its own frame, shape [3] [m]."""
 
@@ -191,8 +191,8 @@ class Tool:
         """Its poses by times [...] [s] between the rows', beyond them those of the ends, shape [..., 4, 4]."""
         inside = np.clip(times, self.times[0], self.times[-1])
         found = np.zeros((*np.shape(times), 4, 4))
-        found[..., :3, :3] = Slerp(self.times, Rotation.from_matrix(self.poses[:, :3, :3]))(inside).as_matrix()
-        rows = [np.interp(inside, self.times, values) for values in self.poses[:, :3, 3].T]
+        found[..., :3, :3] = Slerp(self.times, self.turns)(inside).as_matrix()
+        rows = [np.interp(inside, self.times, values) for values in self.places.T]
         found[..., :3, 3], found[..., 3, 3] = np.stack(rows, axis=-1), 1.0
         return found
 
@@ -216,13 +216,6 @@ def _require_reach(path: Path, rows: np.ndarray, times: np.ndarray) -> None:
     if times[0] < rows[0] - ROUNDED or times[-1] > rows[-1] + ROUNDED:
         said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
         raise InputError(f"{printable(path)} {said}; put both on one clock.")
-
-
-def is_rigid(poses: np.ndarray) -> bool:
-    """Whether matrices [..., 4, 4] turn and shift alone."""
-    turns = poses[..., :3, :3]
-    apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
-    return bool(apart < 1e-3 and (np.linalg.det(turns) > 0).all())
 
 
 def open_sequence(path: Path) -> Sequence:
@@ -255,17 +248,7 @@ def open_sequence(path: Path) -> Sequence:
 
 
 def _tool(path: Path, scale: float, tip: np.ndarray) -> Tool:
-    by_matrix = path.is_file() and b"m00" in read_file(path, MOST_BYTES).partition(b"\n")[0]
-    times, *rows = read_series(path, ("time_s", *(MATRIX if by_matrix else QUATERNION)), "table of poses", 2).T
-    table = np.stack(rows, axis=1)
-    if by_matrix:
-        poses = table.reshape(-1, 4, 4)
-    else:
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
-        whole = table[:, 3:].any(axis=1).all()  # no quaternion of length 0
-        poses[:, :3, :3] = Rotation.from_quat(table[:, 3:]).as_matrix() if whole else 0.0
-        poses[:, :3, 3] = table[:, :3]
-    if not is_rigid(poses):
-        raise InputError(f"{printable(path)} holds a pose that is no rotation and shift; correct that row.")
-    poses[:, :3, 3] *= scale
-    return Tool(path, times, poses, scale * tip)
+    table = read_series(path, POSES, "table of poses", 2)
+    if not table[:, 4:].any(axis=1).all():
+        raise InputError(f"{printable(path)} holds a quaternion of length 0; correct that row.")
+    return Tool(path, table[:, 0], Rotation.from_quat(table[:, 4:]), scale * table[:, 1:4], scale * tip)

@@ -20,7 +20,7 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.given import GripperPath, Pins
 from palpate.physics.fem.solid import outer_faces
-from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
+from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, holding
 from palpate.physics.pbd.body import Body, layered, make_body
 
 NEAREST = 8
@@ -71,19 +71,10 @@ class Surface:
         Returns:
             Indices of the Q points that some triangle holds, and the shares, shape [Q, N].
         """
-        faces = self.faces
-        corners = self.pixels[faces]
-        first, edges = corners[:, 0], np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-        sized = np.abs(np.linalg.det(edges)) > 0
-        inverse = np.linalg.inv(edges[sized])
-        first, faces = first[sized], faces[sized]
-        count = min(NEAREST, len(faces))
-        near = KDTree(corners[sized].mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
-        two = np.einsum("pkij,pkj->pki", inverse[near], points[:, None] - first[near])
-        shares = np.concatenate([1 - two.sum(axis=2, keepdims=True), two], axis=2)
-        best = shares.min(axis=2).argmax(axis=1)
-        rows = np.arange(len(points))
-        shares, members = shares[rows, best], faces[near[rows, best]]
+        corners = self.pixels[self.faces]
+        sized = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > 0
+        which, shares = holding(corners[sized], points, NEAREST)
+        members = self.faces[sized][which]
         inside = np.flatnonzero(shares.min(axis=1) > -1e-9)
         starts = 3 * np.arange(len(inside) + 1)
         shape = len(inside), self.body.count

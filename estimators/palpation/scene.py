@@ -1,6 +1,7 @@
 """The file that `calibrate.py palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
 
-import itertools
+import codecs
+import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -273,21 +274,16 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         InputError: it can't be read, or holds no triangle.
     """
-    vertices, triangles = [], []
+    import trimesh  # takes a second
+
     try:
-        for line in read_file(path, MOST_BYTES).decode("utf-8-sig").splitlines():
-            kind, *parts = line.split() or [""]
-            if kind == "v":
-                vertices.append([float(part) for part in parts[:3]])
-            elif kind == "f":
-                corners = [int(part.split("/")[0]) for part in parts]
-                corners = [index - 1 if index > 0 else len(vertices) + index for index in corners]
-                triangles += [[corners[0], *pair] for pair in itertools.pairwise(corners[1:])]
-        places = np.array(vertices, np.float64).reshape(-1, 3)
-        faces = np.array(triangles, np.int64).reshape(-1, 3)
-    except (OSError, ValueError) as error:
+        content = io.BytesIO(read_file(path, MOST_BYTES).removeprefix(codecs.BOM_UTF8))
+        how = {"process": False, "maintain_order": True, "skip_materials": True}
+        mesh = trimesh.load_mesh(content, file_type="obj", **how)
+    except Exception as error:  # the library's on broken content have nothing in common
         said = getattr(error, "strerror", None) or "a line is not as it should be"
         raise InputError(f"{printable(path)} is no .obj surface ({said}); give lines v x y z and f i j k.") from error
+    places, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if not len(faces) or faces.min() < 0 or faces.max() >= len(places) or not (np.abs(places) <= LARGEST).all():
         raise InputError(f"{printable(path)} holds no triangles of its own finite vertices; give lines v and f.")
     return places, faces

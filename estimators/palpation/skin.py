@@ -6,6 +6,7 @@ by the same shares, so that both do the same work.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,7 @@ from scipy.spatial import KDTree
 from palpate.physics.fem import Solid
 from palpate.physics.fem.solid import EDGES
 from palpate.physics.fem.surface import areas, closest, even_shares, nearest
+from palpate.physics.mesh import holding
 
 SHARP = 0.8
 """Cosine of the angle between triangles below which their edge is sharp."""
@@ -48,17 +50,12 @@ class Skin:
     @cached_property
     def _creases(self) -> KDTree | None:
         """Places along the sharp edges at rest and along the rims of holes; None where there are none."""
-        edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        faces = np.repeat(np.arange(len(self.triangles)), 3)
-        order = np.lexsort(edges.T)
-        edges, faces = edges[order], faces[order]
-        normals = _normals(self.vertices[self.triangles])
-        same = (edges[1:] == edges[:-1]).all(axis=1)
-        flat = same & ((normals[faces[1:]] * normals[faces[:-1]]).sum(axis=1) > SHARP)
-        smooth = np.zeros(len(edges), bool)
-        smooth[1:] |= flat
-        smooth[:-1] |= flat
-        ends = self.vertices[np.unique(edges[~smooth], axis=0)]
+        import trimesh  # takes a second
+
+        mesh = trimesh.Trimesh(self.vertices, self.triangles, process=False)
+        lone = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) != 2]
+        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > math.acos(SHARP)]
+        ends = self.vertices[np.concatenate([lone, sharp])]
         if not len(ends):
             return None
         along = (np.arange(SAMPLES) + 0.5)[:, None, None] / SAMPLES
@@ -111,15 +108,8 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
         held: vertices that stand still, as those below a floor where the body is cut off, shape [V], bool.
     """
     corners = body.rest[body.elements[:, :4]]
-    _, near = KDTree(corners.mean(axis=1)).query(vertices, k=min(CANDIDATES, len(corners)))
-    near = near.reshape(len(vertices), -1)
-    edges = corners[:, 1:] - corners[:, :1]
-    inner = np.einsum("vkj,vkji->vki", vertices[:, None] - corners[near, 0], np.linalg.inv(edges)[near])
-    shares = np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
-    best = shares.min(axis=2).argmax(axis=1)  # inside, or the least way out
-    rows = np.arange(len(vertices))
-    element, place = near[rows, best], shares[rows, best]
-    nodes, inverse = body.elements[element], np.linalg.inv(edges[element])
+    element, place = holding(corners, vertices, CANDIDATES)
+    nodes, inverse = body.elements[element], np.linalg.inv((corners[:, 1:] - corners[:, :1])[element])
     quadratic = body.elements.shape[1] == 10
     for _ in range(BENT if quadratic else 0):  # where an element's faces are curved
         beyond = vertices - np.einsum("vn,vni->vi", _shapes(place), body.rest[nodes])
@@ -128,7 +118,7 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
     values = _shapes(place) if quadratic else place
     if held is not None:
         values = np.where(held[:, None], 0.0, values)
-    index = np.repeat(rows, nodes.shape[1]), nodes.ravel()
+    index = np.repeat(np.arange(len(vertices)), nodes.shape[1]), nodes.ravel()
     matrix = csr_array((values.ravel(), index), shape=(len(vertices), len(body.rest)))
     one, two, three = vertices[triangles].transpose(1, 0, 2)
     volume = float(np.einsum("fi,fi->f", one, np.cross(two, three)).sum())

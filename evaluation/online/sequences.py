@@ -18,6 +18,7 @@ from palpate.physics.fem.equilibrium import Energy, settle
 from palpate.physics.fem.laws import Material
 from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import make_solid, outer_faces
+from palpate.physics.mesh import holding
 from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
@@ -245,12 +246,7 @@ def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
 def _shares(body: Body, visible: np.ndarray, points: np.ndarray) -> csr_array:
     """Points of the flat upper side at rest as shares of the particles of the triangle that holds each, [P, N]."""
     faces = body.faces[np.isin(body.faces, visible).all(axis=1)]
-    corners = body.rest[faces][..., :2]
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    two = np.einsum("fij,pfj->pfi", np.linalg.inv(edges), points[:, None, :2] - corners[None, :, 0])
-    shares = np.concatenate([1 - two.sum(axis=2, keepdims=True), two], axis=2)
-    best = shares.min(axis=2).argmax(axis=1)
-    values = shares[np.arange(len(points)), best]
+    best, values = holding(body.rest[faces][..., :2], points[:, :2], len(faces))
     starts = 3 * np.arange(len(points) + 1)
     return csr_array((values.ravel(), faces[best].ravel(), starts), shape=(len(points), body.count))
 

@@ -22,7 +22,7 @@ from rich.console import Console
 
 from palpate.common.command_line import say
 from palpate.common.options import options
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import require_own, write_own
 from palpate.estimators.palpation import Palpation
 from palpate.evaluation.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.results.store import OutputError, make_output, writing
@@ -75,8 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         make_output(output)
         with writing(output):
             for name, text in zip(FILES, [head + yaml.safe_dump(scene, sort_keys=False), *texts], strict=True):
-                with replacing_own(output / name) as partial:
-                    partial.write_text(text, encoding="utf-8")
+                write_own(output / name, text)
     except OutputError as error:
         say(console, str(error), "red")
         return 1

@@ -11,7 +11,7 @@ import torch
 import yaml
 
 from palpate.common.files import as_json
-from palpate.common.output import ForeignFile, replacing_own
+from palpate.common.output import ForeignFile, write_own
 from palpate.common.tables import to_markdown
 from palpate.data.contact.interaction import Interaction
 from palpate.evaluation.page import as_png, render_page
@@ -68,8 +68,7 @@ def write_evaluation(
     try:
         output.mkdir(parents=True, exist_ok=True)
         for name, content in (figures | {name: text.encode() for name, text in texts.items()}).items():
-            with replacing_own(output / name) as partial:
-                partial.write_bytes(content)
+            write_own(output / name, content)
         return {name: output / name for name in FILES}
     except ForeignFile as error:
         raise EvaluationError(str(error)) from error

@@ -26,7 +26,7 @@ from rich.console import Console
 
 from palpate.common.command_line import described_parser, path_option, real_number, say
 from palpate.common.files import as_json
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
@@ -209,5 +209,5 @@ def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[fl
 
 def _write(output: Path, name: str, text: str) -> None:
     make_output(output)
-    with writing(output), replacing_own(output / name) as partial:
-        partial.write_text(text, encoding="utf-8")
+    with writing(output):
+        write_own(output / name, text)

@@ -22,15 +22,16 @@ from rich.console import Console
 
 from palpate.common.command_line import described_parser, path_option, progress_bars, real_number, say
 from palpate.common.files import as_json
-from palpate.common.output import replacing_own, require_own
+from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.physics.fem import NoEquilibrium
-from palpate.planning import Blocked, find_plan, open_tables, read_plan_scene, simulate_press
+from palpate.planning.cost_table import open_tables
 from palpate.planning.pictures import Pressed, draw_plan, force_along
-from palpate.planning.roadmap import MILLI, EdgeCosts, Plan
+from palpate.planning.press import simulate_press
+from palpate.planning.roadmap import MILLI, Blocked, EdgeCosts, Plan, find_plan
 from palpate.planning.sampled import plan_by_ompl
-from palpate.planning.scene import PlanScene
+from palpate.planning.scene import PlanScene, read_plan_scene
 from palpate.planning.space import SpaceScene, read_space_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, as_path, waypoints
@@ -103,8 +104,7 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     record |= {"query_s": round(seconds, 4), "lines_through_tissue": costs.crossings}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N"
     with writing(output):
-        with replacing_own(output / NAMES[0]) as partial:
-            partial.write_text(as_json(record, indent=1) + "\n", encoding="utf-8")
+        write_own(output / NAMES[0], as_json(record, indent=1) + "\n")
         with replacing_own(output / NAMES[1]) as partial:
             draw_plan(scene, ways).savefig(partial, dpi=110)
     for name, found in numbers.items():
@@ -132,8 +132,7 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, c
     texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"
     with writing(output):
         for name, text in zip(SPACE_NAMES, texts, strict=True):
-            with replacing_own(output / name) as partial:
-                partial.write_text(text, encoding="utf-8")
+            write_own(output / name, text)
     print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {record['largest_force']:.2f} N")
     say(console, f"written: {output}/{', '.join(SPACE_NAMES)}")
     return 0

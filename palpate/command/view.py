@@ -24,7 +24,7 @@ from viser import ViserServer
 
 from palpate.common.command_line import described_parser, path_option, whole_number
 from palpate.common.doors import plain
-from palpate.common.output import replacing_own
+from palpate.common.output import write_own
 from palpate.results import store
 from palpate.results.field_overlay import MIDDLE, RANGE, colors
 from palpate.results.forces import ENDS
@@ -211,8 +211,8 @@ def main(arguments: list[str] | None = None) -> int:
         page = page_of(options.results)
         with TemporaryDirectory() as folder:
             output = options.output or Path(folder, "index.html")
-            with store.writing(output.parent), replacing_own(output) as partly:
-                partly.write_text(page, encoding="utf-8")
+            with store.writing(output.parent):
+                write_own(output, page)
             if options.output is None:
                 handler = partial(SimpleHTTPRequestHandler, directory=folder)
                 with ThreadingHTTPServer(("127.0.0.1", options.port), handler) as server:

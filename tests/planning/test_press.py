@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.common.output import ForeignFile
-from palpate.planning import cost_table, open_table, simulate_press
-from palpate.planning.press import blocked_out
+from palpate.planning import cost_table
+from palpate.planning.cost_table import open_table
+from palpate.planning.press import blocked_out, simulate_press
 from palpate.planning.scene import SoftObject
 from tests.planning.cases import quick_press
 

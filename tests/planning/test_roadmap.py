@@ -6,10 +6,9 @@ import itertools
 import numpy as np
 import pytest
 
-from palpate.planning import Blocked, CostTable, find_plan, read_plan_scene
-from palpate.planning.cost_table import grid_of, mirrored
-from palpate.planning.roadmap import EdgeCosts, cheapest_chain
-from palpate.planning.scene import Placed
+from palpate.planning.cost_table import CostTable, grid_of, mirrored
+from palpate.planning.roadmap import Blocked, EdgeCosts, cheapest_chain, find_plan
+from palpate.planning.scene import Placed, read_plan_scene
 from tests.planning.test_scene import SHIPPED
 
 

@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from palpate.data.source.layout import InputError
-from palpate.planning import read_plan_scene
-from palpate.planning.scene import Placed
+from palpate.planning.scene import Placed, read_plan_scene
 from tests.test_architecture import ROOT
 
 SHIPPED = ROOT / "configs" / "scenes" / "two_curtains.yaml"

@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
-from palpate.data import ClipLayout, ClipStream, DepthSettings, PrepareSettings, open_source
-from palpate.data.source.frames import FrameSource
+from palpate.data.clip import ClipStream
+from palpate.data.depth.normalise import DepthSettings
+from palpate.data.settings import PrepareSettings
+from palpate.data.source.frames import FrameSource, open_source
+from palpate.data.source.layout import ClipLayout
 from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import preparation_settings

@@ -3,9 +3,9 @@
     python -m evaluation.compare_with_truth RESULTS [RESULTS …]
 
 RESULTS are folders that `infer.py` wrote, of frame folders that `python -m data.synthetic` drew, or of their video
-files. Of several, a last table says how often forces.json and all 90 % intervals hold; newtons are judged where the
-calibration takes a scene unit of force for a newton, as `force_N` of a clip's true |F| does. Exit status: 0 all shown;
-1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
+files. Of several clips, a last table says how often forces.json and all 90 % intervals hold; newtons are judged where
+the calibration takes a scene unit of force for a newton, as `force_N` of a clip's true |F| does. Exit status: 0 all
+shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -154,7 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m evaluation.compare_with_truth", description=__doc__.split("\n")[0])
     parser.add_argument("results", nargs="+", type=path_option, metavar="RESULTS", help="folder of infer.py")
     options: Any = parser.parse_args(arguments)
-    console, status, clips = Console(), 0, []
+    console, status, clips = Console(), 0, {}
     for folder in options.results:
         try:
             name, row, truth, pressed = read_results(folder)
@@ -164,9 +164,9 @@ def main(arguments: list[str] | None = None) -> int:
             continue
         console.print(table_of(name, row, truth))
         if len(options.results) > 1 and not Path(name).suffix:
-            clips.append(judged(folder, row, truth, pressed))
+            clips[name] = judged(folder, row, truth, pressed)
     if len(clips) > 1:
-        console.print(summary(clips))
+        console.print(summary([*clips.values()]))
     return status
 
 

@@ -60,11 +60,14 @@ def test_only_what_is_determined_has_numbers(results, capsys, monkeypatch) -> No
     assert found["damping over stiffness k_d/k_s s"] == ["0.06", "0.055 to 0.065", "0.05", "missed"]
 
 
-def test_of_several_results_it_is_said_how_often_they_hold(results, capsys, monkeypatch) -> None:
+def test_of_several_clips_it_is_said_how_often_they_hold(results, capsys, monkeypatch) -> None:
     """|F| is 0.05: one report holds, of the other mean, time in contact, and time above a limit of 0.04 don't."""
     monkeypatch.setenv("COLUMNS", "120")
     other = results.with_name("other")
     shutil.copytree(results, other)
+    shutil.copytree(results.parent / "video01_00000", results.parent / "video02_00000")
+    about = {"input": {"path": str(results.parent / "video02_00000"), "fps": 25.0}}
+    (other / "run.json").write_text(json.dumps(about))
     for folder, low, seconds in ((results, 0.045, 0.4), (other, 0.055, 0.3)):
         told = {"onset_frame": 7, "unit": "N, by force", "contact_s": seconds, "frame_s": [0.04] * 10}
         told |= {"mean_low": low, "mean_high": 0.06, "peak_low": 0.04, "peak_high": 0.06, "above_unknown_s": 0.1}

@@ -11,7 +11,7 @@ from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, fit_motion, uniform
-from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast
+from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast, telling
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
@@ -226,18 +226,18 @@ class DrivenTissue:
             path.append(places)
         rest, session, gripped = self.surface.body.rest, self.session, self.surface.gripped
         states = session.objective.stepped(session.fields, rest, np.stack(path)).positions[0, 1:]
-        models = {FIELD: self.shown(states)}
+        past = telling(len(self._seen))
+        used = [*past, *range(len(self._seen), len(path))]
+        models, frames = {FIELD: self.shown(states[used])}, [*(self._seen[at] for at in past), *moved]
         lattice = self._lattice
         if lattice is not None:
-            moves = [
-                GripFrame(each, (lattice.distance < DRIVEN) & np.isfinite(each).all(axis=1))
-                for each in (*self._seen, *moved)
-            ]
+            near = lattice.distance < DRIVEN
+            moves = [GripFrame(each, near & np.isfinite(each).all(axis=1)) for each in frames]
             with suppress(NothingMoves):
-                ratio = lattice.ratio(moves[: len(self._seen)])
+                ratio = lattice.ratio(moves[: len(past)])
                 models[SHEET] = np.stack([lattice.motion(each, ratio)[self.around] for each in moves])
-        way = np.linalg.norm(np.stack(path) - rest[gripped], axis=(1, 2))
-        return forecast(models, np.stack(self._seen)[:, self.around], way)
+        way = np.linalg.norm(np.stack(path)[used] - rest[gripped], axis=(1, 2))
+        return forecast(models, np.stack(frames[: len(past)])[:, self.around], way)
 
     def shown(self, states: np.ndarray) -> np.ndarray:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""

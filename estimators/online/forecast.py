@@ -20,7 +20,7 @@ RATIOS = np.geomspace(1e-4, 1, 17)
 NEARBY = 35.0
 """Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 MOST_FRAMES = 8
-"""So many frames, evenly spread, say how well models predict: the motion grows steadily."""
+"""So many frames, evenly spread, say how well models predict: the motion grows steadily, and sheets take time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +96,11 @@ class Forecast:
     """1 - error / motion of each model's predictions of frames so far; not a number where there are no two of them."""
 
 
+def telling(past: int) -> np.ndarray:
+    """Which of so many frames so far say how well models predict, the last one among them."""
+    return np.unique(np.linspace(past - 1, 0, min(past, MOST_FRAMES)).round().astype(int))
+
+
 def forecast(models: Mapping[str, np.ndarray], seen: np.ndarray, way: np.ndarray) -> Forecast:
     """What is to come, by the model that predicts the frames so far best.
 
@@ -114,8 +119,7 @@ def _carried_on(model: np.ndarray, seen: np.ndarray, way: np.ndarray) -> tuple[f
     """A model's skill in the frames so far, and what it expects of those to come, with its share of what it missed."""
     past = len(seen)
     missed = seen - model[:past]
-    chosen = np.unique(np.linspace(0, past - 1, min(past, MOST_FRAMES)).round().astype(int))
-    pairs = [(one, other) for one, other in combinations(chosen, 2) if way[one] > 0]
+    pairs = [(one, other) for one, other in combinations(range(past), 2) if way[one] > 0]
     grown, more, moved = [], [], []
     for one, other in pairs:
         both = np.isfinite(missed[one] + missed[other]).all(axis=1)

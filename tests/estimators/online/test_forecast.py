@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
-from palpate.estimators.online.forecast import FIELD, RATIOS, SHEET, Lattice, forecast
+from palpate.estimators.online.forecast import FIELD, MOST_FRAMES, RATIOS, SHEET, Lattice, forecast, telling
 
 SPACING = 8
 RNG = np.random.default_rng(5)
@@ -81,3 +81,9 @@ def test_nothing_to_come_and_nothing_to_judge_by() -> None:
     still = forecast({FIELD: np.zeros((2, 40, 2))}, np.zeros((1, 40, 2)), np.zeros(2))
     assert np.isnan(still.skills[FIELD])
     np.testing.assert_array_equal(still.since, 0)
+
+
+def test_of_a_long_run_as_many_frames_as_of_a_short_one_say_how_well_models_predict() -> None:
+    assert telling(3).tolist() == [0, 1, 2]
+    long = telling(50)
+    assert (len(long), long[0], long[-1]) == (MOST_FRAMES, 0, 49)

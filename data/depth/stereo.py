@@ -33,7 +33,8 @@ NEW_SHARE, CONSISTENT = 2 / 3, 0.25
 """Share of a frame's own disparity in what is kept where it is near the frame's before, and what is near [working px]:
 noise falls to 0.7 of its own, and what moves by less than that lags by half a frame."""
 DISPARITY_SD = 0.25
-"""Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px]."""
+"""Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px]; where
+rows are found apart, a camera that is turned that far may be turned as far across them."""
 LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
 NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
@@ -179,6 +180,7 @@ class StereoDepth(DepthSource):
         self._match = SemiGlobal(source.size) if model is None else lambda *pair: positive(model.raw(*pair).values)
         self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
         self._seconds, self._second = iter(()), math.inf
+        self._disparity_sd = DISPARITY_SD
         self.identity = f"stereo:{digest_of([repr(rig), layout.right, model and model.identity])[:16]}"
         first = next((frame for frame in source if frame.image is not None), None)
         self._moved = None if first is None else self._onto_rows(first)
@@ -234,6 +236,7 @@ class StereoDepth(DepthSource):
                 "rectify it, or give rotation and translation of its calibration in the camera file."
             )
         self.warnings = [ROWS_DIFFER.format(most)] if most > SAID else []
+        self._disparity_sd = math.hypot(DISPARITY_SD, most)
         # A turn of the camera around its axis, which the rows tell, moves columns as well.
         moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
         return moved if most > TOUCHED else None
@@ -244,7 +247,8 @@ class StereoDepth(DepthSource):
         low, high = np.quantile(found, QUANTILES) * WIDENED
         if self.network is None:
             self._match = SemiGlobal(self._size, (float(low), float(high)))
-        self.metres = (1.0, math.hypot(self._baseline_log_sd, DISPARITY_SD / float(np.median(found))), "stereo")
+        off = self._disparity_sd / float(np.median(found))
+        self.metres = (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

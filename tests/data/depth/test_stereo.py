@@ -177,6 +177,8 @@ def test_rows_a_little_off_are_brought_together_and_that_is_said(tmp_path: Path)
     apart = re.search(r"lie up to ([\d.]+) px off those of the left ones", depth.warnings[0])
     assert apart is not None
     assert float(apart[1]) == pytest.approx(3 + 369.5 * math.radians(0.3), abs=0.5)
+    assert depth.metres is not None
+    assert depth.metres[1] == pytest.approx(float(apart[1]) / 42, rel=0.1)  # as much may be off across rows
 
 
 def test_noise_falls_from_frame_to_frame_and_what_moves_is_not_held_back(tmp_path: Path) -> None:

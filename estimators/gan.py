@@ -100,7 +100,7 @@ class GanSession(RunSession):
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
         contact, run = current.geometry, self._runs.current
         if contact is not None and run is not None and depth is not None:
-            theta = self._theta(depth, current)
+            theta = self._theta(depth)
             if run.builder is not None and current.track_start == run.index:
                 self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), MIN_MAGNITUDE))
                 self._count += 1
@@ -125,16 +125,11 @@ class GanSession(RunSession):
         found = Estimate(np.exp(logs) * SIGNS, given_verdict="undetermined")
         yield run.estimate(interaction=run.builder.build(self.mechanics), estimate=found, detail=run.detail)
 
-    def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
+    def _theta(self, window: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F] of a depth window, shape [3]."""
         start = time.perf_counter()
         theta = self.estimator.model(window[None])[0]
         self.seconds["network"] += time.perf_counter() - start
-        if not np.isfinite(theta).all():
-            raise ModelFileError(
-                f"{self.estimator.model.path} gives a number that is not finite for frame {prepared.frame.number}; "
-                "its training did not succeed, export another checkpoint."
-            )
         return theta
 
     def _displacements(

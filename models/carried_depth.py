@@ -16,7 +16,7 @@ from torch import Tensor
 
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import Mesh, focal_length
 from palpate.physics.msd import rollout
 
 CARRIED_RADIUS = 12
@@ -109,7 +109,9 @@ class _Surroundings:
             maps[:, *(own[inner] + MAP_RADIUS).T] = mesh.vertices[inner, 2], np.ones(inner.sum())
         self._rest = torch.from_numpy(rest).to(like)
         """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
-        self._camera = torch.from_numpy(np.stack([_camera(mesh) for mesh in meshes])[:, None]).to(like)
+        cameras = np.stack([np.diag([*focal_length(mesh), 1.0]) for mesh in meshes])
+        self._camera = torch.from_numpy(cameras[:, None]).to(like)
+        """Of a camera that sees a mesh's vertices as far apart as its pixels are, shape [B, 1, 3, 3] [grid px]."""
         centre = torch.from_numpy(centres)
         steps = torch.arange(MAP_SIDE, device=like.device)
         grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))
@@ -145,10 +147,3 @@ class _Surroundings:
 def _at(maps: Tensor, places: Tensor) -> Tensor:
     """Maps [B, C, H, W] interpolated at columns and rows [B, 2, H, W]."""
     return remap(maps, places[:, 0], places[:, 1], align_corners=True)
-
-
-def _camera(mesh: Mesh) -> np.ndarray:
-    """Matrix of a camera that sees a mesh's vertices as far apart as its pixels are, shape [3, 3] [grid px]."""
-    rays, places = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:], mesh.pixels[:, ::-1]
-    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
-    return np.diag(np.append((rays * places).sum(axis=0) / np.square(rays).sum(axis=0), 1.0))

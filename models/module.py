@@ -116,8 +116,8 @@ class PhysicsInformedGAN(LightningModule):
         self.learning_rate, self.betas = learning_rate, betas
         self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
-        self.discriminator_a = PatchDiscriminator(1, width)
-        self.discriminator_b = PatchDiscriminator(1, width)
+        self.discriminator_a = PatchDiscriminator(width)
+        self.discriminator_b = PatchDiscriminator(width)
         self.noise = RandomGaussianNoise(std=noise, p=1.0) if noise else None
         self.sample: tuple[Tensor, Tensor] | None = None
         """Real and predicted next depth of the first validation pair, shape [H, W] each, for the tracked pictures."""

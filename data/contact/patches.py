@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import Mesh, focal_length
 
 MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
@@ -25,8 +25,6 @@ MAX_SAMPLES = 6
 ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
-FOCAL_VERTICES = 1000
-"""Vertices that determine the focal lengths."""
 
 
 class Patches:
@@ -322,12 +320,3 @@ def _nearest(place, number):
                 row, column = min(max(row, 0.0), last), min(max(column, 0.0), last)
                 found[frame, index] = number[int(np.rint(row)), int(np.rint(column))]
     return found
-
-
-def focal_length(mesh: Mesh) -> np.ndarray:
-    """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
-    some = np.s_[:: max(1, len(mesh.vertices) // FOCAL_VERTICES)]  # all lie on the same two lines
-    rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
-    places = mesh.pixels[some, ::-1].astype(np.float64)
-    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
-    return (rays * places).sum(axis=0) / np.square(rays).sum(axis=0)

@@ -15,10 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.contact.patches import between as between_vertices
-from palpate.data.contact.patches import bilinear, corner, focal_length
+from palpate.data.contact.patches import bilinear, corner
 from palpate.physics.brightness import log_brightness, log_brightness_slopes, matt, matt_slope, mirrored
 from palpate.physics.jit import kernel
-from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.mesh import Mesh, focal_length, grid_mesh
 
 ITERATIONS = 6
 """To find where a pixel's tissue lay at rest; every one leaves a third or less of the error."""

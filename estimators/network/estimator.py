@@ -174,7 +174,6 @@ class NetworkEstimator(ModelEstimator):
             raise NoEstimate(TOO_DARK)
         slots, known = light_slots(contact)
         mean, covariance = self.model.by_light(slots.vectors(known))
-        self.require_finite(mean, covariance)
         box, left = self.bounds.log_box, float(slots.unexplained(known)[0])
         values, vectors = np.linalg.eigh(np.linalg.inv(covariance[0]) - box_information(box))
         noise = max(contact.brightness.noise, LEAST_NOISE)
@@ -190,11 +189,6 @@ class NetworkEstimator(ModelEstimator):
             by_light=True,
             refuted=LEFT.format(left) if left > LARGEST_LEFT else "",
         )
-
-    def require_finite(self, *outputs: np.ndarray) -> None:
-        """Raise a ModelFileError where a network gives a number that is not finite."""
-        if not all(np.isfinite(values).all() for values in outputs):
-            raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
 
 
 class NetworkSession(RunSession):
@@ -251,7 +245,6 @@ class NetworkSession(RunSession):
         window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
         found = estimator.model(np.stack(features), window)
         self.seconds["network"] += time.perf_counter() - start
-        estimator.require_finite(*found)
         start = time.perf_counter()
         judged = [
             estimator.judged(each, self.mechanics, within, *own) for each, *own in zip(contacts, *found, strict=True)

@@ -5,7 +5,6 @@ and discriminators are not needed.
 """
 
 import math
-import time
 from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
@@ -100,7 +99,8 @@ class GanSession(RunSession):
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
         contact, run = current.geometry, self._runs.current
         if contact is not None and run is not None and depth is not None:
-            theta = self._theta(depth)
+            with self.timed("network"):
+                theta = self.estimator.model(depth[None])[0]
             if run.builder is not None and current.track_start == run.index:
                 self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), MIN_MAGNITUDE))
                 self._count += 1
@@ -125,13 +125,6 @@ class GanSession(RunSession):
         found = Estimate(np.exp(logs) * SIGNS, given_verdict="undetermined")
         yield run.estimate(interaction=run.builder.build(self.mechanics), estimate=found, detail=run.detail)
 
-    def _theta(self, window: np.ndarray) -> np.ndarray:
-        """θ = [k_s, k_d, F] of a depth window, shape [3]."""
-        start = time.perf_counter()
-        theta = self.estimator.model(window[None])[0]
-        self.seconds["network"] += time.perf_counter() - start
-        return theta
-
     def _displacements(
         self, theta: np.ndarray, current: PreparedFrame, following: PreparedFrame | None, onset: PreparedFrame | None
     ) -> tuple[float | None, float | None]:
@@ -155,12 +148,11 @@ class GanSession(RunSession):
             observed = None
             if following is not None and following.track_start == onset.frame.index:
                 observed = following.track_position - onset.track_position
-        started = time.perf_counter()
-        contact = start.contact
-        direction = force_direction(contact.normal, observed, self.clip.geometry)
-        press = Press.at(contact.vertex, direction, held(load_steps, steps))
-        path = simulate(theta, contact.mesh, press, mechanics)
-        self.seconds["simulation"] += time.perf_counter() - started
+        with self.timed("simulation"):
+            contact = start.contact
+            direction = force_direction(contact.normal, observed, self.clip.geometry)
+            press = Press.at(contact.vertex, direction, held(load_steps, steps))
+            path = simulate(theta, contact.mesh, press, mechanics)
         return length(path[-1]), None if observed is None else length(observed)
 
 

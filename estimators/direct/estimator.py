@@ -12,7 +12,6 @@ Where the tissue's thickness is given a slab of finite elements takes the sheet'
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -153,13 +152,11 @@ class DirectSession(RunSession):
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        start, unlit = time.perf_counter(), ""
-        try:
+        unlit = ""
+        with self.timed("fit"):
             found, motion = self.fit(contact)
             if self.estimator.observation == BOTH:
                 found, unlit = with_light(found, lambda: self._lit(contact)[1])
-        finally:
-            self.seconds["fit"] += time.perf_counter() - start
         return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -237,20 +236,16 @@ class NetworkSession(RunSession):
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        estimator, start = self.estimator, time.perf_counter()
-        contacts, within = [contact], self._onset_error
+        estimator, contacts, within = self.estimator, [contact], self._onset_error
         if not estimator.sees_sequence:
             contacts, within = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS), 0.0
-        features = [estimator.features(each, within) for each in contacts]
-        window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
-        found = estimator.model(np.stack(features), window)
-        self.seconds["network"] += time.perf_counter() - start
-        start = time.perf_counter()
-        judged = [
-            estimator.judged(each, self.mechanics, within, *own) for each, *own in zip(contacts, *found, strict=True)
-        ]
-        self.seconds["simulation"] += time.perf_counter() - start
-        whole = mixture(judged)
+        with self.timed("network"):
+            features = [estimator.features(each, within) for each in contacts]
+            window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
+            found = estimator.model(np.stack(features), window)
+        with self.timed("simulation"):
+            parts = zip(contacts, *found, strict=True)
+            whole = mixture([estimator.judged(each, self.mechanics, within, *own) for each, *own in parts])
         error = effective_misfit(whole)
         unsure = is_oblique(whole) or error > whole.largest_misfit
         return widened(whole, error, estimator.bounds.log_box) if unsure else whole
@@ -276,11 +271,8 @@ class NetworkSession(RunSession):
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)
 
     def _by_light(self, contact: Interaction) -> Estimate:
-        start = time.perf_counter()
-        try:
+        with self.timed("network"):
             return self.estimator.lit(contact)
-        finally:
-            self.seconds["network"] += time.perf_counter() - start
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         if not self.estimator.by_network:
@@ -312,10 +304,9 @@ class NetworkSession(RunSession):
             return 0.0, observed
         if steps > self.mechanics.steps:
             return None, observed
-        start = time.perf_counter()
-        press = Press.at(contact.vertex, contact.direction, held(steps, steps))
-        path = simulate(found.theta, contact.mesh, press, self.mechanics)
-        self.seconds["simulation"] += time.perf_counter() - start
+        with self.timed("simulation"):
+            press = Press.at(contact.vertex, contact.direction, held(steps, steps))
+            path = simulate(found.theta, contact.mesh, press, self.mechanics)
         return float(np.linalg.norm(path[-1])), observed
 
 

@@ -167,13 +167,10 @@ class SequenceRecorder:
         known = [pair[np.isfinite(pair)] for pair in pairs]
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
-    @property
-    def noise(self) -> SequenceNoise:
-        """As measured so far; all of it counts as new in every frame where there is one frame alone."""
-        return self._noise_of(len(self._changes))
-
-    def _noise_of(self, count: int) -> SequenceNoise:
-        """As measured in the first frame and so many after it."""
+    def noise(self, count: int) -> SequenceNoise:
+        """As measured in the first frame and so many after it; all of it counts as new in every frame where that is
+        the first alone.
+        """
         if self._still is None or not self._changes[:count]:
             return SequenceNoise(self._noise, 0.0)
         changes, total = np.mean(self._changes[:count], axis=0), self._noise**2
@@ -189,7 +186,7 @@ class SequenceRecorder:
         """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
         size = 2 * REACH + 1
         stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
-        return DepthSequence(np.asarray(times, np.float64), stacked, self._noise_of(known), self._size)
+        return DepthSequence(np.asarray(times, np.float64), stacked, self.noise(known), self._size)
 
 
 def window_around(centre: np.ndarray) -> tuple[slice, slice]:

@@ -23,6 +23,7 @@ from palpate.estimators.direct.problem import (
     distinct,
     evidence_shares,
     find_optimum,
+    suiting_forces,
 )
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import Estimate
@@ -261,12 +262,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
         places = np.clip(np.rint(since / step), 0, len(path)).astype(np.int64)
         tried = problem.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
         tried = tried.reshape(len(delays), *observed.shape)
-        seen = np.isfinite(tried) & np.isfinite(observed)
-        tried, left = np.where(seen, tried, 0.0), np.where(seen, observed, 0.0)
-        squares = np.square(tried).sum(axis=(1, 2))
-        factors = np.maximum((tried * left).sum(axis=(1, 2)), 1e-12) / np.maximum(squares, 1e-30)
-        forces = np.clip(candidate[2] + np.log(np.maximum(factors, 1e-9)), low[2], high[2])
-        unexplained = np.square(np.exp(forces - candidate[2])[:, None, None] * tried - left).sum(axis=(1, 2))
+        forces, unexplained = suiting_forces(tried, observed, np.tile(candidate[2], len(tried)), low[2], high[2])
         best = int(np.argmin(unexplained))
         misfits[index], candidate[2], candidate[motion.delays] = unexplained[best], forces[best], delays[best]
     return apart(candidates, misfits, low, high, motion.starts)

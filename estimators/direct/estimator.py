@@ -25,7 +25,7 @@ from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from palpate.estimators.estimate import Estimate, NoEstimate, with_light
+from palpate.estimators.estimate import Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -156,7 +156,10 @@ class DirectSession(RunSession):
         with self.timed("fit"):
             found, motion = self.fit(contact)
             if self.estimator.observation == BOTH:
-                found, unlit = with_light(found, lambda: self._lit(contact)[1])
+                try:
+                    found = combined(found, self._lit(contact)[1])
+                except NoEstimate as reason:
+                    unlit = f"{reason} The estimate is by its depth alone."
         return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
 
 

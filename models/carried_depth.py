@@ -70,15 +70,9 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
 
 
 def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
-    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and None changes nothing.
-
-    Raises:
-        ValueError: the change is on another grid than the maps.
-    """
+    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and None changes nothing."""
     if by is None:
         return depth
-    if by.shape[2:] != depth.shape[2:]:
-        raise ValueError(f"depth is {list(depth.shape[2:])}, the mesh's grid {list(by.shape[2:])}; give one grid.")
     return torch.where(depth > 0, (depth + by).clamp(min=0.0, max=1.0), 0.0)
 
 
@@ -87,8 +81,6 @@ class _Surroundings:
 
     def __init__(self, meshes: Sequence[Mesh], loads: Sequence[Press], like: Tensor) -> None:
         height, width = self._shape = meshes[0].grid_shape
-        if any(mesh.grid_shape != self._shape for mesh in meshes):
-            raise ValueError(f"meshes of grids {sorted({mesh.grid_shape for mesh in meshes})} don't form one batch.")
         batch, contacts = len(meshes), [load.vertex for load in loads]
         centres = np.stack([mesh.pixels[vertex] for mesh, vertex in zip(meshes, contacts, strict=True)])
         apart = [mesh.pixels - centre for mesh, centre in zip(meshes, centres, strict=True)]

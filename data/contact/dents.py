@@ -217,16 +217,12 @@ def _deepest(sigmas: np.ndarray) -> tuple[int, int] | None:
 
 def _near(sigmas: np.ndarray, place: tuple[int, int], least: float) -> tuple[int, int] | None:
     """Row and column of the largest value near a place; None where it is below the least."""
-    window = _window(sigmas, place)
+    top, left = max(place[0] - NEAR, 0), max(place[1] - NEAR, 0)
+    window = sigmas[top : place[0] + NEAR + 1, left : place[1] + NEAR + 1]
     row, column = np.unravel_index(np.argmax(window), window.shape)
     if window[row, column] < least:
         return None
-    return int(row) + max(place[0] - NEAR, 0), int(column) + max(place[1] - NEAR, 0)
-
-
-def _window(values: np.ndarray, place: tuple[int, int]) -> np.ndarray:
-    row, column = place
-    return values[max(row - NEAR, 0) : row + NEAR + 1, max(column - NEAR, 0) : column + NEAR + 1]
+    return top + int(row), left + int(column)
 
 
 def _is_local(sigmas: np.ndarray, place: tuple[int, int]) -> bool:

@@ -78,11 +78,8 @@ class Patches:
         depth = self._dense(self._depth[None])[0]
         slopes = []
         for axis in (0, 1):
-            ahead, behind = (np.roll(depth, shift, axis) for shift in (-1, 1))
-            last = np.s_[-1:, :] if axis == 0 else np.s_[:, -1:]
-            first = np.s_[:1, :] if axis == 0 else np.s_[:, :1]
-            ahead[last], behind[first] = np.nan, np.nan
-            both = np.stack([ahead - depth, depth - behind])
+            ahead, behind = np.diff(depth, axis=axis, append=np.nan), np.diff(depth, axis=axis, prepend=np.nan)
+            both = np.stack([ahead, behind])
             count = np.isfinite(both).sum(axis=0)
             slopes.append((np.nansum(both, axis=0) / np.maximum(count, 1))[self._cells])
         return np.stack(slopes, axis=-1)
@@ -309,14 +306,8 @@ def _settled(shift, samples):
     return found
 
 
-@kernel
-def _nearest(place, number):
+def _nearest(place: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Numbers [S, S] nearest to places [N, Q, 2], shape [N, Q]; -1 where these lie outside or aren't known."""
-    found, last = np.full(place.shape[:2], -1), number.shape[0] - 1
-    for frame in range(place.shape[0]):
-        for index in range(place.shape[1]):
-            row, column = place[frame, index, 0], place[frame, index, 1]
-            if -0.5 <= row <= last + 0.5 and -0.5 <= column <= last + 0.5:
-                row, column = min(max(row, 0.0), last), min(max(column, 0.0), last)
-                found[frame, index] = number[int(np.rint(row)), int(np.rint(column))]
-    return found
+    inside = (np.abs(place - (len(number) - 1) / 2) <= len(number) / 2).all(axis=-1)
+    nearest = np.rint(np.where(inside[..., None], place, 0)).clip(0, len(number) - 1).astype(int)
+    return np.where(inside, number[nearest[..., 0], nearest[..., 1]], -1)

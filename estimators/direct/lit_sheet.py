@@ -86,10 +86,7 @@ class LitSheet:
         self.distance = _distance(mesh, self.pixel)
         self.ray = self.rays(self.pixel.astype(np.float64))
         self._sideways = np.linalg.svd(self.ray[None])[2][1:]
-        if self._sideways[0, 0] < 0:
-            self._sideways[0] *= -1
-        if self._sideways[1, 1] < 0:
-            self._sideways[1] *= -1
+        self._sideways *= np.where(np.diag(self._sideways) < 0, -1.0, 1.0)[:, None]
         self.tilt, self.normal = np.array(tilt, np.float64), self.normal_at(tilt)
         self.mesh = self._plane(mesh)
         offsets = self.mesh.pixels - self.pixel

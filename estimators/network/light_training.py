@@ -86,10 +86,8 @@ class Disturbed:
         generator = self._generator
         some = generator.integers(len(self._logs), size=count)
         slots = self.draws.slots.chosen(some)
-        spread, sd = (
-            generator.integers(len(self._factors), size=count),
-            np.exp(generator.uniform(*np.log(ERRORS), count)),
-        )
+        spread = generator.integers(len(self._factors), size=count)
+        sd = np.exp(generator.uniform(*np.log(ERRORS), count))
         errors = np.einsum("bij,btj->bti", self._factors[spread], generator.standard_normal((count, SLOTS, SHAPES)))
         kept = np.where(spread > 0, generator.choice(PERSISTENCE, count), 0.0)[:, None]
         for slot in range(1, SLOTS):

@@ -4,7 +4,6 @@ Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward
 and discriminators are not needed.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
@@ -18,7 +17,7 @@ from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.estimators.runs import Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS
@@ -153,16 +152,11 @@ class GanSession(RunSession):
             direction = force_direction(contact.normal, observed, self.clip.geometry)
             press = Press.at(contact.vertex, direction, held(load_steps, steps))
             path = simulate(theta, contact.mesh, press, mechanics)
-        return length(path[-1]), None if observed is None else length(observed)
+        simulated = finite(float(np.linalg.norm(path[-1])))
+        return simulated, None if observed is None else finite(float(np.linalg.norm(observed)))
 
 
 def _verdict(contacts: deque[tuple[bool, bool]]) -> str:
     """The verdict on a window of consecutive frames: without the beginning of contact in it θ is undetermined."""
     begins = any(out and touching for (out, _), (_, touching) in pairwise(contacts))
     return "onset_in_view" if begins else "undetermined"
-
-
-def length(vector: np.ndarray) -> float | None:
-    """Euclidean length of a vector; None where it has a number that is not finite."""
-    found = float(np.linalg.norm(vector))
-    return found if math.isfinite(found) else None

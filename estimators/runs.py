@@ -336,16 +336,19 @@ def frame_estimate(
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        contact_probability=float(prepared.contact_probability)
-        if math.isfinite(prepared.contact_probability)
-        else None,
-        contact_distance=float(prepared.distance) if math.isfinite(prepared.distance) else None,
+        contact_probability=finite(prepared.contact_probability),
+        contact_distance=finite(prepared.distance),
         contact_u=u,
         contact_v=v,
         simulated_displacement=lengths[0],
         observed_displacement=lengths[1],
         arrow=arrow,
     )
+
+
+def finite(number: float) -> float | None:
+    """A number; None where it is not finite."""
+    return float(number) if math.isfinite(number) else None
 
 
 def force_arrow(

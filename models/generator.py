@@ -79,8 +79,6 @@ SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
 MAX_WIDTH, MAX_BLOCKS = 256, 64
 """Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
-DECODERS = ("direct", "residual", "physics")
-HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
 """Depths are kept this far from 0 and 1 before their logit is taken."""
 
@@ -217,9 +215,6 @@ class Generator(nn.Module):
         contact_features: int = 0,
     ) -> None:
         super().__init__()
-        for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
-            if value not in choices:
-                raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
         if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "

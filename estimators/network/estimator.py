@@ -22,7 +22,7 @@ from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from palpate.estimators.onset import onset_error, onset_perturbations
 from palpate.estimators.records import FrameEstimate
-from palpate.estimators.runs import WHOLE, Run, RunSession, force_arrow, frame_estimate
+from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.physics.identifiability import NOTHING, box_information
 from palpate.physics.load import Press, held
@@ -299,7 +299,7 @@ class NetworkSession(RunSession):
         """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
         moved = frame.track_position - builder.rest
-        observed = float(np.linalg.norm(moved)) if np.isfinite(moved).all() else None
+        observed = finite(float(np.linalg.norm(moved)))
         if steps == 0:
             return 0.0, observed
         if steps > self.mechanics.steps:

@@ -120,5 +120,3 @@ def test_holes_of_the_current_frame_stay_holes():
 def test_what_cannot_be_is_refused_with_a_sentence():
     with pytest.raises(ValueError, match="16 pixels a side"):
         Generator(**SMALL).encode(torch.rand(1, 1, 8, 32))
-    with pytest.raises(ValueError, match="direct or residual"):
-        Generator(**SMALL, decoder="copy")

@@ -177,16 +177,13 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
-    """Fit a depth-change sequence; `tissue` is the box of φ, shape [2, 3].
-
-    Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
-    """
-    return sampled(problem, field_optima(problem, tissue), tissue)
-
-
 def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
-    """Optima of a sequence's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
+    """Optima of a sequence's fit, the best first; the problem has looked at that one.
+
+    Args:
+        problem: the depth-change sequence.
+        tissue: the box of φ, shape [2, 3].
+    """
     box = problem.motion.box(tissue)
     found = []
     for logs in raced(problem.coarser(), field_starts(problem, box), box):
@@ -201,7 +198,7 @@ def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: FieldProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
+    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -233,7 +230,7 @@ def fit_press(
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
     patch = SequenceProblem.of_press(contact, mechanics, within, noise, PatchMotion)
-    shaped = fit_field(patch, tissue)
+    shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)

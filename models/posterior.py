@@ -35,7 +35,7 @@ def covariance_factor(raw: Tensor) -> Tensor:
     size.
     """
     diagonal = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE))
-    places = torch.eye(9).to(raw)[[3, 6, 7]].view(3, 3, 3)  # of the three below the diagonal, row by row
+    places = torch.eye(9)[[3, 6, 7]].view(3, 3, 3).to(raw)  # of the three below the diagonal, row by row
     return (torch.eye(3).to(raw) + torch.einsum("bk,kij->bij", raw[:, 3:], places)) * diagonal[:, None]
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.data.contact.depth_change import MIN_REST, SCALES, DepthChange, RestingTissue, grid_motion, picture_motion
-from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 from palpate.data.tracks.following import Shown
@@ -123,12 +123,7 @@ class DentContacts:
         item = self._waiting.popleft()
         frame = item.prepared
         if item.place is not None:
-            try:
-                place = item.place[::-1]
-                frame.geometry = dent_geometry(frame.depth, frame.labels, place, self._camera, self._settings)
-                frame.status, frame.detail = "ok", ""
-            except GeometryStatus as status:
-                frame.status, frame.detail = status.status, status.detail
+            frame.press_at(item.place[::-1], self._camera, self._settings)
         elif item.recovers:
             frame.detail = RECOVERS
         elif self._dent is None:

@@ -8,7 +8,8 @@ import numpy as np
 
 from palpate.data.brightness.registration import View
 from palpate.data.brightness.sequence import LabelledPicture
-from palpate.data.contact.geometry import FrameGeometry
+from palpate.data.contact.geometry import FrameGeometry, GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.data.tracks.following import Shown
 
@@ -69,6 +70,15 @@ class PreparedFrame:
     track_position: np.ndarray = field(default_factory=_unknown)
     """Current position of the tissue point that was the contact at `track_start`, shape [3] [scene units]; NaN once it
     is lost."""
+
+    def press_at(self, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings) -> bool:
+        """Take the tissue at a grid pixel (u, v), where a dent is, for the contact; whether that gives a mesh."""
+        try:
+            self.geometry = dent_geometry(self.depth, self.labels, pixel, camera, settings)
+            self.status, self.detail = "ok", ""
+        except GeometryStatus as status:
+            self.status, self.detail, self.geometry = status.status, status.detail, None
+        return self.in_contact
 
     @property
     def in_contact(self) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -468,10 +468,6 @@ def palpated_young(path: Path) -> tuple[float, float]:
     if path.suffix.lower() == ".csv":
         return _of_curves(path)
     values = read_mapping(path, "a palpation's calibration.json")
-    return _interval(values, path)
-
-
-def _interval(values: Mapping[str, Any], path: Path) -> tuple[float, float]:
     if values.get("young_pa", 0) is None:
         raise InputError(f"{printable(path)} says that nothing is determined; press harder and give that file.")
     names = ("young_pa", "young_low_pa", "young_high_pa")

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -189,14 +189,6 @@ def mixture(found: Sequence[Estimate]) -> Estimate:
         covariance=np.mean([item.covariance for item in found], axis=0) + apart,
         expected_information=np.linalg.inv(expected),
     )
-
-
-def with_light(by_depth: Estimate, by_light: Callable[[], Estimate]) -> tuple[Estimate, str]:
-    """`combined` with what gives the estimate by light; where that raises NoEstimate, the one by depth and why."""
-    try:
-        return combined(by_depth, by_light()), ""
-    except NoEstimate as reason:
-        return by_depth, f"{reason} The estimate is by its depth alone."
 
 
 def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:

@@ -4,8 +4,6 @@ Source: Bini 2026, section 3.4.4: per frame depth, mesh and contact; one forward
 and discriminators are not needed.
 """
 
-import math
-import time
 from collections import deque
 from collections.abc import Iterator
 from itertools import pairwise
@@ -19,7 +17,7 @@ from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import Run, RunSession, force_arrow, frame_estimate
+from palpate.estimators.runs import Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS
@@ -100,7 +98,8 @@ class GanSession(RunSession):
         onset = self._onset if self._onset and current.track_start == self._onset.frame.index else None
         contact, run = current.geometry, self._runs.current
         if contact is not None and run is not None and depth is not None:
-            theta = self._theta(depth, current)
+            with self.timed("network"):
+                theta = self.estimator.model(depth[None])[0]
             if run.builder is not None and current.track_start == run.index:
                 self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), MIN_MAGNITUDE))
                 self._count += 1
@@ -125,18 +124,6 @@ class GanSession(RunSession):
         found = Estimate(np.exp(logs) * SIGNS, given_verdict="undetermined")
         yield run.estimate(interaction=run.builder.build(self.mechanics), estimate=found, detail=run.detail)
 
-    def _theta(self, window: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
-        """θ = [k_s, k_d, F] of a depth window, shape [3]."""
-        start = time.perf_counter()
-        theta = self.estimator.model(window[None])[0]
-        self.seconds["network"] += time.perf_counter() - start
-        if not np.isfinite(theta).all():
-            raise ModelFileError(
-                f"{self.estimator.model.path} gives a number that is not finite for frame {prepared.frame.number}; "
-                "its training did not succeed, export another checkpoint."
-            )
-        return theta
-
     def _displacements(
         self, theta: np.ndarray, current: PreparedFrame, following: PreparedFrame | None, onset: PreparedFrame | None
     ) -> tuple[float | None, float | None]:
@@ -160,22 +147,16 @@ class GanSession(RunSession):
             observed = None
             if following is not None and following.track_start == onset.frame.index:
                 observed = following.track_position - onset.track_position
-        started = time.perf_counter()
-        contact = start.contact
-        direction = force_direction(contact.normal, observed, self.clip.geometry)
-        press = Press.at(contact.vertex, direction, held(load_steps, steps))
-        path = simulate(theta, contact.mesh, press, mechanics)
-        self.seconds["simulation"] += time.perf_counter() - started
-        return length(path[-1]), None if observed is None else length(observed)
+        with self.timed("simulation"):
+            contact = start.contact
+            direction = force_direction(contact.normal, observed, self.clip.geometry)
+            press = Press.at(contact.vertex, direction, held(load_steps, steps))
+            path = simulate(theta, contact.mesh, press, mechanics)
+        simulated = finite(float(np.linalg.norm(path[-1])))
+        return simulated, None if observed is None else finite(float(np.linalg.norm(observed)))
 
 
 def _verdict(contacts: deque[tuple[bool, bool]]) -> str:
     """The verdict on a window of consecutive frames: without the beginning of contact in it θ is undetermined."""
     begins = any(out and touching for (out, _), (_, touching) in pairwise(contacts))
     return "onset_in_view" if begins else "undetermined"
-
-
-def length(vector: np.ndarray) -> float | None:
-    """Euclidean length of a vector; None where it has a number that is not finite."""
-    found = float(np.linalg.norm(vector))
-    return found if math.isfinite(found) else None

@@ -44,8 +44,6 @@ class ForceCurve:
     """Standard deviation of the force, shape [T] [N]."""
     known: np.ndarray
     """Measured force, shape [T] [N]; not a number where nothing was measured."""
-    factor: float
-    """Force over the quantity that is proportional to it."""
 
 
 def read_forces(path: Path) -> KnownForce:
@@ -108,4 +106,4 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
         )
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
-    return ForceCurve(factor * signal, sd, known, factor)
+    return ForceCurve(factor * signal, sd, known)

@@ -1,10 +1,11 @@
 """Runs of contact, collected frame by frame: the part of a session that all estimators share."""
 
+import contextlib
 import dataclasses
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
@@ -177,6 +178,15 @@ class RunSession:
         self._runs = RunTracker(clip, self.mechanics.seconds)
         self._grip: GripRecorder | None = None
 
+    @contextlib.contextmanager
+    def timed(self, stage: str) -> Generator[None, None, None]:
+        """Add the time that is spent within to that of a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
+
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
         """Yield the record of the run that the clip's end has cut off."""
         yield from self._ended(self._runs.finish())
@@ -191,14 +201,14 @@ class RunSession:
 
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
-        run, start = self._runs.current, time.perf_counter()
-        if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
-            self._grip = None
-        elif run.index == frame.frame.index:
-            self._grip = GripRecorder(frame, self._thickness) if frame.visible else None
-        elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
-            self._grip.add(frame)
-        self.seconds["grip"] += time.perf_counter() - start
+        run = self._runs.current
+        with self.timed("grip"):
+            if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
+                self._grip = None
+            elif run.index == frame.frame.index:
+                self._grip = GripRecorder(frame, self._thickness) if frame.visible else None
+            elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
+                self._grip.add(frame)
 
     def _follows(self, run: Run) -> bool:
         """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
@@ -225,9 +235,8 @@ class RunSession:
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
-                start = time.perf_counter()
-                contact, found, simulated = self._lit(contact)
-                self.seconds["fit"] += time.perf_counter() - start
+                with self.timed("fit"):
+                    contact, found, simulated = self._lit(contact)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -247,12 +256,12 @@ class RunSession:
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
-        start = time.perf_counter()
+        found, sentence = None, ""
         try:
-            found, sentence = recorder.estimate(), ""
+            with self.timed("grip"):
+                found = recorder.estimate()
         except NoEstimate as reason:
-            found, sentence = None, str(reason) if only else ""
-        self.seconds["grip"] += time.perf_counter() - start
+            sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
             skill = f"{found.skill:.2f}{elsewhere}"
@@ -327,16 +336,19 @@ def frame_estimate(
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        contact_probability=float(prepared.contact_probability)
-        if math.isfinite(prepared.contact_probability)
-        else None,
-        contact_distance=float(prepared.distance) if math.isfinite(prepared.distance) else None,
+        contact_probability=finite(prepared.contact_probability),
+        contact_distance=finite(prepared.distance),
         contact_u=u,
         contact_v=v,
         simulated_displacement=lengths[0],
         observed_displacement=lengths[1],
         arrow=arrow,
     )
+
+
+def finite(number: float) -> float | None:
+    """A number; None where it is not finite."""
+    return float(number) if math.isfinite(number) else None
 
 
 def force_arrow(

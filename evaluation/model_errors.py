@@ -57,8 +57,8 @@ ENDS = "error", "sd", "model_sd"
 ENOUGH = 20
 """So many clips change a value: a standard deviation is then known to a sixth."""
 HEAD = (
-    "# What a fit's own model gets wrong. estimators/model_errors.py says what each entry is;\n"
-    "# `python -m evaluation.model_errors` measures them and writes this file.\n"
+    "# What a fit's own model gets wrong: standard deviations, of natural logarithms where nothing else is said, and\n"
+    "# the thresholds that go with them. `python -m evaluation.model_errors` measures them and writes this file.\n"
 )
 
 Errors = dict[str, list[tuple[float, float]]]

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import Mesh, focal_length
 from palpate.physics.msd import rollout
 
 CARRIED_RADIUS = 12
@@ -58,7 +58,7 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
     """`change` from a map to the predicted one, for a decoder of this kind; None where it has no use for it.
 
     Args:
-        kind: one of `models.generator.DECODERS`.
+        kind: direct, residual or physics.
         theta, mechanics: as in `change`.
         batch: a batch of the data module.
         side: a for forward in time, b for backward.
@@ -70,15 +70,9 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
 
 
 def shifted(depth: Tensor, by: Tensor | None) -> Tensor:
-    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and None changes nothing.
-
-    Raises:
-        ValueError: the change is on another grid than the maps.
-    """
+    """Maps in [0, 1] with a change added, shape [B, 1, H, W]; invalid pixels (0) stay so, and None changes nothing."""
     if by is None:
         return depth
-    if by.shape[2:] != depth.shape[2:]:
-        raise ValueError(f"depth is {list(depth.shape[2:])}, the mesh's grid {list(by.shape[2:])}; give one grid.")
     return torch.where(depth > 0, (depth + by).clamp(min=0.0, max=1.0), 0.0)
 
 
@@ -87,8 +81,6 @@ class _Surroundings:
 
     def __init__(self, meshes: Sequence[Mesh], loads: Sequence[Press], like: Tensor) -> None:
         height, width = self._shape = meshes[0].grid_shape
-        if any(mesh.grid_shape != self._shape for mesh in meshes):
-            raise ValueError(f"meshes of grids {sorted({mesh.grid_shape for mesh in meshes})} don't form one batch.")
         batch, contacts = len(meshes), [load.vertex for load in loads]
         centres = np.stack([mesh.pixels[vertex] for mesh, vertex in zip(meshes, contacts, strict=True)])
         apart = [mesh.pixels - centre for mesh, centre in zip(meshes, centres, strict=True)]
@@ -109,7 +101,9 @@ class _Surroundings:
             maps[:, *(own[inner] + MAP_RADIUS).T] = mesh.vertices[inner, 2], np.ones(inner.sum())
         self._rest = torch.from_numpy(rest).to(like)
         """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
-        self._camera = torch.from_numpy(np.stack([_camera(mesh) for mesh in meshes])[:, None]).to(like)
+        cameras = np.stack([np.diag([*focal_length(mesh), 1.0]) for mesh in meshes])
+        self._camera = torch.from_numpy(cameras[:, None]).to(like)
+        """Of a camera that sees a mesh's vertices as far apart as its pixels are, shape [B, 1, 3, 3] [grid px]."""
         centre = torch.from_numpy(centres)
         steps = torch.arange(MAP_SIDE, device=like.device)
         grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))
@@ -145,10 +139,3 @@ class _Surroundings:
 def _at(maps: Tensor, places: Tensor) -> Tensor:
     """Maps [B, C, H, W] interpolated at columns and rows [B, 2, H, W]."""
     return remap(maps, places[:, 0], places[:, 1], align_corners=True)
-
-
-def _camera(mesh: Mesh) -> np.ndarray:
-    """Matrix of a camera that sees a mesh's vertices as far apart as its pixels are, shape [3, 3] [grid px]."""
-    rays, places = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:], mesh.pixels[:, ::-1]
-    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
-    return np.diag(np.append((rays * places).sum(axis=0) / np.square(rays).sum(axis=0), 1.0))

@@ -136,18 +136,6 @@ def _exported(path: Path) -> dict[str, torch.Tensor]:
     return weights | dict(zip(("lower", "upper"), torch.tensor(box, dtype=torch.float32), strict=True))
 
 
-def posterior_features(path: Path) -> int:
-    """Length of the contact's vector that a file's contact posterior takes as input; reading it runs no code.
-
-    Raises:
-        CheckpointError: no such file, or not such a file.
-    """
-    entry = _read(path, WRITER).get("entry.weight")
-    if not isinstance(entry, torch.Tensor) or entry.ndim != 2:
-        raise CheckpointError(f"{path} holds no contact posterior of this version; give a file that {WRITER} wrote.")
-    return entry.shape[1]
-
-
 def _read(path: Path, writer: str) -> dict[str, Any]:
     """A dictionary that torch saved, on the CPU, without running code."""
     if not path.is_file():

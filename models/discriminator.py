@@ -13,14 +13,12 @@ class PatchDiscriminator(nn.Module):
     the fourth block has stride 1, which gives the 70 that the paper prints.
 
     Args:
-        channels: channels of the depth map.
         width: channels of the first block (the paper has 64).
     """
 
-    def __init__(self, channels: int = 1, width: int = 64) -> None:
+    def __init__(self, width: int = 64) -> None:
         super().__init__()
-        self.channels = channels
-        layers: list[nn.Module] = [nn.Conv2d(channels, width, 4, stride=2, padding=1), nn.LeakyReLU(0.2)]
+        layers: list[nn.Module] = [nn.Conv2d(1, width, 4, stride=2, padding=1), nn.LeakyReLU(0.2)]
         for factor, stride in ((1, 2), (2, 2), (4, 1)):
             layers += [
                 nn.Conv2d(factor * width, 2 * factor * width, 4, stride=stride, padding=1),
@@ -31,13 +29,11 @@ class PatchDiscriminator(nn.Module):
         self.layers = nn.Sequential(*layers)
 
     def forward(self, depth: Tensor) -> Tensor:
-        """Depth [B, channels, H, W] → one score a patch, shape [B, 1, H//8 − 2, W//8 − 2].
+        """Depth [B, 1, H, W] → one score a patch, shape [B, 1, H//8 − 2, W//8 − 2].
 
         Raises:
-            ValueError: another number of channels, or a picture under 32 pixels a side, which leaves no patch.
+            ValueError: a picture under 32 pixels a side, which leaves no patch.
         """
-        if depth.ndim != 4 or depth.shape[1] != self.channels:
-            raise ValueError(f"depth has shape {list(depth.shape)}; expected [B, {self.channels}, H, W].")
         if min(depth.shape[2:]) < 32:
             raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; the discriminator needs 32 pixels a side.")
         return self.layers(depth)

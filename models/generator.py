@@ -13,32 +13,46 @@ from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import SIGNS, Bounds
 
 
-class ContactHead(nn.Module):
-    """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
+class PictureHead(nn.Module):
+    """What both heads share: the box of θ, and the picture's features in one vector.
 
-    The picture comes in as in `models.generator.ParameterHead`: a convolution without instance norm, which would leave
-    the average pool nothing but zeros, then ReLU and the pool.
+    They come from a convolution without instance norm, which would leave the average pool nothing but zeros.
 
     Args:
         channels: number of channels of the encoder's features.
         bounds: admissible box of θ and where the untrained head starts in it.
-        contact_features: length of the contact's vector.
     """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
+    def __init__(self, channels: int, bounds: Bounds) -> None:
         super().__init__()
+        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
+        self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
+
+    def pooled(self, features: Tensor) -> Tensor:
+        """Features [B, C, h, w] → their mean over the picture [B, C]."""
+        return functional.relu(self.convolution(features)).mean(dim=(2, 3))
+
+
+class ContactHead(PictureHead):
+    """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
+
+    Args:
+        channels, bounds: as of `PictureHead`.
+        contact_features: length of the contact's vector.
+    """
+
+    def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
+        super().__init__(channels, bounds)
         if contact_features < 1:
             raise ValueError(
                 "head posterior needs the contact's motion and its noise; set data.samples.observation to "
                 "trajectory and data.geometry.smoothing above 0, or choose head parameters."
             )
-        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
         self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
-        self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
-        self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         with torch.no_grad():
             place = self.scaled(torch.tensor([bounds.initial]))[0]
             self.posterior.exit.get_parameter("1.bias")[:3] = torch.logit(place)
@@ -58,16 +72,13 @@ class ContactHead(nn.Module):
 
     def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:
         """Features [B, C, h, w] and the contact's vector [B, contact_features] → mean [B, 3], factor L [B, 3, 3]."""
-        picture = functional.relu(self.convolution(features)).mean(dim=(2, 3))
-        return self.posterior(contact, picture)
+        return self.posterior(contact, self.pooled(features))
 
 
 SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
 MAX_WIDTH, MAX_BLOCKS = 256, 64
 """Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
-DECODERS = ("direct", "residual", "physics")
-HEADS = ("parameters", "posterior")
 LEAST_DEPTH = 1e-3
 """Depths are kept this far from 0 and 1 before their logit is taken."""
 
@@ -103,18 +114,11 @@ class ResidualBlock(nn.Module):
         return features + self.layers(features)
 
 
-class ParameterHead(nn.Module):
-    """θ = [k_s, k_d, F] from the encoder's features: sigmoid for k_s and k_d, tanh for F, scaled to the box.
-
-    There is no normalisation in the head: instance norm before the average pool would give every frame the same zeros.
-    """
-
-    lower: Tensor
-    upper: Tensor
+class ParameterHead(PictureHead):
+    """θ = [k_s, k_d, F] from the encoder's features: sigmoid for k_s and k_d, tanh for F, scaled to the box."""
 
     def __init__(self, channels: int, bounds: Bounds) -> None:
-        super().__init__()
-        self.convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        super().__init__(channels, bounds)
         self.layers = nn.Sequential(
             nn.Linear(channels, channels),
             nn.ReLU(),
@@ -122,8 +126,6 @@ class ParameterHead(nn.Module):
             nn.ReLU(),
             last := nn.Linear(channels // 2, 3),
         )
-        self.register_buffer("lower", torch.tensor(bounds.lower), persistent=False)
-        self.register_buffer("upper", torch.tensor(bounds.upper), persistent=False)
         fraction = self.scaled(torch.tensor(bounds.initial))
         with torch.no_grad():  # untrained it gives θ₀, nearly: the small weights leave it a slope in its input
             last.weight.mul_(0.1)
@@ -136,8 +138,7 @@ class ParameterHead(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Features [B, C, h, w] → θ [B, 3] in physical units, F signed, never outside the box."""
-        pooled = functional.relu(self.convolution(features)).mean(dim=(2, 3))
-        raw = self.layers(pooled)
+        raw = self.layers(self.pooled(features))
         fraction = torch.cat([torch.sigmoid(raw[:, :2]), 0.5 * (torch.tanh(raw[:, 2:]) + 1)], dim=1)
         # Rounding may carry the scaled value past a bound by one unit in the last place.
         return torch.clamp(self.lower + (self.upper - self.lower) * fraction, self.lower, self.upper)
@@ -214,9 +215,6 @@ class Generator(nn.Module):
         contact_features: int = 0,
     ) -> None:
         super().__init__()
-        for name, value, choices in (("decoder", decoder, DECODERS), ("head", head, HEADS)):
-            if value not in choices:
-                raise ValueError(f"{name} is {value!r}; choose {' or '.join(choices)}.")
         if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
             raise ValueError(
                 f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "
@@ -248,10 +246,8 @@ class Generator(nn.Module):
         """Window of depth maps [B, K, H, W] → features [B, 4·width, H//4, W//4] (256×30×53 for 120×214).
 
         Raises:
-            ValueError: another number of channels or dimensions, or a picture under 16 pixels a side.
+            ValueError: a picture under 16 pixels a side.
         """
-        if depth.ndim != 4 or depth.shape[1] != self.channels:
-            raise ValueError(f"depth has shape {list(depth.shape)}; expected [B, {self.channels}, H, W].")
         if depth.shape[2] < SMALLEST_SIDE or depth.shape[3] < SMALLEST_SIDE:
             raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give {SMALLEST_SIDE} pixels a side or more.")
         return self.encoder(depth)
@@ -262,17 +258,10 @@ class Generator(nn.Module):
         Args:
             features: output of `encode`.
             contact: the contact's vector, shape [B, contact_features]; head parameters ignores it.
-
-        Raises:
-            ValueError: head posterior without the contact's vector.
         """
         if isinstance(self.head, ParameterHead):
             return HeadOutput(self.head(features))
-        if contact is None:
-            raise ValueError(
-                "the batch lacks the contacts' vectors; head posterior needs data.samples.observation trajectory and "
-                "data.geometry.smoothing above 0."
-            )
+        assert contact is not None
         mean, factor = self.head(features, contact)
         return HeadOutput(self.head.theta(mean), mean, factor)
 
@@ -293,8 +282,6 @@ class Generator(nn.Module):
         Returns:
             Depth in [0, 1], shape [B, 1, H, W].
         """
-        if theta.shape != (features.shape[0], 3):
-            raise ValueError(f"theta has shape {list(theta.shape)}; expected [{features.shape[0]}, 3].")
         return self.decoder(features, self.head.scaled(theta), current) * (current > 0)
 
     def generate(self, depth: Tensor, theta: Tensor, start: Tensor | None = None) -> Tensor:

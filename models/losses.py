@@ -6,7 +6,7 @@ A term that belongs to one generator is added over the two directions of time, a
 share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -43,23 +43,9 @@ class LossWeights:
             raise ValueError("weights are all 0; give at least one term a weight.")
 
 
-@dataclass(frozen=True)
-class LossTerms:
-    """The five unweighted terms, each a scalar tensor."""
-
-    gan: Tensor
-    cycle: Tensor
-    identity: Tensor
-    physics: Tensor
-    regularisation: Tensor
-
-    def total(self, weights: LossWeights) -> Tensor:
-        """L = Σ λ·term (Bini 2026, equation 10)."""
-        return sum(getattr(weights, name) * value for name, value in vars(self).items())
-
-    def items(self) -> dict[str, Tensor]:
-        """Detached terms by name, for logging."""
-        return {name: value.detach() for name, value in vars(self).items()}
+def total(terms: Mapping[str, Tensor], weights: LossWeights) -> Tensor:
+    """L = Σ λ·term of unweighted terms by the names of their weights, scalars (Bini 2026, equation 10)."""
+    return sum(getattr(weights, name) * value for name, value in terms.items())
 
 
 def generator_adversarial_loss(fake_scores: Tensor) -> Tensor:

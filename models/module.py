@@ -22,7 +22,7 @@ from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
 from palpate.models.evidence import bound_loss
 from palpate.models.generator import Generator, HeadOutput
-from palpate.models.losses import LossTerms, LossWeights
+from palpate.models.losses import LossWeights
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
@@ -116,8 +116,8 @@ class PhysicsInformedGAN(LightningModule):
         self.learning_rate, self.betas = learning_rate, betas
         self.pretrained, self.pretrained_rate = pretrained, pretrained_rate
         self.generator_ab, self.generator_ba = (Generator(window, bounds=bounds, **shape) for _ in range(2))
-        self.discriminator_a = PatchDiscriminator(1, width)
-        self.discriminator_b = PatchDiscriminator(1, width)
+        self.discriminator_a = PatchDiscriminator(width)
+        self.discriminator_b = PatchDiscriminator(width)
         self.noise = RandomGaussianNoise(std=noise, p=1.0) if noise else None
         self.sample: tuple[Tensor, Tensor] | None = None
         """Real and predicted next depth of the first validation pair, shape [H, W] each, for the tracked pictures."""
@@ -168,24 +168,25 @@ class PhysicsInformedGAN(LightningModule):
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
-    def generator_losses(self, batch: dict[str, Any]) -> tuple[LossTerms, tuple[Tensor, Tensor] | None, Tensor]:
-        """The five terms, both fakes [B, 1, H, W] (none without term gan) and θ_AB [B, 3] of a batch."""
+    def generator_losses(self, batch: dict[str, Any]) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None, Tensor]:
+        """The unweighted terms by the names of their weights, scalars, both fakes [B, 1, H, W] (none without term gan)
+        and θ_AB [B, 3] of a batch.
+        """
         weights = self.weights
         real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
         window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
         features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
         ab = self._answer(self.generator_ab, features_a, batch, "a")
         ba = self._answer(self.generator_ba, features_b, batch, "b")
-        gan = cycle = identity = physics = regularisation = real_a.new_zeros(())
-        fakes = None
+        terms, fakes = dict.fromkeys(vars(weights), real_a.new_zeros(())), None
         if weights.gan or weights.cycle:
             change_a, change_b = self._change(ab.theta, batch, "a"), self._change(ba.theta, batch, "b")
             fake_b = self.generator_ab.decode(features_a, ab.theta, shifted(real_a, change_a))
             fake_a = self.generator_ba.decode(features_b, ba.theta, shifted(real_b, change_b))
             if weights.gan:
                 fakes = fake_a, fake_b
-                gan = losses.generator_adversarial_loss(self.discriminator_b(fake_b))
-                gan = gan + losses.generator_adversarial_loss(self.discriminator_a(fake_a))
+                judged = self.discriminator_b(fake_b), self.discriminator_a(fake_a)
+                terms["gan"] = sum(losses.generator_adversarial_loss(scores) for scores in judged)
             if weights.cycle:
                 # The fake takes the current frame's place among the *real* earlier frames of the other direction's
                 # window. The own window with the fake appended would show the cycle's target to the network that must
@@ -193,18 +194,18 @@ class PhysicsInformedGAN(LightningModule):
                 start_b, start_a = shifted(fake_b, change_b), shifted(fake_a, change_a)
                 cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta, start_b)
                 cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
-                cycle = losses.cycle_loss(cycled_a, real_a, cycled_b, real_b)
+                terms["cycle"] = losses.cycle_loss(cycled_a, real_a, cycled_b, real_b)
         if weights.identity:
             # Without a force the simulator leaves every map as it is.
             unchanged_a = self.generator_ab.decode(features_a, losses.null_parameters(ab.theta), real_a)
             unchanged_b = self.generator_ba.decode(features_b, losses.null_parameters(ba.theta), real_b)
-            identity = losses.identity_loss(unchanged_a, real_a) + losses.identity_loss(unchanged_b, real_b)
+            pairs = (unchanged_a, real_a), (unchanged_b, real_b)
+            terms["identity"] = sum(losses.identity_loss(*pair) for pair in pairs)
         if weights.physics:
-            physics = self._physics(ab, ba, batch)
+            terms["physics"] = self._physics(ab, ba, batch)
         if weights.regularisation:
-            outside_ab, outside_ba = (losses.regularisation_loss(one.theta, self.bounds) for one in (ab, ba))
-            regularisation = outside_ab + outside_ba
-        return LossTerms(gan, cycle, identity, physics, regularisation), fakes, ab.theta
+            terms["regularisation"] = sum(losses.regularisation_loss(one.theta, self.bounds) for one in (ab, ba))
+        return terms, fakes, ab.theta
 
     def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
@@ -212,10 +213,10 @@ class PhysicsInformedGAN(LightningModule):
 
         self.toggle_optimizer(optimizer_g)  # freezes both discriminators
         terms, fakes, theta = self.generator_losses(batch)
-        self._step(optimizer_g, terms.total(self.weights), batch)
+        self._step(optimizer_g, losses.total(terms, self.weights), batch)
         self.untoggle_optimizer(optimizer_g)
 
-        values = terms.items()
+        values = {name: value.detach() for name, value in terms.items()}
         pairs = len(theta)
         self.log_dict(values, prog_bar=True, logger=False, batch_size=pairs)
         for side, optimizer, fake in zip("ab", judging, fakes or (), strict=False):

@@ -268,12 +268,13 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     random = torch.Generator().manual_seed(0)
     inputs = {name: torch.rand(PARITY_BATCH, *shape, generator=random) for name, shape in plain.inputs.items()}
     contact, widening = inputs[CONTACT], Widening(calibration).eval()
-    mean, own, _ = (torch.from_numpy(values).float() for values in plain(contact.numpy(), _numpy(inputs.get(INPUT))))
+    given = [inputs[name].numpy() for name in (CONTACT, INPUT) if name in inputs]
+    mean, own, _ = (torch.from_numpy(values).float() for values in plain(*given))
     model = onnx.load(source)
     _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,)))
 
     def difference_of(path: Path) -> float:
-        found = torch.from_numpy(PosteriorModel(path)(contact.numpy(), _numpy(inputs.get(INPUT)))[1])
+        found = torch.from_numpy(PosteriorModel(path)(*given)[1])
         return float((found - widening(contact, mean, own)).abs().max())
 
     return write(model, plain.metadata | {"calibration": asdict(calibration)}, output, difference_of)
@@ -395,10 +396,6 @@ def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -
 def _prefixed(model: onnx.ModelProto, prefix: str) -> onnx.GraphProto:
     """A graph with a prefix to all names but its inputs' and outputs'."""
     return onnx.compose.add_prefix(model, prefix, rename_inputs=False, rename_outputs=False).graph
-
-
-def _numpy(values: Tensor | None):
-    return None if values is None else values.numpy()
 
 
 def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:

@@ -103,7 +103,7 @@ class ExportedModel:
 
         Raises:
             ValueError: an input is missing or has another shape.
-            ModelFileError: the network fails, or takes more memory than there is.
+            ModelFileError: the network fails, takes more memory than there is, or gives a number that is not finite.
         """
         for name, shape in self.inputs.items():
             actual = np.asarray(values[name]).shape
@@ -112,9 +112,13 @@ class ExportedModel:
                 raise ValueError(f"{self.path}: {name} has shape {list(actual)}; expected [B, {expected}].")
         feed = {name: np.ascontiguousarray(values[name], np.float32) for name in self.inputs}
         try:
-            return [np.asarray(value) for value in self._session.run(outputs or self.outputs, feed)]
+            found = [np.asarray(value) for value in self._session.run(outputs or self.outputs, feed)]
         except Exception as error:  # ONNX Runtime's exceptions have no common class
             raise ModelFileError(f"{self.path} can't be run; export it again with train.py export.") from error
+        if not all(np.isfinite(values).all() for values in found):
+            problem = "gives a number that is not finite; its training did not succeed, export another checkpoint"
+            raise ModelFileError(f"{self.path} {problem}.")
+        return found
 
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
         """Compare the graph's inputs and outputs with what the kind and the metadata promise."""

@@ -22,26 +22,21 @@ class ResidualLayer(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width)
-        )  # fmt: skip
+        self.layers = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width))
 
     def forward(self, hidden: Tensor) -> Tensor:
         return hidden + self.layers(hidden)
 
 
 def covariance_factor(raw: Tensor) -> Tensor:
-    """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers [B, FACTOR_NUMBERS]."""
-    first, second, third = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE)).unbind(1)
-    # Rows below the diagonal in units of their own diagonal, so that a correlation is one number whatever the size.
-    zero = torch.zeros_like(first)
-    slopes = raw[:, 3:]
-    rows = (
-        torch.stack([first, zero, zero], 1),
-        torch.stack([slopes[:, 0] * first, second, zero], 1),
-        torch.stack([slopes[:, 1] * first, slopes[:, 2] * second, third], 1),
-    )
-    return torch.stack(rows, dim=1)
+    """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers [B, FACTOR_NUMBERS].
+
+    What stands below the diagonal counts in units of its column's, so that a correlation is one number whatever the
+    size.
+    """
+    diagonal = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE))
+    places = torch.eye(9)[[3, 6, 7]].view(3, 3, 3).to(raw)  # of the three below the diagonal, row by row
+    return (torch.eye(3).to(raw) + torch.einsum("bk,kij->bij", raw[:, 3:], places)) * diagonal[:, None]
 
 
 class ExpectedBound(nn.Module):

@@ -14,6 +14,8 @@ OCCLUDER_REACH = 2
 """Pixels around the occluder in which a boundary of the mesh counts as hidden, not as an edge of the tissue.
 
 Resizing leaves up to one invalid pixel between tool and tissue, so direct neighbourhood would miss some."""
+FOCAL_VERTICES = 1000
+"""Vertices that determine the focal lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,3 +187,12 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
         rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
     vertices = points.reshape(-1, 3)[used]
     return Mesh(vertices, triangles, springs.astype(np.int32), rim, pixels, grid_shape=(height, width))
+
+
+def focal_length(mesh: Mesh) -> np.ndarray:
+    """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
+    some = np.s_[:: max(1, len(mesh.vertices) // FOCAL_VERTICES)]  # all lie on the same two lines
+    rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
+    places = mesh.pixels[some, ::-1].astype(np.float64)
+    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
+    return (rays * places).sum(axis=0) / np.square(rays).sum(axis=0)

@@ -521,9 +521,9 @@ def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_pa
     program = tmp_path / "diverging.py"
     program.write_text(
         "from palpate.common.doors import enter_door, run_door\nfrom palpate.command import train\n"
-        "from palpate.models.losses import LossTerms\n"
-        "from lightning.pytorch.utilities import rank_zero_only\ntotal = LossTerms.total\n"
-        f"LossTerms.total = lambda *a: total(*a) * (float('nan') if rank_zero_only.rank == {rank} else 1.0)\n"
+        "from palpate.models import losses\n"
+        "from lightning.pytorch.utilities import rank_zero_only\ntotal = losses.total\n"
+        f"losses.total = lambda *a: total(*a) * (float('nan') if rank_zero_only.rank == {rank} else 1.0)\n"
         "enter_door()\nrun_door(train.main)\n"
     )
     arguments = ("fit", "-c", config, "--trainer.devices", 2, "--trainer.default_root_dir", tmp_path / "run")

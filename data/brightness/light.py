@@ -27,11 +27,6 @@ def level_of_light(light: np.ndarray) -> np.ndarray:
     return GAMMA / 255 * np.exp(-light / GAMMA)
 
 
-def lattice_size(grid_shape: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns of the lattice over a grid [h, w]."""
-    return FINE * grid_shape[0], FINE * grid_shape[1]
-
-
 def not_tissue(labels: np.ndarray, width: int) -> np.ndarray:
     """1 where pixels lie on or next to what is no tissue, else 0, uint8 [h, w].
 
@@ -52,9 +47,9 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
         grid_shape: rows and columns of the grid that the lattice divides.
 
     Returns:
-        Shape as of `lattice_size`; not a number where no tissue is seen, or only a highlight.
+        Shape [FINE·h, FINE·w] for a grid [h, w]; not a number where no tissue is seen, or only a highlight.
     """
-    size = lattice_size(grid_shape)[::-1]
+    size = FINE * grid_shape[1], FINE * grid_shape[0]
     red, green, blue = cv2.split(cv2.resize(cv2.LUT(picture, SRGB), size, interpolation=cv2.INTER_AREA))
     light = 0.5 * (red + green)
     unknown = cv2.resize(255 * not_tissue(labels, picture.shape[1]), size, interpolation=cv2.INTER_AREA) > 0

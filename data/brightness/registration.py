@@ -82,11 +82,11 @@ class Registration:
         if np.array_equal(motion, np.eye(3)):
             return View(self._count, np.eye(3)), picture, labels
         size = picture.shape[1::-1]
-        whole = _scaled(motion, np.array(size) / shown.gray.shape[::-1])
+        whole = scaled(motion, np.array(size) / shown.gray.shape[::-1])
         flags = cv2.WARP_INVERSE_MAP
         warped = cv2.warpPerspective(picture, whole, size, flags=flags | cv2.INTER_CUBIC)
         found = cv2.warpPerspective(labels, whole, size, flags=flags | cv2.INTER_NEAREST)
-        grid = _scaled(motion, np.array(self._grid_shape[::-1]) / shown.gray.shape[::-1])
+        grid = scaled(motion, np.array(self._grid_shape[::-1]) / shown.gray.shape[::-1])
         return View(self._count, np.linalg.inv(grid)), warped, found
 
     def _motion(self, shown: Shown) -> np.ndarray | None:
@@ -109,7 +109,7 @@ class Registration:
         return found if way.mean() < LARGEST * width else None
 
 
-def _scaled(matrix: np.ndarray, factor: np.ndarray) -> np.ndarray:
+def scaled(matrix: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """A homography of places (column, row) between pictures that are larger by a factor along each axis."""
     grown = np.array([[factor[0], 0, (factor[0] - 1) / 2], [0, factor[1], (factor[1] - 1) / 2], [0, 0, 1]])
     return grown @ matrix @ np.linalg.inv(grown)

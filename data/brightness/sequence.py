@@ -16,7 +16,6 @@ from palpate.common.robust import median_sd
 from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
 from palpate.data.brightness.light import FINE, level_of_light
 from palpate.data.source.coding import Coding
-from palpate.physics.jit import kernel
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -155,25 +154,13 @@ class RestingLight:
         return self._median
 
 
-@kernel
-def _median(frames):
-    """As `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a tenth of the time."""
-    found, ordered = np.full(frames.shape[1:], np.nan, frames.dtype), np.empty(len(frames), frames.dtype)
-    for row in range(frames.shape[1]):
-        for column in range(frames.shape[2]):
-            known = 0
-            for value in frames[:, row, column]:
-                if np.isnan(value):
-                    continue
-                place = known
-                while place > 0 and ordered[place - 1] > value:
-                    ordered[place] = ordered[place - 1]
-                    place -= 1
-                ordered[place] = value
-                known += 1
-            if known:
-                found[row, column] = (ordered[(known - 1) // 2] + ordered[known // 2]) / 2
-    return found
+def _median(frames: np.ndarray) -> np.ndarray:
+    """As `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a fraction of the time."""
+    ordered, known = np.sort(frames, axis=0), np.isfinite(frames).sum(axis=0)  # what isn't a number comes last
+    below, above = (
+        np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((known - 1) // 2, known // 2)
+    )
+    return (below + above) / 2
 
 
 class BrightnessRecorder:

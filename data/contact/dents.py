@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.data.contact.depth_change import MIN_REST, SCALES, DepthChange, RestingTissue, grid_motion, picture_motion
-from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 from palpate.data.tracks.following import Shown
@@ -123,12 +123,7 @@ class DentContacts:
         item = self._waiting.popleft()
         frame = item.prepared
         if item.place is not None:
-            try:
-                place = item.place[::-1]
-                frame.geometry = dent_geometry(frame.depth, frame.labels, place, self._camera, self._settings)
-                frame.status, frame.detail = "ok", ""
-            except GeometryStatus as status:
-                frame.status, frame.detail = status.status, status.detail
+            frame.press_at(item.place[::-1], self._camera, self._settings)
         elif item.recovers:
             frame.detail = RECOVERS
         elif self._dent is None:
@@ -217,16 +212,12 @@ def _deepest(sigmas: np.ndarray) -> tuple[int, int] | None:
 
 def _near(sigmas: np.ndarray, place: tuple[int, int], least: float) -> tuple[int, int] | None:
     """Row and column of the largest value near a place; None where it is below the least."""
-    window = _window(sigmas, place)
+    top, left = max(place[0] - NEAR, 0), max(place[1] - NEAR, 0)
+    window = sigmas[top : place[0] + NEAR + 1, left : place[1] + NEAR + 1]
     row, column = np.unravel_index(np.argmax(window), window.shape)
     if window[row, column] < least:
         return None
-    return int(row) + max(place[0] - NEAR, 0), int(column) + max(place[1] - NEAR, 0)
-
-
-def _window(values: np.ndarray, place: tuple[int, int]) -> np.ndarray:
-    row, column = place
-    return values[max(row - NEAR, 0) : row + NEAR + 1, max(column - NEAR, 0) : column + NEAR + 1]
+    return top + int(row), left + int(column)
 
 
 def _is_local(sigmas: np.ndarray, place: tuple[int, int]) -> bool:

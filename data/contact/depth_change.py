@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd, trimmed_fit
+from palpate.data.brightness.registration import scaled
 from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
 from palpate.data.gaussian import gaussian_sum
@@ -140,9 +141,8 @@ def grid_motion(background: Background | None, shown: Shown, prepared: PreparedF
     """
     if background is None:
         return np.eye(3)
-    height, width = np.divide(shown.gray.shape, prepared.depth.shape)
-    pixels = np.array([[width, 0, (width - 1) / 2], [0, height, (height - 1) / 2], [0, 0, 1]])
-    return np.linalg.inv(pixels) @ (np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])) @ pixels
+    motion = np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])
+    return scaled(motion, np.divide(prepared.depth.shape, shown.gray.shape)[::-1])
 
 
 def picture_motion(before: Shown, after: Shown) -> Background | None:

@@ -112,12 +112,8 @@ class SequenceRecorder:
         self._far_rest = self._rest.ravel()[self._far]
         self._columns = np.vstack([np.ones(len(far)), (far - centre).T / FAR])
         self._before: np.ndarray | None = None
-        self._still: np.ndarray | None = None
-        """`_products` of the first frame's errors."""
-        self._pairs: list[int] = []
-        """How many neighbours' products there are in it, and in every two frames' difference."""
-        self._changes: list[np.ndarray] = []
-        """The same of every two frames' difference."""
+        self._measured: list[tuple[np.ndarray, int]] = []
+        """`_products` of the first frame's errors, and of every two frames' difference."""
 
     def frame(self, depth: np.ndarray, labels: np.ndarray) -> np.ndarray | None:
         """Change of the depth in a frame, shape [S, S] as of `DepthSequence`; None where the camera's motion isn't
@@ -149,12 +145,7 @@ class SequenceRecorder:
         """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
         first = self._before is None
         values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
-        products, pairs = self._products(values, largest * OUTLIER * self._noise)
-        self._pairs.append(pairs)
-        if first:
-            self._still = products
-        else:
-            self._changes.append(products)
+        self._measured.append(self._products(values, largest * OUTLIER * self._noise))
         self._before = left
 
     def _products(self, left: np.ndarray, largest: float) -> tuple[np.ndarray, int]:
@@ -167,29 +158,27 @@ class SequenceRecorder:
         known = [pair[np.isfinite(pair)] for pair in pairs]
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
-    @property
-    def noise(self) -> SequenceNoise:
-        """As measured so far; all of it counts as new in every frame where there is one frame alone."""
-        return self._noise_of(len(self._changes))
-
-    def _noise_of(self, count: int) -> SequenceNoise:
-        """As measured in the first frame and so many after it."""
-        if self._still is None or not self._changes[:count]:
+    def noise(self, count: int) -> SequenceNoise:
+        """As measured in the first frame and so many after it; all of it counts as new in every frame where that is
+        the first alone.
+        """
+        later = self._measured[1 : count + 1]
+        if not later:
             return SequenceNoise(self._noise, 0.0)
-        changes, total = np.mean(self._changes[:count], axis=0), self._noise**2
-        first, later = self._pairs[0], sum(self._pairs[1 : count + 1])
+        (first, first_pairs), total = self._measured[0], self._noise**2
+        changes, pairs = np.mean([products for products, _ in later], axis=0), sum(number for _, number in later)
         new = min(0.5 * changes[0], total)
         still = total - new
         if still < STILL_SHARE * new:
-            return SequenceNoise(self._noise, 0.0, _correlated(changes, later))
-        in_time = _correlated(changes, later) if new > STILL_SHARE * still else 1.0
-        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _correlated(self._still - 0.5 * changes, first))
+            return SequenceNoise(self._noise, 0.0, _correlated(changes, pairs))
+        in_time = _correlated(changes, pairs) if new > STILL_SHARE * still else 1.0
+        return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _correlated(first - 0.5 * changes, first_pairs))
 
     def sequence(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
         """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
         size = 2 * REACH + 1
         stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
-        return DepthSequence(np.asarray(times, np.float64), stacked, self._noise_of(known), self._size)
+        return DepthSequence(np.asarray(times, np.float64), stacked, self.noise(known), self._size)
 
 
 def window_around(centre: np.ndarray) -> tuple[slice, slice]:

@@ -4,7 +4,6 @@ Built the same way for training and for inference. Lengths are in units of the m
 the sheet's equations know no other scale than F; the noise and the spacing itself are given as well.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,14 +47,9 @@ def contact_features(contact: Interaction, surroundings: Surroundings | None = N
     such a contact seems better observed than it is.
 
     Args:
-        contact: with its noise.
+        contact: with its noise, which must be known.
         surroundings: of the contact where they are known already.
-
-    Raises:
-        ValueError: the noise is not known.
     """
-    if not (math.isfinite(contact.noise) and contact.noise > 0):
-        raise ValueError(f"the contact's noise is {contact.noise}; prepare the clip with geometry.smoothing above 0.")
     around = contact_surroundings(contact) if surroundings is None else surroundings
     times = contact.observation.times
     slots = slot_times()

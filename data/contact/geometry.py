@@ -39,54 +39,26 @@ class GeometryStatus(Exception):
         self.status, self.detail, self.distance = status, detail, distance
 
 
-@dataclass(frozen=True)
-class Contact:
-    """The closest pair of a tool and a tissue point (Bini 2026, equation 4)."""
-
-    tool_point: np.ndarray
-    """g*, shape [3] [scene units]."""
-    tissue_point: np.ndarray
-    """b*, shape [3] [scene units]."""
-    distance: float
-    """d* = ‖g* - b*‖ [scene units]."""
-    tool_index: int
-    """Row of g* in the tool cloud."""
-    tissue_index: int
-    """Row of b* in the tissue cloud."""
-
-
-def find_contact(tool_points: np.ndarray, tissue_points: np.ndarray, *, two_pass: bool = False) -> Contact:
+def find_contact(tool: np.ndarray, tissue: np.ndarray, *, two_pass: bool = False) -> tuple[int, int, float]:
     """Closest pair (g*, b*) = argmin ‖g - b‖ of two clouds, by a KD-tree on the tissue (Bini 2026, equation 4).
 
     Args:
-        tool_points: G, shape [N, 3] [scene units].
-        tissue_points: B, shape [M, 3] [scene units].
+        tool: G, shape [N, 3], N at least 1 [scene units].
+        tissue: B, shape [M, 3], M at least 1 [scene units].
         two_pass: the paper's search for N > 1000: 1000 evenly spaced tool points, then the 1000 tool points nearest to
             the winner. It can miss the closest pair when that is far from every point of the first pass.
 
-    Raises:
-        ValueError: a cloud is empty, not [N, 3], or not finite.
+    Returns:
+        Rows of g* in the tool cloud and of b* in the tissue cloud, and d* = ‖g* - b*‖ [scene units].
     """
-    tool, tissue = _cloud(tool_points, "tool"), _cloud(tissue_points, "tissue")
-    tree = KDTree(tissue)
-    candidates = np.arange(len(tool))
+    tree, candidates = KDTree(tissue), np.arange(len(tool))
     if two_pass and len(tool) > COARSE_POINTS:
         coarse = np.linspace(0, len(tool) - 1, COARSE_POINTS).round().astype(int)
         winner = coarse[np.argmin(tree.query(tool[coarse])[0])]
         candidates = KDTree(tool).query(tool[winner], k=COARSE_POINTS)[1]
     distances, nearest = tree.query(tool[candidates])
     best = int(np.argmin(distances))
-    first, second = int(candidates[best]), int(nearest[best])
-    return Contact(tool[first], tissue[second], float(distances[best]), first, second)
-
-
-def _cloud(points: np.ndarray, name: str) -> np.ndarray:
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise ValueError(f"The {name} cloud has shape {points.shape}; expected [N, 3] with at least one point.")
-    if not np.isfinite(points).all():
-        raise ValueError(f"The {name} cloud has points that are not finite.")
-    return points
+    return int(candidates[best]), int(nearest[best]), float(distances[best])
 
 
 @dataclass(frozen=True)
@@ -348,8 +320,9 @@ def _outline_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, sett
     if len(near_tool) == 0:
         pixel = near_tissue[np.argmin(to_tool[tuple(near_tissue.T)])]
         return nearest_tool[:, pixel[0], pixel[1]], pixel
-    contact = find_contact(points[tuple(near_tool.T)], points[tuple(near_tissue.T)], two_pass=settings.two_pass)
-    return near_tool[contact.tool_index], near_tissue[contact.tissue_index]
+    clouds = points[tuple(near_tool.T)], points[tuple(near_tissue.T)]
+    tool_row, tissue_row, _ = find_contact(*clouds, two_pass=settings.two_pass)
+    return near_tool[tool_row], near_tissue[tissue_row]
 
 
 def _cloud_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings) -> Pixels:
@@ -358,8 +331,9 @@ def _cloud_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settin
     tool_pixels, tissue_pixels = np.argwhere(tool & valid), np.argwhere(tissue & valid)
     if len(tool_pixels) == 0:
         raise GeometryStatus("bad_depth", "The tool has no depth, and its outline does not tell where it touches.")
-    contact = find_contact(points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)], two_pass=settings.two_pass)
-    if settings.contact == "touching" and contact.distance > settings.contact_distance:
-        detail = f"The tool is {contact.distance:.3g} from the tissue, more than {settings.contact_distance:g}."
-        raise GeometryStatus("no_contact", detail, contact.distance)
-    return tool_pixels[contact.tool_index], tissue_pixels[contact.tissue_index]
+    clouds = points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)]
+    tool_row, tissue_row, distance = find_contact(*clouds, two_pass=settings.two_pass)
+    if settings.contact == "touching" and distance > settings.contact_distance:
+        detail = f"The tool is {distance:.3g} from the tissue, more than {settings.contact_distance:g}."
+        raise GeometryStatus("no_contact", detail, distance)
+    return tool_pixels[tool_row], tissue_pixels[tissue_row]

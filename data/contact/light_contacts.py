@@ -19,7 +19,7 @@ from palpate.data.brightness.registration import Registration, View
 from palpate.data.brightness.sequence import RestingLight, change_of_light
 from palpate.data.contact.dents import RECOVERY_SECONDS
 from palpate.data.contact.evidence import CERTAIN
-from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.lit_frame import (
     ARRIVED,
     REACH,
@@ -270,13 +270,8 @@ class LightContacts:
         if change is not None:
             self._deepest = change if self._deepest is None else np.fmin(self._deepest, change)
         prepared.contact_probability, prepared.undecided = PRESSED, False
-        try:
-            seen = prepared.depth, prepared.labels
-            prepared.geometry = dent_geometry(*seen, pixel, self._camera, self._settings)
-        except GeometryStatus as status:
-            prepared.status, prepared.detail, prepared.geometry = status.status, status.detail, None
-        else:
-            prepared.status, prepared.detail, prepared.press = "ok", "", pixel
+        if prepared.press_at(pixel, self._camera, self._settings):
+            prepared.press = pixel
 
     def _go_on(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""

@@ -16,7 +16,7 @@ import numpy as np
 from palpate.data.brightness.sequence import PLACES, REACH
 from palpate.data.contact.features import SLOTS, slot_times
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import focal_length
+from palpate.physics.mesh import focal_length
 
 RADII = np.array([0.0, 1.0, 2.0, 3.2, 4.7, 6.6])
 """Of the rings [grid pixels]."""

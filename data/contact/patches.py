@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import Mesh, focal_length
 
 MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
@@ -25,8 +25,6 @@ MAX_SAMPLES = 6
 ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
-FOCAL_VERTICES = 1000
-"""Vertices that determine the focal lengths."""
 
 
 class Patches:
@@ -80,11 +78,8 @@ class Patches:
         depth = self._dense(self._depth[None])[0]
         slopes = []
         for axis in (0, 1):
-            ahead, behind = (np.roll(depth, shift, axis) for shift in (-1, 1))
-            last = np.s_[-1:, :] if axis == 0 else np.s_[:, -1:]
-            first = np.s_[:1, :] if axis == 0 else np.s_[:, :1]
-            ahead[last], behind[first] = np.nan, np.nan
-            both = np.stack([ahead - depth, depth - behind])
+            ahead, behind = np.diff(depth, axis=axis, append=np.nan), np.diff(depth, axis=axis, prepend=np.nan)
+            both = np.stack([ahead, behind])
             count = np.isfinite(both).sum(axis=0)
             slopes.append((np.nansum(both, axis=0) / np.maximum(count, 1))[self._cells])
         return np.stack(slopes, axis=-1)
@@ -311,23 +306,8 @@ def _settled(shift, samples):
     return found
 
 
-@kernel
-def _nearest(place, number):
+def _nearest(place: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Numbers [S, S] nearest to places [N, Q, 2], shape [N, Q]; -1 where these lie outside or aren't known."""
-    found, last = np.full(place.shape[:2], -1), number.shape[0] - 1
-    for frame in range(place.shape[0]):
-        for index in range(place.shape[1]):
-            row, column = place[frame, index, 0], place[frame, index, 1]
-            if -0.5 <= row <= last + 0.5 and -0.5 <= column <= last + 0.5:
-                row, column = min(max(row, 0.0), last), min(max(column, 0.0), last)
-                found[frame, index] = number[int(np.rint(row)), int(np.rint(column))]
-    return found
-
-
-def focal_length(mesh: Mesh) -> np.ndarray:
-    """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
-    some = np.s_[:: max(1, len(mesh.vertices) // FOCAL_VERTICES)]  # all lie on the same two lines
-    rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
-    places = mesh.pixels[some, ::-1].astype(np.float64)
-    rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)
-    return (rays * places).sum(axis=0) / np.square(rays).sum(axis=0)
+    inside = (np.abs(place - (len(number) - 1) / 2) <= len(number) / 2).all(axis=-1)
+    nearest = np.rint(np.where(inside[..., None], place, 0)).clip(0, len(number) - 1).astype(int)
+    return np.where(inside, number[nearest[..., 0], nearest[..., 1]], -1)

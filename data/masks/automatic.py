@@ -309,10 +309,9 @@ def _quantiles(counts: np.ndarray, share: float) -> np.ndarray:
     return 2 * (level + 1 - over)[:, 0] / counts.shape[1] - 1
 
 
-def band_values(band: Band, values: np.ndarray, low: float = 0.0, high: float | None = None) -> np.ndarray:
-    """Samples of a map [h, w] on a grid inside a band, between two distances along it [px] (default: its length)."""
-    high = band.length if high is None else high
-    along = np.linspace(low, high, max(int((high - low) / 3), 4))
+def band_values(band: Band, values: np.ndarray) -> np.ndarray:
+    """Samples of a map [h, w] on a grid inside a band."""
+    along = np.linspace(0.0, band.length, max(int(band.length / 3), 4))
     across = np.linspace(-0.45, 0.45, 9) * band.width
     columns, rows = np.rint(band.points(along, across)).astype(int).reshape(-1, 2).T
     inside = (columns >= 0) & (columns < values.shape[1]) & (rows >= 0) & (rows < values.shape[0])

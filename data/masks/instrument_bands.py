@@ -167,13 +167,7 @@ def _grown(
 
 
 def _grow(
-    base: int,
-    side: int,
-    widest: float,
-    segments: np.ndarray,
-    lengths: np.ndarray,
-    axis: np.ndarray,
-    field: np.ndarray,
+    base: int, side: int, widest: float, segments: np.ndarray, lengths: np.ndarray, axis: np.ndarray, field: np.ndarray
 ) -> Band | None:
     """Band on one side of a base segment along an axis from segments that are parallel to it; None where none is."""
     origin, normal = segments[base, :2], np.array([-axis[1], axis[0]]) * side

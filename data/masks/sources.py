@@ -230,15 +230,9 @@ def read_class_mask(path: Path, size: tuple[int, int], classes: MaskClasses) -> 
             if mask.ndim == 2:
                 labels[mask == CLASSES[name].grey] = label
             else:
-                labels[color_distance(mask, CLASSES[name].color) <= classes.tolerance] = label
+                apart = np.abs(mask.astype(np.int16) - CLASSES[name].color).sum(axis=2)
+                labels[apart <= classes.tolerance] = label
     return labels
-
-
-def color_distance(image: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """L1 distance of every pixel [H, W, 3] from a colour, uint16 [H, W]."""
-    # absdiff of uint8 can't overflow, but a sum over three channels needs more than 8 bits.
-    difference = cv2.absdiff(np.ascontiguousarray(image), np.array([*color, 0], np.float64))
-    return difference.sum(axis=2, dtype=np.uint16)
 
 
 def read_label_mask(path: Path, size: tuple[int, int], layout: ClipLayout) -> np.ndarray:

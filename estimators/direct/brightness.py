@@ -84,16 +84,12 @@ class BrightnessProblem(LeastSquares):
         within: as of `PressMotion`.
         tilt: of the plane whose mesh is simulated, right and down, as tangents.
         kind: what is unknown of the press.
-
-    Raises:
-        ValueError: the contact has no brightness sequence.
     """
 
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
     ) -> None:
-        if contact.brightness is None or not len(contact.brightness.times):
-            raise ValueError("the contact has no brightness sequence; gather it with frames that have light.")
+        assert contact.brightness is not None
         self.contact, self.within = contact, within
         self.sequence: BrightnessSequence = contact.brightness
         self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)

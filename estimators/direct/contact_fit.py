@@ -23,6 +23,7 @@ from palpate.estimators.direct.problem import (
     distinct,
     evidence_shares,
     find_optimum,
+    suiting_forces,
 )
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import Estimate
@@ -176,16 +177,13 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def fit_field(problem: FieldProblem, tissue: np.ndarray) -> Estimate:
-    """Fit a depth-change sequence; `tissue` is the box of φ, shape [2, 3].
-
-    Where the contact is pressed aslant to the line of sight its uncertainty is widened (`estimators.oblique`).
-    """
-    return sampled(problem, field_optima(problem, tissue), tissue)
-
-
 def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
-    """Optima of a sequence's fit, the best first; the problem has looked at that one. Arguments as of `fit_field`."""
+    """Optima of a sequence's fit, the best first; the problem has looked at that one.
+
+    Args:
+        problem: the depth-change sequence.
+        tissue: the box of φ, shape [2, 3].
+    """
     box = problem.motion.box(tissue)
     found = []
     for logs in raced(problem.coarser(), field_starts(problem, box), box):
@@ -200,7 +198,7 @@ def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: FieldProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `fit_field`."""
+    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -232,7 +230,7 @@ def fit_press(
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
     patch = SequenceProblem.of_press(contact, mechanics, within, noise, PatchMotion)
-    shaped = fit_field(patch, tissue)
+    shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
@@ -261,12 +259,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
         places = np.clip(np.rint(since / step), 0, len(path)).astype(np.int64)
         tried = problem.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
         tried = tried.reshape(len(delays), *observed.shape)
-        seen = np.isfinite(tried) & np.isfinite(observed)
-        tried, left = np.where(seen, tried, 0.0), np.where(seen, observed, 0.0)
-        squares = np.square(tried).sum(axis=(1, 2))
-        factors = np.maximum((tried * left).sum(axis=(1, 2)), 1e-12) / np.maximum(squares, 1e-30)
-        forces = np.clip(candidate[2] + np.log(np.maximum(factors, 1e-9)), low[2], high[2])
-        unexplained = np.square(np.exp(forces - candidate[2])[:, None, None] * tried - left).sum(axis=(1, 2))
+        forces, unexplained = suiting_forces(tried, observed, np.tile(candidate[2], len(tried)), low[2], high[2])
         best = int(np.argmin(unexplained))
         misfits[index], candidate[2], candidate[motion.delays] = unexplained[best], forces[best], delays[best]
     return apart(candidates, misfits, low, high, motion.starts)

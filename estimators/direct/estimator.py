@@ -12,7 +12,6 @@ Where the tissue's thickness is given a slab of finite elements takes the sheet'
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -26,7 +25,7 @@ from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.direct.slab_fit import fit_slab
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
-from palpate.estimators.estimate import Estimate, NoEstimate, with_light
+from palpate.estimators.estimate import Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -153,13 +152,14 @@ class DirectSession(RunSession):
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        start, unlit = time.perf_counter(), ""
-        try:
+        unlit = ""
+        with self.timed("fit"):
             found, motion = self.fit(contact)
             if self.estimator.observation == BOTH:
-                found, unlit = with_light(found, lambda: self._lit(contact)[1])
-        finally:
-            self.seconds["fit"] += time.perf_counter() - start
+                try:
+                    found = combined(found, self._lit(contact)[1])
+                except NoEstimate as reason:
+                    unlit = f"{reason} The estimate is by its depth alone."
         return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
 
 

@@ -69,23 +69,17 @@ class SequenceProblem(LeastSquares, Generic[M]):
     What the pixels show must be decided first (`look`).
 
     Args:
-        contact: with its depth-change sequence.
+        contact: with a depth-change sequence of one frame or more.
         motion: makes the model of some vertices [V] at some instants [N] [s].
         noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
         parts: as of `Patches`.
-
-    Raises:
-        ValueError: the contact has no depth-change sequence.
     """
 
     def __init__(
         self, contact: Interaction, motion: Callable[[np.ndarray, np.ndarray], M], noise: float | None, parts: int = 1
     ) -> None:
-        if contact.sequence is None or not len(contact.sequence.times):
-            raise ValueError(
-                "the contact has no depth-change sequence; gather it with frames that have depth and labels."
-            )
         sequence = contact.sequence
+        assert sequence is not None
         if noise is not None:
             sequence = dataclasses.replace(sequence, noise=SequenceNoise(noise, 0.0))
         self.contact, self.sequence = contact, sequence

@@ -15,10 +15,10 @@ from scipy.ndimage import gaussian_filter1d
 from palpate.data.brightness.light import FINE
 from palpate.data.brightness.sequence import MARGIN, REACH
 from palpate.data.contact.patches import between as between_vertices
-from palpate.data.contact.patches import bilinear, corner, focal_length
+from palpate.data.contact.patches import bilinear, corner
 from palpate.physics.brightness import log_brightness, log_brightness_slopes, matt, matt_slope, mirrored
 from palpate.physics.jit import kernel
-from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.mesh import Mesh, focal_length, grid_mesh
 
 ITERATIONS = 6
 """To find where a pixel's tissue lay at rest; every one leaves a third or less of the error."""
@@ -86,10 +86,7 @@ class LitSheet:
         self.distance = _distance(mesh, self.pixel)
         self.ray = self.rays(self.pixel.astype(np.float64))
         self._sideways = np.linalg.svd(self.ray[None])[2][1:]
-        if self._sideways[0, 0] < 0:
-            self._sideways[0] *= -1
-        if self._sideways[1, 1] < 0:
-            self._sideways[1] *= -1
+        self._sideways *= np.where(np.diag(self._sideways) < 0, -1.0, 1.0)[:, None]
         self.tilt, self.normal = np.array(tilt, np.float64), self.normal_at(tilt)
         self.mesh = self._plane(mesh)
         offsets = self.mesh.pixels - self.pixel

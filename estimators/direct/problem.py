@@ -75,11 +75,8 @@ class ContactProblem(Likelihood):
         """
         if self.motion.within:
             candidates, paths = self._delayed(candidates)
-        fitting = np.einsum("cmd,md->c", paths, self.moved) / np.maximum(np.square(paths).sum(axis=(1, 2)), 1e-30)
         logs = candidates.copy()
-        logs[:, 2] = np.clip(logs[:, 2] + np.log(np.maximum(fitting, 1e-9)), low[2], high[2])
-        factors = np.exp(logs[:, 2] - candidates[:, 2])
-        misfits = np.square(factors[:, None, None] * paths - self.moved).sum(axis=(1, 2))
+        logs[:, 2], misfits = suiting_forces(paths, self.moved, candidates[:, 2], low[2], high[2])
         return apart(logs, misfits, low, high, STARTS)
 
     def _delayed(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,6 +113,27 @@ class ContactProblem(Likelihood):
         moved, slopes = (values[:, 0] for values in self.motion.at(logs))
         residual = (moved - self.moved) / self.sigma
         return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
+
+
+def suiting_forces(
+    paths: np.ndarray, observed: np.ndarray, forces: np.ndarray, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces with which motions explain an observation best, as they are about proportional to them.
+
+    Args:
+        paths: C motions, shape [C, ...]; what isn't a number counts for nothing.
+        observed: shape as of one motion.
+        forces: log |F| by which the motions were simulated, shape [C].
+        low, high: ends of log |F|.
+
+    Returns:
+        log |F|, and the sum of the squares that are left unexplained, shape [C] each.
+    """
+    seen = np.isfinite(paths) & np.isfinite(observed)
+    tried, wanted = (np.where(seen, each, 0.0).reshape(len(paths), -1) for each in (paths, observed))
+    factors = (tried * wanted).sum(axis=1) / np.maximum(np.square(tried).sum(axis=1), 1e-30)
+    found = np.clip(forces + np.log(np.maximum(factors, 1e-9)), low, high)
+    return found, np.square(np.exp(found - forces)[:, None] * tried - wanted).sum(axis=1)
 
 
 def apart(logs: np.ndarray, misfits: np.ndarray, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:

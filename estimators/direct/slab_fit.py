@@ -28,7 +28,7 @@ import numpy as np
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import AT_BOUND, press_estimate
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.problem import find_optimum
+from palpate.estimators.direct.problem import find_optimum, suiting_forces
 from palpate.estimators.direct.slab_motion import FirmRegion, SlabMotion
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
@@ -138,8 +138,7 @@ def settled(problem: SlabProblem) -> tuple[np.ndarray, Valley, float]:
 
 def _without_tip(contact: Interaction) -> Interaction:
     """The contact with a depth-change sequence that doesn't show the tissue under the tip."""
-    if contact.sequence is None:
-        raise ValueError("the contact has no depth-change sequence; gather it with frames that have depth and labels.")
+    assert contact.sequence is not None
     side = contact.sequence.change.shape[1] // 2
     rows, columns = np.mgrid[-side : side + 1, -side : side + 1]
     change = np.where(np.hypot(rows, columns) < BLIND, np.nan, contact.sequence.change)
@@ -180,12 +179,9 @@ def slab_start(problem: SlabProblem) -> np.ndarray:
     for young, damping in itertools.product(YOUNG, DAMPING):
         logs = np.zeros(len(low))
         logs[:2] = young, damping
-        tried = problem.patches.shown(problem.patches.sunk(motion.by_modes(logs)), still)
-        seen = np.isfinite(tried) & np.isfinite(problem.observed)
-        tried, observed = np.where(seen, tried, 0.0), np.where(seen, problem.observed, 0.0)
-        along, square = float((tried * observed).sum()), float(np.square(tried).sum())
-        logs[2] = np.clip(math.log(max(along, 1e-12) / max(square, 1e-30)), low[2] + AT_BOUND, high[2] - AT_BOUND)
-        unexplained = float(np.square(math.exp(logs[2]) * tried - observed).sum())
+        tried = problem.patches.shown(problem.patches.sunk(motion.by_modes(logs)), still)[None]
+        ends = low[2] + AT_BOUND, high[2] - AT_BOUND
+        (logs[2],), (unexplained,) = suiting_forces(tried, problem.observed, logs[2:3], *ends)
         if unexplained < least:
             best, least = logs, unexplained
     return best

@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from palpate.common.command_line import path_option
 from palpate.common.files import file_sha256, read_file
@@ -39,13 +38,13 @@ from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.data.source.layout import read_mapping
 from palpate.data.synthetic.source import PREPARE
 from palpate.estimators.network.fits import BOUNDS, MECHANICS, SCENES
+from palpate.estimators.network.training import new_posterior
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
-from palpate.models.checkpoint import load_posterior, posterior_features
+from palpate.models.checkpoint import load_posterior
 from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import CONTACT, PosteriorModel
-from palpate.models.posterior import ContactPosterior
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 """Files that the benchmark writes into its folder."""
@@ -122,20 +121,20 @@ def rows_in(folders: Sequence[Path]) -> list[dict[str, Any]]:
     return rows
 
 
-def metadata(weights: Path, features: int) -> dict[str, object]:
+def metadata(weights: Path) -> dict[str, object]:
     """Metadata for inference: how clips are prepared, the simulator and the admissible box.
 
     Args:
         weights: file of the network's weights.
-        features: length of the network's input vector.
     """
     settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
+    contact = {"features": FEATURES + SEQUENCE_FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE}
     made = {"motions": "simulated contacts (estimators.network.training)", "weights_sha256": file_sha256(weights)}
     return {
         **{name: dataclasses.asdict(values) for name, values in settings.items()},
         "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
-        "contact": {"features": features, "slots": SLOTS, "frame_rate": FRAME_RATE, "press_seconds": pressed},
+        "contact": contact | {"press_seconds": pressed},
         **{"observation": "trajectory", "preprocessing_version": PREPROCESSING_VERSION, "masks": "auto"},
         "depth": dataclasses.asdict(PREPARE.depth) | {"source": "auto"},
         "training": made,
@@ -189,10 +188,9 @@ def main(arguments: list[str] | None = None) -> int:
             calibration = calibration_of(options)
             difference = calibrate(options.model, options.output, calibration)
         else:
-            calibration, features = None, posterior_features(options.weights)
-            posterior = ContactPosterior(features, torch.tensor(BOUNDS.log_box))
+            calibration, posterior = None, new_posterior()
             load_posterior(posterior, options.weights)
-            difference = export(posterior, options.output, metadata(options.weights, features))
+            difference = export(posterior, options.output, metadata(options.weights))
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,7 +22,7 @@ from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from palpate.estimators.onset import onset_error, onset_perturbations
 from palpate.estimators.records import FrameEstimate
-from palpate.estimators.runs import WHOLE, Run, RunSession, force_arrow, frame_estimate
+from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.physics.identifiability import NOTHING, box_information
 from palpate.physics.load import Press, held
@@ -174,7 +173,6 @@ class NetworkEstimator(ModelEstimator):
             raise NoEstimate(TOO_DARK)
         slots, known = light_slots(contact)
         mean, covariance = self.model.by_light(slots.vectors(known))
-        self.require_finite(mean, covariance)
         box, left = self.bounds.log_box, float(slots.unexplained(known)[0])
         values, vectors = np.linalg.eigh(np.linalg.inv(covariance[0]) - box_information(box))
         noise = max(contact.brightness.noise, LEAST_NOISE)
@@ -190,11 +188,6 @@ class NetworkEstimator(ModelEstimator):
             by_light=True,
             refuted=LEFT.format(left) if left > LARGEST_LEFT else "",
         )
-
-    def require_finite(self, *outputs: np.ndarray) -> None:
-        """Raise a ModelFileError where a network gives a number that is not finite."""
-        if not all(np.isfinite(values).all() for values in outputs):
-            raise ModelFileError(f"{self.model.path} gives a number that is not finite; export another checkpoint.")
 
 
 class NetworkSession(RunSession):
@@ -243,21 +236,16 @@ class NetworkSession(RunSession):
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        estimator, start = self.estimator, time.perf_counter()
-        contacts, within = [contact], self._onset_error
+        estimator, contacts, within = self.estimator, [contact], self._onset_error
         if not estimator.sees_sequence:
             contacts, within = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS), 0.0
-        features = [estimator.features(each, within) for each in contacts]
-        window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
-        found = estimator.model(np.stack(features), window)
-        self.seconds["network"] += time.perf_counter() - start
-        estimator.require_finite(*found)
-        start = time.perf_counter()
-        judged = [
-            estimator.judged(each, self.mechanics, within, *own) for each, *own in zip(contacts, *found, strict=True)
-        ]
-        self.seconds["simulation"] += time.perf_counter() - start
-        whole = mixture(judged)
+        with self.timed("network"):
+            features = [estimator.features(each, within) for each in contacts]
+            window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
+            found = estimator.model(np.stack(features), window)
+        with self.timed("simulation"):
+            parts = zip(contacts, *found, strict=True)
+            whole = mixture([estimator.judged(each, self.mechanics, within, *own) for each, *own in parts])
         error = effective_misfit(whole)
         unsure = is_oblique(whole) or error > whole.largest_misfit
         return widened(whole, error, estimator.bounds.log_box) if unsure else whole
@@ -283,11 +271,8 @@ class NetworkSession(RunSession):
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)
 
     def _by_light(self, contact: Interaction) -> Estimate:
-        start = time.perf_counter()
-        try:
+        with self.timed("network"):
             return self.estimator.lit(contact)
-        finally:
-            self.seconds["network"] += time.perf_counter() - start
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
         if not self.estimator.by_network:
@@ -314,15 +299,14 @@ class NetworkSession(RunSession):
         """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
         moved = frame.track_position - builder.rest
-        observed = float(np.linalg.norm(moved)) if np.isfinite(moved).all() else None
+        observed = finite(float(np.linalg.norm(moved)))
         if steps == 0:
             return 0.0, observed
         if steps > self.mechanics.steps:
             return None, observed
-        start = time.perf_counter()
-        press = Press.at(contact.vertex, contact.direction, held(steps, steps))
-        path = simulate(found.theta, contact.mesh, press, self.mechanics)
-        self.seconds["simulation"] += time.perf_counter() - start
+        with self.timed("simulation"):
+            press = Press.at(contact.vertex, contact.direction, held(steps, steps))
+            path = simulate(found.theta, contact.mesh, press, self.mechanics)
         return float(np.linalg.norm(path[-1])), observed
 
 

@@ -231,16 +231,16 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
     with_sequence = generator.random(count) < SEQUENCE_SHARE
-    errors = draw_sequence_errors(fits, index, noise, generator)
+    amount_errors, middle_errors = draw_sequence_errors(fits, index, noise, generator)
     # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
     # neighbouring tissue as well.
-    error[with_sequence] = (fits.middle[index] - motion + errors.middle)[with_sequence]
+    error[with_sequence] = (fits.middle[index] - motion + middle_errors)[with_sequence]
     noise = np.where(with_sequence & (noise == ROUNDING_NOISE), ROUNDED * noise, noise)
-    more, pulled = sequence_information(fits.amount_slopes[index], fits.factors[index], errors.amounts, noise, known)
+    more, pulled = sequence_information(fits.amount_slopes[index], fits.factors[index], amount_errors, noise, known)
     information[with_sequence], pull[with_sequence] = more[with_sequence], pulled[with_sequence]
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
-    amounts = (fits.amounts[index] + errors.amounts) * known[..., None]
+    amounts = (fits.amounts[index] + amount_errors) * known[..., None]
     features = [
         join_features(along, known, loaded * known, fits.around[index], spacing, noise),
         join_sequence_features(amounts, spacing, noise, within, with_sequence),
@@ -250,25 +250,19 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
     return Drawn(np.concatenate(features, axis=1), logs[:, :3], information, pull)
 
 
-@dataclasses.dataclass(frozen=True)
-class SequenceErrors:
-    """Errors of B depth-change sequences."""
-
-    amounts: np.ndarray
-    """Errors of the shapes' amounts, shape [B, SLOTS, SHAPES] [scene units]."""
-    middle: np.ndarray
-    """Errors of the middle pixel, shape [B, SLOTS] [scene units]."""
-
-
 def draw_sequence_errors(
     sequences: DepthSequences, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator
-) -> SequenceErrors:
+) -> tuple[np.ndarray, np.ndarray]:
     """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
 
     Args:
         sequences: all depth-change sequences.
         index: indices of the sequences to draw for, shape [B].
         noise: standard deviation of every pixel, shape [B] [scene units].
+
+    Returns:
+        Errors of the shapes' amounts, shape [B, SLOTS, SHAPES], and of the middle pixel, shape [B, SLOTS]
+        [scene units].
     """
     shapes, factors = dent_shapes(), sequences.factors[index]
     middle = shapes[len(shapes) // 2]
@@ -294,7 +288,7 @@ def draw_sequence_errors(
         amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]
         alone[rounded] = error[:, :, side * side // 2]
     still = noise[:, None] * (generator.standard_normal((len(index), SHAPES)) @ smooth_share().T)
-    return SequenceErrors(amounts + still[:, None], alone + (still @ middle)[:, None])
+    return amounts + still[:, None], alone + (still @ middle)[:, None]
 
 
 @functools.cache

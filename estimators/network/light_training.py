@@ -9,7 +9,6 @@ half of them off, as they are before the contact ends.
 """
 
 import dataclasses
-import pickle
 import time
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from torch import Tensor
 
 from palpate.common.command_line import LARGEST_NUMBER, progress_bars
 from palpate.common.output import replacing_own, require_own
-from palpate.common.provenance import code_digest
 from palpate.common.settings import require_between
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import SLOTS
@@ -28,7 +26,7 @@ from palpate.data.contact.light_features import LIGHT_FEATURES, SHAPES, LightSlo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS
 from palpate.estimators.network.fits import BOUNDS
 from palpate.estimators.network.light_draws import LightDraws, draw_light, noise_factors
-from palpate.estimators.network.training import LEAST_STEPS, TrainingError, descend
+from palpate.estimators.network.training import LEAST_STEPS, TrainingError, descend, keep, made_by, read_kept
 from palpate.models.evidence import density_loss
 from palpate.models.posterior import ContactPosterior
 
@@ -88,10 +86,8 @@ class Disturbed:
         generator = self._generator
         some = generator.integers(len(self._logs), size=count)
         slots = self.draws.slots.chosen(some)
-        spread, sd = (
-            generator.integers(len(self._factors), size=count),
-            np.exp(generator.uniform(*np.log(ERRORS), count)),
-        )
+        spread = generator.integers(len(self._factors), size=count)
+        sd = np.exp(generator.uniform(*np.log(ERRORS), count))
         errors = np.einsum("bij,btj->bti", self._factors[spread], generator.standard_normal((count, SLOTS, SHAPES)))
         kept = np.where(spread > 0, generator.choice(PERSISTENCE, count), 0.0)[:, None]
         for slot in range(1, SLOTS):
@@ -126,15 +122,19 @@ def train_light(options: LightSettings) -> None:
     start = time.time()
     require_own(options.output / WEIGHTS, options.output / DRAWN)
     with progress_bars(Console()) as progress:
-        draws = _read_drawn(options)
-        if draws is None:
+        by = made_by(options, "sheets", "seed")
+        kept = read_kept(options.output / DRAWN, by)
+        if kept is not None:
+            logs = kept[0].pop("logs")
+            draws = LightDraws(LightSlots(**kept[0]), logs)
+        else:
             seeds = np.random.SeedSequence((options.seed, 0x11)).generate_state(options.sheets).tolist()
             drawn = run_tasks(draw_light, seeds, options.workers, ordered=True)
             parts = [part for part in progress.track(drawn, len(seeds), description="sheets") if part is not None]
             if not parts:
                 raise TrainingError("No press could be drawn; give more --light.sheets or another --light.seed.")
             draws = LightDraws.joined(parts)
-            _keep_drawn(options, draws)
+            keep(options.output / DRAWN, by, vars(draws.slots) | {"logs": draws.logs})
         torch.manual_seed(options.seed)
         held_out = len(draws.logs) // HELD_OUT
         batches = Disturbed(draws.chosen(slice(held_out, None)), options.seed)
@@ -161,27 +161,3 @@ def _held_out(posterior: ContactPosterior, draws: LightDraws) -> str:
         errors, sds = np.abs((mean - draws.logs) @ powers), np.linalg.norm(powers @ factor, axis=1)
         said.append(f"{SYMBOLS[name]} {np.median(errors):.2f} ({np.mean(errors <= NINETY * sds):.0%} held)")
     return "median errors " + ", ".join(said)
-
-
-def _drawn_by(options: LightSettings) -> dict[str, object]:
-    """Everything that the sequences depend on."""
-    return {"code": code_digest(), "sheets": options.sheets, "seed": options.seed}
-
-
-def _keep_drawn(options: LightSettings, draws: LightDraws) -> None:
-    """Store the sequences, so that an interrupted training goes on from there."""
-    arrays = {name: torch.from_numpy(values) for name, values in vars(draws.slots).items()}
-    with replacing_own(options.output / DRAWN) as partial:
-        torch.save({"by": _drawn_by(options), "slots": arrays, "logs": torch.from_numpy(draws.logs)}, partial)
-
-
-def _read_drawn(options: LightSettings) -> LightDraws | None:
-    """The stored sequences; None where none belong to the options."""
-    try:
-        kept = torch.load(options.output / DRAWN, map_location="cpu", weights_only=True)
-        if kept["by"] != _drawn_by(options):
-            return None
-        slots = LightSlots(**{name: values.numpy() for name, values in kept["slots"].items()})
-        return LightDraws(slots, kept["logs"].numpy())
-    except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
-        return None

@@ -22,9 +22,10 @@ import math
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -300,14 +301,17 @@ def train_contact(options: ContactSettings) -> None:
                     log.write(as_json(row) + "\n")
                     log.flush()
 
-        kept = options.output / PREPARED
-        fits = _read_prepared(kept, options, posterior)
-        if fits is None:
+        prepared, by = options.output / PREPARED, made_by(options, "contacts", "rough_steps", "seed")
+        kept = read_kept(prepared, by)
+        if kept is not None:
+            fits = Fits(**kept[0])
+            posterior.load_state_dict(kept[1]["posterior"])
+        else:
             trainer, steps = _trainer(options, progress), options.rough_steps
             posterior = trainer.posterior
             stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
             fits = trainer.fit(progress, options.workers)
-            _keep_prepared(kept, options, posterior, fits)
+            keep(prepared, by, vars(fits), posterior=posterior.state_dict())
         torch.manual_seed(options.seed)
         generator = np.random.default_rng([options.seed, 19])
         with ThreadPoolExecutor(1) as ahead:
@@ -317,8 +321,8 @@ def train_contact(options: ContactSettings) -> None:
             stage("bound", bound, lambda _: expected_loss(posterior, next(drawn)), options.bound_steps, FINE_RATE)
     with replacing_own(options.output / WEIGHTS) as weights:
         torch.save(posterior.state_dict(), weights)
-    require_own(kept)
-    kept.unlink(missing_ok=True)
+    require_own(prepared)
+    prepared.unlink(missing_ok=True)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
 
 
@@ -344,26 +348,23 @@ def _trainer(options: ContactSettings, progress: Progress) -> Trainer:
     return Trainer([*parts[0], *parts[1]], within, options.seed)
 
 
-def _prepared_by(options: ContactSettings) -> dict[str, object]:
-    """Everything that the results of the first two stages depend on."""
-    names = ("contacts", "rough_steps", "seed")
+def made_by(options: object, *names: str) -> dict[str, object]:
+    """Everything that what a training prepares depends on: the code, and some of its options."""
     return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
 
 
-def _keep_prepared(path: Path, options: ContactSettings, posterior: ContactPosterior, fits: Fits) -> None:
-    """Store the results of the first two stages, so that an interrupted training goes on from there."""
-    parts = {name: torch.from_numpy(values) for name, values in vars(fits).items()}
+def keep(path: Path, by: Mapping[str, object], arrays: Mapping[str, np.ndarray], **more: object) -> None:
+    """Store what a training has prepared, so that an interrupted one goes on from there."""
+    tensors = {name: torch.from_numpy(values) for name, values in arrays.items()}
     with replacing_own(path) as partial:
-        torch.save({"by": _prepared_by(options), "posterior": posterior.state_dict(), "fits": parts}, partial)
+        torch.save({"by": by, "arrays": tensors, **more}, partial)
 
 
-def _read_prepared(path: Path, options: ContactSettings, posterior: ContactPosterior) -> Fits | None:
-    """The stored fits, with the stored weights loaded into the posterior; None where none belong to the options."""
+def read_kept(path: Path, by: Mapping[str, object]) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    """The arrays that `keep` stored and all else; None where none were prepared by the same."""
     try:
         kept = torch.load(path, map_location="cpu", weights_only=True)
-        if kept["by"] != _prepared_by(options):
-            return None
-        posterior.load_state_dict(kept["posterior"])
+        arrays = {name: values.numpy() for name, values in kept["arrays"].items()}
+        return (arrays, kept) if kept["by"] == by else None
     except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
         return None
-    return Fits(**{name: values.numpy() for name, values in kept["fits"].items()})

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import Case, is_chaotic, require_inside, watched_rollout
@@ -58,25 +59,11 @@ class CompiledRollout(torch.autograd.Function):
         return torch.from_numpy(np.stack(paths)), slopes
 
     @staticmethod
-    def backward(ctx, gradient: Tensor, _):  # ty: ignore[incompatible-method-override]  as torch documents it
+    @once_differentiable
+    def backward(ctx, gradient: Tensor, _):
         """Chain with the Jacobian [B, T, M, 3, 3]."""
         (slopes,) = ctx.saved_tensors
-        by_theta = torch.einsum("btmc,btmcp->bp", gradient, slopes)
-        return FirstOrder.apply(by_theta), None, None, None, None, None
-
-
-class FirstOrder(torch.autograd.Function):
-    """Identity that refuses to be differentiated."""
-
-    @staticmethod
-    def forward(ctx, value: Tensor) -> Tensor:
-        """Pass the gradient on."""
-        return value.clone()
-
-    @staticmethod
-    def backward(ctx, gradient: Tensor):  # ty: ignore[incompatible-method-override]  as torch documents it
-        """Refuse."""
-        raise RuntimeError("the compiled rollout has first derivatives only; differentiate it once.")
+        return torch.einsum("btmc,btmcp->bp", gradient, slopes), None, None, None, None, None
 
 
 def _reliable(case: Case, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:

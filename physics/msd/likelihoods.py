@@ -19,20 +19,7 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
 
     Returns:
         Shape [B] [scene units²]; 0 for a sample without any observation.
-
-    Raises:
-        ValueError: shapes that don't belong together.
     """
-    batch, count = observation.steps.shape
-    for name, value, shape in (
-        ("trajectory", trajectory, (batch, trajectory.shape[1], 3)),
-        ("displacement", observation.displacement, (batch, count, 3)),
-        ("weight", observation.weight, (batch, count)),
-    ):
-        if tuple(value.shape) != shape:
-            raise ValueError(
-                f"{name} has shape {tuple(value.shape)}; give {shape} for steps of shape {(batch, count)}."
-            )
     weight = observation.weight.clamp(min=0.0)
     total = weight.sum(dim=1)
     squared = _difference(trajectory, observation).square().sum(dim=-1)

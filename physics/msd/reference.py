@@ -3,12 +3,12 @@
 Source: Bini 2026, equation 9 and table 1: m ẍ + k_d ẋ + k_s x = F_ext per vertex, springs along the mesh's edges.
 """
 
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.special import exprel, hyp1f1
 
 from palpate.physics.load import Grip, Load, Press
 from palpate.physics.mechanics import Mechanics
@@ -44,19 +44,11 @@ def integrator(damping: float | np.ndarray, mechanics: Mechanics) -> Integrator:
     ratio = step * damping
     if mechanics.scheme == "dkd":
         keep = np.exp(-ratio)
-        # φ(c) = (1 − e⁻ᶜ)/c and φ'(c) by their series where the quotients would cancel.
-        small = ratio < 0.05
-        safe = np.where(small, 1.0, ratio)
-        power = np.polynomial.polynomial.polyval
-        share = np.where(small, power(ratio, SHARE), -np.expm1(-safe) / safe)
-        slope = np.where(small, power(ratio, SHARE[1:] * np.arange(1, 10)), ((safe + 1) * np.exp(-safe) - 1) / safe**2)
+        # φ(c) = (1 − e⁻ᶜ)/c is Kummer's function 1F1(1; 2; −c), whose slope by c is −½·1F1(2; 3; −c).
+        share, slope = exprel(-ratio), -hyp1f1(2, 3, -ratio) / 2
         return Integrator(keep, step * share, -step * keep, step**2 * slope, mechanics.time_step / 2)
     keep = 1 / (1 + ratio)
     return Integrator(keep, step * keep, -step * keep**2, -(step**2) * keep**2, 0.0)
-
-
-SHARE = np.array([(-1) ** n / math.factorial(n + 1) for n in range(10)])
-"""Coefficients of φ(c) = Σ (−c)ⁿ/(n+1)!."""
 
 
 def spring_force(displacement: np.ndarray, rest: np.ndarray, springs: np.ndarray) -> np.ndarray:

@@ -158,7 +158,7 @@ def test_arrow_ends_at_the_contact_and_grows_with_force(usual, clip_folder: Path
 
 
 def test_numbers_that_are_not_finite_are_an_error(clip_folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ModelFileError, match="not finite for frame 14"):
+    with pytest.raises(ModelFileError, match="gives a number that is not finite"):
         run(clip_folder, tmp_path, theta=(math.nan, 0.1, -0.1))
 
 

@@ -23,6 +23,7 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
     assert (tmp_path / "same.yaml").read_text(encoding="utf-8") == FILE.read_text(encoding="utf-8")
     for name, entry in entries.items():
         assert VALUES[name] == entry["value"]
+        assert entry["meaning"]
         assert entry["source"]
         if entry["measured"] is not None:
             measured = entry["measured"]

@@ -123,11 +123,3 @@ def test_only_decoder_physics_starts_from_a_carried_map(make_batch) -> None:
     assert shifted(depth, None) is depth
     onward = shifted(depth, change_of("physics", THETA, batch, "a", MECHANICS))
     torch.testing.assert_close(onward, carried(depth, THETA, *parts(batch), course(2, 8), MECHANICS))
-
-
-def test_a_mesh_of_another_grid_is_refused(make_batch) -> None:
-    with pytest.raises(ValueError, match="give one grid"):
-        carried(torch.rand(2, 1, 20, 20), THETA, *parts(make_batch()), course(0, 8), MECHANICS)
-    [first, second], loads = parts(make_batch())
-    with pytest.raises(ValueError, match="don't form one batch"):
-        change(THETA, [first, dataclasses.replace(second, grid_shape=(24, 33))], loads, course(0, 8), MECHANICS)

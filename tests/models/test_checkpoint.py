@@ -86,11 +86,10 @@ def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):
             for name, content in (parts | change).items():
                 if content is not None:
                     file.writestr(name, content)
-        for read in (checkpoints.read_checkpoint, checkpoints.posterior_features):
-            with pytest.raises(
-                checkpoints.CheckpointError, match=r"damaged\.ckpt is not a readable checkpoint; give one that"
-            ):
-                read(damaged)
+        with pytest.raises(
+            checkpoints.CheckpointError, match=r"damaged\.ckpt is not a readable checkpoint; give one that"
+        ):
+            checkpoints.read_checkpoint(damaged)
 
 
 BOX = torch.from_numpy(Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1)).log_box)
@@ -142,21 +141,16 @@ def test_an_exported_posterior_that_is_none_gets_a_sentence(tmp_path: Path, cont
         checkpoints.load_posterior(posterior, SHIPPED)
 
 
-def test_a_pretrained_posterior_says_how_much_it_is_told_and_must_fit(pretrained, checkpoint: Path, tmp_path: Path):
+def test_a_pretrained_posterior_must_fit(pretrained, checkpoint: Path, tmp_path: Path):
     path, _ = pretrained
-    assert checkpoints.posterior_features(path) == 7
     torch.save({"entry.weight": [1, 2]}, tmp_path / "list.pt")
-    for read in (
-        checkpoints.posterior_features,
-        lambda file: checkpoints.load_posterior(ContactPosterior(7, BOX), file),
+    with pytest.raises(
+        checkpoints.CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"
     ):
-        with pytest.raises(
-            checkpoints.CheckpointError, match=r"nothing\.pt does not exist; give a file that train.py fit -c"
-        ):
-            read(tmp_path / "nothing.pt")
-        for foreign in (checkpoint, tmp_path / "list.pt"):
-            with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
-                read(foreign)
+        checkpoints.load_posterior(ContactPosterior(7, BOX), tmp_path / "nothing.pt")
+    for foreign in (checkpoint, tmp_path / "list.pt"):
+        with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
+            checkpoints.load_posterior(ContactPosterior(7, BOX), foreign)
     with pytest.raises(checkpoints.CheckpointError, match="holds no contact posterior of this version"):
         checkpoints.load_posterior(ContactPosterior(8, BOX), path)
     torch.save([1, 2], tmp_path / "list.pt")

@@ -28,11 +28,6 @@ def test_a_box_without_logarithms_is_refused(bounds: Bounds, message: str):
 def test_without_the_contact_s_vector_a_sentence_says_what_to_set():
     with pytest.raises(ValueError, match=r"data\.samples\.observation to trajectory and data\.geometry\.smoothing"):
         Generator(**SMALL | {"contact_features": 0})
-    generator = Generator(**SMALL)
-    with pytest.raises(ValueError, match="lacks the contacts' vectors"):
-        generator.estimate(torch.rand(1, 1, 16, 16))
-    with pytest.raises(ValueError, match="head is 'other'; choose parameters or posterior"):
-        Generator(**SMALL | {"head": "other"})
 
 
 @settings(deadline=None, max_examples=40)

@@ -13,6 +13,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
 from palpate.models.checkpoint import load_posterior
+from palpate.models.losses import total
 from palpate.models.module import PhysicsInformedGAN
 from palpate.models.posterior import ContactPosterior
 from tests.models.test_module import POSTERIOR, build, dent_of
@@ -107,9 +108,9 @@ def test_a_pretrained_head_is_loaded_where_it_is(tmp_path):
 def _losses(module: PhysicsInformedGAN, batch: dict) -> dict[str, Tensor]:
     """All terms, and the gradient of each parameter of the first generator."""
     terms, _, theta = module.generator_losses(batch)
-    terms.total(module.weights).backward()
+    total(terms, module.weights).backward()
     gradients = {name: values.grad for name, values in module.generator_ab.named_parameters()}
-    return terms.items() | {"theta": theta} | {name: values for name, values in gradients.items() if values is not None}
+    return terms | {"theta": theta} | {name: values for name, values in gradients.items() if values is not None}
 
 
 @pytest.mark.parametrize(

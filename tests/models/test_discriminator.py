@@ -25,7 +25,6 @@ def test_paper_size_and_score_map():
     assert discriminator(torch.rand(1, 1, 120, 214)).shape == (1, 1, 13, 24)
 
 
-@pytest.mark.parametrize("shape", [(1, 2, 64, 64), (64, 64), (1, 1, 31, 64)])
-def test_other_shapes_are_refused(shape: tuple[int, ...]):
-    with pytest.raises(ValueError, match="depth"):
-        PatchDiscriminator(width=2)(torch.rand(shape))
+def test_small_pictures_are_refused():
+    with pytest.raises(ValueError, match="depth is 31×64"):
+        PatchDiscriminator(width=2)(torch.rand(1, 1, 31, 64))

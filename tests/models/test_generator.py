@@ -117,14 +117,6 @@ def test_holes_of_the_current_frame_stay_holes():
     assert (predicted[0, 0, 10:12] > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("shape", "message"),
-    [((1, 2, 32, 32), r"expected \[B, 1, H, W\]"), ((32, 32), "expected"), ((1, 1, 8, 32), "16 pixels a side")],
-)
-def test_other_shapes_are_refused_with_a_sentence(shape: tuple[int, ...], message: str):
-    with pytest.raises(ValueError, match=message):
-        Generator(**SMALL).encode(torch.rand(shape))
-    with pytest.raises(ValueError, match=r"expected \[2, 3\]"):
-        Generator(**SMALL).generate(torch.rand(2, 1, 16, 16), torch.rand(1, 3))
-    with pytest.raises(ValueError, match="direct or residual"):
-        Generator(**SMALL, decoder="copy")
+def test_what_cannot_be_is_refused_with_a_sentence():
+    with pytest.raises(ValueError, match="16 pixels a side"):
+        Generator(**SMALL).encode(torch.rand(1, 1, 8, 32))

@@ -64,12 +64,13 @@ def test_regularisation_is_exactly_zero_inside_the_box(place: list[float]):
 
 
 def test_total_uses_the_paper_s_weights():
-    one = torch.tensor(1.0)
-    assert losses.LossTerms(one, one, one, one, one).total(losses.LossWeights()).item() == pytest.approx(
-        1 + 10 + 1 + 2 + 0.1
-    )
-    terms = losses.LossTerms(*torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5]))
-    assert terms.total(losses.LossWeights()).item() == pytest.approx(0.1 + 2 + 0.3 + 0.8 + 0.05)
+    weights = losses.LossWeights()
+    for values, expected in (
+        ([1.0] * 5, 1 + 10 + 1 + 2 + 0.1),
+        ([0.1, 0.2, 0.3, 0.4, 0.5], 0.1 + 2 + 0.3 + 0.8 + 0.05),
+    ):
+        terms = dict(zip(vars(weights), torch.tensor(values), strict=True))
+        assert losses.total(terms, weights).item() == pytest.approx(expected)
 
 
 def test_impossible_weights_are_refused():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import FINE, SRGB, lattice_size, log_light
+from palpate.data.brightness.light import FINE, SRGB, log_light
 from palpate.data.labels import TISSUE, TOOL
 
 GRID = (30, 40)
@@ -23,7 +23,7 @@ def labels(size: tuple[int, int] = (240, 320)) -> np.ndarray:
 @pytest.mark.parametrize("light", [0.2, 0.5, 1.0, 2.0])
 def test_twice_the_light_is_log_two_whatever_the_level(light):
     change = log_light(picture(light), labels(), GRID) - log_light(picture(light / 2), labels(), GRID)
-    assert change.shape == lattice_size(GRID) == (FINE * 30, FINE * 40)
+    assert change.shape == (FINE * 30, FINE * 40)
     # A level of 8 bits is up to 5 % of the light in the dark.
     np.testing.assert_allclose(change, np.log(2), atol=0.05)
 

@@ -42,7 +42,7 @@ def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> depth_sequence.Sequenc
     made = recorder(sigma)
     for errors in frames:
         assert made.frame(REST + errors, TISSUE_ALL) is not None
-    return made.noise
+    return made.noise(99)
 
 
 def white(seed: int, count: int = 12) -> np.ndarray:
@@ -168,9 +168,9 @@ def test_noise_is_not_that_of_tissue_that_moves() -> None:
 def test_before_a_second_frame_all_noise_counts_as_new() -> None:
     made = recorder()
     for _ in range(2):
-        assert made.noise == depth_sequence.SequenceNoise(SIGMA, 0.0)
+        assert made.noise(99) == depth_sequence.SequenceNoise(SIGMA, 0.0)
         made.frame(REST, TISSUE_ALL)
-    assert made.noise == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
+    assert made.noise(99) == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
 
 
 def test_a_frame_without_much_tissue_is_passed_over() -> None:
@@ -180,7 +180,7 @@ def test_a_frame_without_much_tissue_is_passed_over() -> None:
     made.frame(REST + frames[0], TISSUE_ALL)
     assert made.frame(REST + frames[1], none) is None
     made.frame(REST + frames[2], TISSUE_ALL)
-    assert made.noise == noise_of(frames[[0, 2]])
+    assert made.noise(99) == noise_of(frames[[0, 2]])
 
 
 def test_a_sequence_holds_frames_times_and_size() -> None:
@@ -189,7 +189,7 @@ def test_a_sequence_holds_frames_times_and_size() -> None:
     sequence = made.sequence(np.array([0.04, 0.08, 0.12]), changes, 2)
     np.testing.assert_array_equal(sequence.change, np.stack(changes))
     assert sequence.times.tolist() == [0.04, 0.08, 0.12]
-    assert (sequence.size, sequence.noise) == ((WIDTH, HEIGHT), made.noise)
+    assert (sequence.size, sequence.noise) == ((WIDTH, HEIGHT), made.noise(99))
     for chosen in (np.array([True, False, True]), np.array([0, 2])):
         part = sequence.chosen(chosen)
         assert part.times.tolist() == [0.04, 0.12]

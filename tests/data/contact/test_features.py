@@ -1,7 +1,5 @@
 """The contact's vector: what each part says, and that it tells nothing else."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -69,10 +67,3 @@ def test_a_batch_is_its_members(contact: Interaction) -> None:
     for index in range(2):
         one = [values[index : index + 1] for values in (along, known, loaded, *arguments)]
         np.testing.assert_array_equal(module.join_features(*one)[0], both[index])
-
-
-@pytest.mark.parametrize("noise", [float("nan"), 0.0])
-def test_unknown_noise_is_refused(contact: Interaction, noise: float) -> None:
-    moved = contact.observation.moved(contact.moved, noise)
-    with pytest.raises(ValueError, match=r"geometry\.smoothing"):
-        contact_features(dataclasses.replace(contact, observation=moved))

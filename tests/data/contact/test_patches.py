@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, focal_length, footprint
+from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, footprint
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.synthetic.clip import draw_press, synthetic_clip
 from palpate.data.synthetic.scene import Scene
@@ -16,7 +16,7 @@ from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import TrueMotion
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
-from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.mesh import Mesh, focal_length, grid_mesh
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)

@@ -142,7 +142,6 @@ def test_band_samples_lie_inside_it():
     values = np.zeros((50, 60), np.float32)
     values[16:25, 10:41] = 1
     assert (module.band_values(band, values) == 1).all()
-    assert (module.band_values(band, values, -10, -2) == 0).all()
     assert sorted(map(tuple, band.outline(0, 30).tolist())) == [(10, 16), (10, 24), (40, 16), (40, 24)]
 
 

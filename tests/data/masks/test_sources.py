@@ -71,12 +71,6 @@ def test_a_pixel_belongs_to_a_class_within_an_l1_distance_of_5(tmp_path_factory,
     assert (read_class_mask(path, SIZE, CLASSES_USED)[10, 8] == 1) == (distance <= 5)
 
 
-def test_color_distance_is_the_l1_norm():
-    image = np.random.default_rng(0).integers(0, 256, (7, 9, 3), dtype=np.uint8)
-    expected = np.abs(image.astype(int) - (10, 250, 128)).sum(axis=2)
-    assert np.array_equal(sources.color_distance(image, (10, 250, 128)), expected)
-
-
 def test_colour_rgba_grey_and_grey_as_rgb_masks_agree(tmp_path):
     mask = color_mask()
     grey = np.full(SIZE, CLASSES["liver"].grey, np.uint8)

@@ -1,6 +1,6 @@
 """The light around a press as a least-squares problem."""
 
-import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_what_coding_makes_tissue_seem_slower_by_is_taken_off(problem, monkeypat
     problem.look(logs)
     nothing = {f"brightness_{name}_slope": 0.0 for name in ("damping", "force")}
     found = [brightness_fit._concluded(problem, logs, RECOMMENDED.log_box)]
-    monkeypatch.setattr(brightness_fit, "MODEL_ERRORS", dataclasses.replace(MODEL_ERRORS, **nothing))
+    monkeypatch.setattr(brightness_fit, "MODEL_ERRORS", SimpleNamespace(**(vars(MODEL_ERRORS) | nothing)))
     found.append(brightness_fit._concluded(problem, logs, RECOMMENDED.log_box))
     shifted = np.log(np.abs(found[0].theta / found[1].theta))
     left, ratio = (

@@ -150,13 +150,6 @@ NOISES = {
 }
 
 
-def test_a_contact_without_a_sequence_is_refused() -> None:
-    contact = contact_of()
-    for sequence in (None, contact.sequence.chosen(np.zeros(len(TIMES), bool))):
-        with pytest.raises(ValueError, match="has no depth-change sequence"):
-            SequenceProblem.of_press(dataclasses.replace(contact, sequence=sequence), MECHANICS)
-
-
 CASES = ("new", LARGER), ("blurred", SIZE), ("still", LARGER), ("rounded", SIZE), ("rounded", LARGER)
 
 

@@ -8,7 +8,7 @@ import pytest
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct import contact_fit
-from palpate.estimators.direct.contact_fit import field_starts, first_draws, fit_field, raced
+from palpate.estimators.direct.contact_fit import field_optima, field_starts, first_draws, raced, sampled
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import APART, Optimum
 from palpate.estimators.direct.sampling import sample_posterior
@@ -22,7 +22,8 @@ BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)
 
 
 def fit(contact: Interaction, within: float = 0.0) -> Estimate:
-    return fit_field(SequenceProblem.of_press(contact, MECHANICS, within), BOX)
+    problem = SequenceProblem.of_press(contact, MECHANICS, within)
+    return sampled(problem, field_optima(problem, BOX), BOX)
 
 
 def starts_of(contact: Interaction) -> np.ndarray:

@@ -75,12 +75,14 @@ def test_without_delays_is_the_schur_complement(count: int) -> None:
 def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
     """Of amounts, and of the middle pixel with them: as least squares of noisy pixels have them."""
     sequences, count, sigma = random_sequences(1), 3000, 2e-3
-    drawn = draw_sequence_errors(sequences, np.zeros(count, int), np.full(count, sigma), np.random.default_rng(3))
+    amounts, alone = draw_sequence_errors(
+        sequences, np.zeros(count, int), np.full(count, sigma), np.random.default_rng(3)
+    )
     shapes = dent_shapes()
     middle, still = shapes[PIXELS // 2], fits.smooth_share() @ fits.smooth_share().T
     for slot in (0, SLOTS - 1):
         spread = sequences.factors[0, slot] @ sequences.factors[0, slot].T
-        values = np.column_stack([drawn.amounts[:, slot], drawn.middle[:, slot]]) / sigma
+        values = np.column_stack([amounts[:, slot], alone[:, slot]]) / sigma
         expected = np.zeros((SHAPES + 1, SHAPES + 1))
         expected[:SHAPES, :SHAPES] = spread + still
         # A pixel's error is as large as the noise, and goes with the amounts that it is a part of.
@@ -89,7 +91,7 @@ def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
         sizes = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         np.testing.assert_allclose(np.cov(values.T) / sizes, expected / sizes, atol=0.1)
     # The rest surface's is the same in all frames.
-    first, last = drawn.amounts[:, 0] / sigma, drawn.amounts[:, -1] / sigma
+    first, last = amounts[:, 0] / sigma, amounts[:, -1] / sigma
     np.testing.assert_allclose(first.T @ last / count, still, atol=0.1)
 
 
@@ -97,12 +99,14 @@ def test_drawn_rounding_is_that_of_the_pixels() -> None:
     """No error is larger than half a step; amounts hold no more of it than noise of its size would bring."""
     sequences, count = random_sequences(2), 60
     index = np.arange(count) % 2
-    drawn = draw_sequence_errors(sequences, index, np.full(count, fits.ROUNDING_NOISE), np.random.default_rng(4))
+    amounts, alone = draw_sequence_errors(
+        sequences, index, np.full(count, fits.ROUNDING_NOISE), np.random.default_rng(4)
+    )
     rest = 0.5 * fits.ROUNDING_NOISE
-    assert np.abs(drawn.middle).max() < fits.LEVEL / 2 + rest
-    assert np.abs(drawn.middle).max() > 0.9 * fits.LEVEL / 2
-    assert drawn.middle.std() == pytest.approx(fits.ROUNDING_NOISE, rel=0.1)
-    assert np.sqrt(np.square(drawn.amounts[..., 0]).mean()) == pytest.approx(fits.ROUNDING_NOISE, rel=0.15)
+    assert np.abs(alone).max() < fits.LEVEL / 2 + rest
+    assert np.abs(alone).max() > 0.9 * fits.LEVEL / 2
+    assert alone.std() == pytest.approx(fits.ROUNDING_NOISE, rel=0.1)
+    assert np.sqrt(np.square(amounts[..., 0]).mean()) == pytest.approx(fits.ROUNDING_NOISE, rel=0.15)
 
 
 @pytest.mark.parametrize("within", [FRAME_S, 0.0])

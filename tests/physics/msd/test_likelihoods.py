@@ -1,7 +1,6 @@
 """The displacement error against computations by hand, and batches against single samples."""
 
 import numpy as np
-import pytest
 import torch
 
 from palpate.physics import Likelihood, Mechanics, Observation
@@ -34,12 +33,6 @@ def test_a_sample_without_observation_has_no_error():
     torch.testing.assert_close(error, torch.tensor([0.0, 3.0]))
     error.sum().backward()
     assert trajectory.grad[0].abs().sum() == 0
-
-
-def test_shapes_are_named():
-    seen = observation([[0]], [[[0.0, 0.0]]], [[1.0]])
-    with pytest.raises(ValueError, match=r"displacement has shape \(1, 1, 2\); give \(1, 1, 3\)"):
-        displacement_error(torch.zeros(1, 2, 3), seen)
 
 
 def test_a_batch_is_linearised_as_each_sample_is():

@@ -1,7 +1,6 @@
 """Drawn tissue that a drawn tool pulls: what the session of users says of it, and what can't be said."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +21,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> PulledClip:
 
 
 def test_what_the_session_says_of_a_grip_is_told(clip: PulledClip) -> None:
-    told: dict[str, Any] = {}
-    evaluate_pull(clip, told)
+    told = evaluate_pull(clip)
     assert (told["status"], told["verdict"]) == ("ok", "relative_force")
     assert told["skill in frames kept back"] > 0.5
     low, middle, high = (told[f"foundation_over_stiffness{end}"] for end in ("_low", "", "_high"))
@@ -37,7 +35,7 @@ def test_what_the_session_says_of_a_grip_is_told(clip: PulledClip) -> None:
 
 def test_a_clip_that_can_t_be_read_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no can't be opened"):
-        evaluate_pull(PulledClip(tmp_path / "no"), {})
+        evaluate_pull(PulledClip(tmp_path / "no"))
 
 
 def test_tissue_is_followed_where_it_goes(clip: PulledClip) -> None:
@@ -80,7 +78,6 @@ def test_a_real_clip_is_told_of_as_users_have_it(real_data: Path) -> None:
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     layout = Path(__file__).parents[3] / "configs/layouts/recover_tissue.yaml"
-    told: dict[str, Any] = {}
-    evaluate_pull(PulledClip(folder, layout), told)
+    told = evaluate_pull(PulledClip(folder, layout))
     assert told["verdict"] == "relative_force"
     assert told["skill in frames kept back"] > 0.4

@@ -35,7 +35,7 @@ from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
 from palpate.common.tables import to_markdown
 from palpate.data.contact.features import FEATURES
-from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip, write_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.network.estimator import RATES, NetworkEstimator
@@ -105,7 +105,7 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     assert isinstance(estimator, NetworkEstimator)
     found = []
     for index in range(CONTACTS):
-        scene, motion = draw_press(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
+        scene, motion = draw_truth(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
         clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)
         contact = estimator.as_trained(observed_contacts(frames, info)[motion.onset_frame])

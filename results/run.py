@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import yaml
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -23,7 +24,6 @@ from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
-from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
@@ -50,17 +50,7 @@ from palpate.results.record import build_record, depends_on, fingerprint_of, mod
 from palpate.results.sequence import write_sequence
 from palpate.results.writer import ClipResults
 
-WORDS = {
-    "depth.model": "--depth-model",
-    "depth.preset": "--depth-preset",
-    "depth.source": "--depth",
-    "geometry.contact": "--contact",
-    "geometry.smoothing": "--smoothing",
-    "give the noise": "give --noise",
-    "layout.topic": "--topic",
-    "fewer --workers": "fewer --jobs",
-    **{f"device {name}": f"--device {name}" for name in PROVIDERS},
-}
+WORDS: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 """Settings and the options that they are on the command line, for messages."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""

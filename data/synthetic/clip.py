@@ -19,7 +19,7 @@ from palpate.data.synthetic.grip import GrippedMotion, draw_grip
 from palpate.data.synthetic.render import Renderer
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import SlabMotion, draw_slab
+from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, draw_slab
 from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 from palpate.data.synthetic.turning import CameraTurning
 
@@ -44,7 +44,11 @@ class SyntheticClip:
     """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
 
 
-def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion | SlabMotion]:
+Truth = PressedMotion | GrippedMotion | PressedSlab | GrippedSlab
+"""True motion of a clip."""
+
+
+def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
     """Scene and true motion of a clip, without its pictures.
 
     Geometry, motion, looks and errors of observation have a random stream each, so that changing the errors leaves the

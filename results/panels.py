@@ -1,4 +1,7 @@
-"""Panels of grips and of fields of stiffness, and what panels of pictures of results have in common."""
+"""Panels of grips and of fields of stiffness, and what pictures of results have in common.
+
+matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
+"""
 
 from __future__ import annotations
 

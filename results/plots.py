@@ -1,7 +1,4 @@
-"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces.
-
-matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
-"""
+"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces."""
 
 from __future__ import annotations
 

@@ -10,13 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.data.clip import ClipStream
+from palpate.api import open_clip
 from palpate.data.labels import TOOL, MaskError
 from palpate.data.masks.sources import MaskClasses, open_masks
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.following import MARGIN, PointFollower, shrunk
-from palpate.estimators.contract import Chosen
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import GripFrame, length
 from palpate.estimators.grip.recorder import DRIVEN
@@ -148,8 +147,7 @@ def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
     Raises:
         InputError: no such frame, no depth, or no tissue with depth next to the tool.
     """
-    estimator = OnlineEstimator(settings)
-    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
+    stream = open_clip(clip.path, OnlineEstimator(settings), layout=clip.layout_file)
     for current in stream.source:
         frame = stream.prepared(current)
         if frame.picture_labels is None or not (frame.picture_labels == TOOL).any():

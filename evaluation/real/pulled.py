@@ -9,12 +9,10 @@ that nothing moves, 1 = exact.
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.data.clip import ClipStream
-from palpate.data.source.frames import open_source
+from palpate.api import open_clip, open_estimator
 from palpate.data.source.layout import ClipLayout, load_layout
-from palpate.estimators.contract import Chosen, ClipInfo, Estimator
+from palpate.estimators.contract import ClipInfo
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row
@@ -50,9 +48,9 @@ def evaluate_pull(clip: PulledClip) -> Row:
     Raises:
         InputError: the clip can't be read.
     """
-    estimator, stream = opened(clip)
-    session = estimator.start(ClipInfo.of(stream))
-    outputs = list(estimates_of(session, stream))
+    estimator = open_estimator("direct")
+    stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks)
+    outputs = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]
     runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
     measures: Row = {"status": OK, "frames": len(frames)}
@@ -64,17 +62,6 @@ def evaluate_pull(clip: PulledClip) -> Row:
         return measures | {"status": " ".join(run.detail for run in runs) or "No run of contact was found."}
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
     return measures | grip_measures(run, grip)
-
-
-def opened(clip: PulledClip) -> tuple[Estimator, ClipStream]:
-    """The estimator `direct` and a clip's prepared frames, as users open both.
-
-    Raises:
-        InputError: the clip can't be read.
-    """
-    estimator = open_estimator(EstimatorOptions("direct"))
-    chosen = Chosen(clip.layout, None if clip.masks is None else str(clip.masks))
-    return estimator, ClipStream(open_source(clip.path, clip.layout), estimator.preparation(chosen))
 
 
 def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> Row:

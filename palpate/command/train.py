@@ -150,9 +150,6 @@ class RunRecord(SaveConfigCallback):
             print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
 
 
-COMMANDS = ("fit", "validate", "test", "export")
-
-
 class RunTrainer(Trainer):
     """Lightning's trainer with an `export` function."""
 
@@ -186,15 +183,9 @@ class RunTrainer(Trainer):
 class TrainCLI(LightningCLI):
     """Command line: one configuration file, any field of which can be overridden."""
 
-    def __init__(self, *classes: Any, args: list[str] | None = None, **options: Any) -> None:
-        command = (sys.argv[1:] if args is None else args)[:1]
-        self._commands = command if command and command[0] in COMMANDS else COMMANDS
-        """Those that get a parser, each of which takes a tenth of a second."""
-        super().__init__(*classes, args=args, **options)
-
     def subcommands(self) -> dict[str, set[str]]:
         loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
-        return dict.fromkeys(self._commands, loaders)
+        return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")

@@ -49,7 +49,7 @@ def evaluate_pull(clip: PulledClip) -> Row:
         InputError: the clip can't be read.
     """
     estimator = open_estimator("direct")
-    stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks)
+    stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks and str(clip.masks))
     outputs = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]
     runs = [item for item in outputs if isinstance(item, InteractionEstimate)]

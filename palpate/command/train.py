@@ -238,12 +238,9 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
-        if config.run_name == "":
-            raise UsageError("run_name is empty; name the run, or leave it out.")
-        if str(trainer.default_root_dir) == "":
-            raise UsageError("trainer.default_root_dir is empty; name the run folder.")
-        if config.data.root == "":
-            raise UsageError("data.root is empty; name the folder of the data set.")
+        for name, remedy in OTHERWISE["empty"].items():
+            if str(config[name]) == "":
+                raise UsageError(f"{name} is empty; {remedy}.")
         if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
             raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
         for name, refused in OTHERWISE["refused"].items():

@@ -35,7 +35,7 @@ from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
 from palpate.common.tables import to_markdown
 from palpate.data.contact.features import FEATURES
-from palpate.data.synthetic.clip import draw_press, synthetic_clip, write_clip
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip, write_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.network.estimator import RATES, NetworkEstimator
@@ -46,7 +46,7 @@ from palpate.evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_see
 from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import export
-from palpate.models.onnx_session import ParameterModel, PosteriorModel, open_model
+from palpate.models.onnx_session import open_model
 from palpate.physics.mechanics import RECOMMENDED
 
 Result = TypeVar("Result")
@@ -86,12 +86,8 @@ def exported(name: str, folder: Path) -> Path:
 def encoder_and_head(file: Path, threads: int | None) -> float:
     """Median time of one frame [ms]."""
     model, generator = open_model(file, threads), np.random.default_rng(0)
-    window = generator.random((1, model.window, *SIZE), dtype=np.float32)
-    if isinstance(model, PosteriorModel):
-        contact = np.zeros((1, FEATURES), np.float32)
-        return float(np.median([timed(model, contact, window)[1] for _ in range(RUNS)]))
-    assert isinstance(model, ParameterModel)
-    return float(np.median([timed(model, window)[1] for _ in range(RUNS)]))
+    given = {name: generator.random((1, *shape), dtype=np.float32) for name, shape in model.inputs.items()}
+    return float(np.median([timed(model.run, given)[1] for _ in range(RUNS)]))
 
 
 def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]:
@@ -105,7 +101,7 @@ def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]
     assert isinstance(estimator, NetworkEstimator)
     found = []
     for index in range(CONTACTS):
-        scene, motion = draw_press(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
+        scene, motion = draw_truth(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
         clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
         frames, info = list(clip), ClipInfo.of(clip)
         contact = estimator.as_trained(observed_contacts(frames, info)[motion.onset_frame])

@@ -4,7 +4,7 @@ import argparse
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,27 @@ def described_parser(program: str, text: str | None, statuses: str) -> argparse.
     """A parser whose help shows a program's text as it stands, and its exit statuses."""
     how: dict[str, Any] = {"description": text, "formatter_class": argparse.RawDescriptionHelpFormatter}
     return argparse.ArgumentParser(prog=program, epilog=f"Exit status: {statuses}.", **how)
+
+
+def add_listed(
+    parser: argparse.ArgumentParser,
+    listed: Mapping[str, Mapping[str, Any]],
+    types: Mapping[str, Callable[[str], Any]],
+    choices: Mapping[str, Collection[str]] | None = None,
+    **words: object,
+) -> None:
+    """Give a parser options that a YAML file lists.
+
+    Args:
+        parser: gets them.
+        listed: what `add_argument` takes, by option; types and choices by their names.
+        types, choices: by name.
+        words: stand for their braces in the help.
+    """
+    for name, option in listed.items():
+        given: dict[str, Any] = {**option, "help": option["help"].format(**words)}
+        given |= {key: of[option[key]] for key, of in (("type", types), ("choices", choices or {})) if key in option}
+        parser.add_argument(name, **given)
 
 
 def path_option(text: str) -> Path:

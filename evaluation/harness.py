@@ -300,28 +300,22 @@ def attempted(work: Callable[[], Row]) -> Row:
         return {"status": "error", "reason": reason}
 
 
-def by_measure(rows: Sequence[Row], key: str) -> pd.DataFrame:
-    """Rows as a table with a line for every measure of each: its `key`, the measure's name, and its value."""
-    cells = [(row[key], name, value) for row in rows for name, value in row.items() if name != key]
-    return pd.DataFrame(cells, columns=(key, "measure", "value"))
-
-
-def measured(case: tuple[str, Callable[[], Row]]) -> list[Row]:
+def measured(case: tuple[str, str, Callable[[], Row]]) -> list[Row]:
     """Measures of one case, by name, or the sentence that says why there are none: the other cases go on."""
-    name, work = case
+    key, name, work = case
     try:
         with interruptible():
-            return [{"file": name, **work()}]
+            return [{key: name, **work()}]
     except Exception as error:
         reason = str(error) if isinstance(error, ValueError) else f"failed ({type(error).__name__}: {error})"
-        return [{"file": name, "status": reason}]
+        return [{key: name, "status": reason}]
 
 
 @dataclass(frozen=True)
 class Measurements(Experiment):
     """Base of experiments that measure one file, or the like, after the other; table.csv has a row for every measure.
 
-    `wanted` names the cases.
+    `wanted` names the cases. A measure `status` that isn't OK is the sentence that says what failed.
     """
 
     work: ClassVar = staticmethod(measured)
@@ -333,12 +327,13 @@ class Measurements(Experiment):
 
     def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
         """Those without measures; what failed is tried again."""
-        wanted = self.wanted
-        return [case for case in wanted.items() if "status" in done.get((case[0],), {"status": ""})], len(wanted)
+        known, wanted = {name for (name,), row in done.items() if row.get("status", OK) == OK}, self.wanted
+        return [(*self.keys, *case) for case in wanted.items() if case[0] not in known], len(wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The table, and what failed."""
-        found = [rows[name,] for name in self.wanted if (name,) in rows]
-        frame = by_measure(found, "file")
-        failed = [(f"{row['file']}: {row['status']}", "red") for row in found if "status" in row]
+        (key,), found = self.keys, [rows[name,] for name in self.wanted if (name,) in rows]
+        cells = [(row[key], name, value) for row in found for name, value in row.items() if name != key]
+        frame = pd.DataFrame(cells, columns=(key, "measure", "value"))
+        failed = [(f"{row[key]}: {row['status']}", "red") for row in found if row.get("status", OK) != OK]
         return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))

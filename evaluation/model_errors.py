@@ -63,6 +63,8 @@ HEAD = (
 
 Errors = dict[str, list[tuple[float, float]]]
 """By entry: errors of the clips, and the variances that their residuals tell."""
+Slopes = dict[str, float]
+"""By entry: of its errors along another quantity."""
 Entries = dict[str, dict[str, Any]]
 """Of the file, by name."""
 
@@ -73,12 +75,15 @@ def model_sd(off: float, residual: float) -> float:
     return float(f"{left:.2g}")
 
 
-def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
     """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
 
     Args:
         rows: of clips.
         values: standard deviations that the estimates counted, by entry.
+
+    Returns:
+        Errors, and slopes of those that grow with something, which these don't.
     """
     found: Errors = {}
     for row in rows:
@@ -91,10 +96,10 @@ def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
             name = f"{quantity}_{kind}"
             if name in values:
                 found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
-    return found
+    return found, {}
 
 
-def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
     """Errors of log force over E, and of the force's course as shares of it; arguments as of `grip_errors`."""
     found: Errors = {}
     for row in rows:
@@ -109,10 +114,10 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
         stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
         error = math.sqrt(float(np.square(course - true).mean()) / size)
         found.setdefault("pull_course", []).append((error, max(stated, 0.0)))
-    return found
+    return found, {}
 
 
-def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, dict[str, float]]:
+def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
     """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `grip_errors`.
 
     A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
@@ -145,9 +150,7 @@ def steepness(along: np.ndarray, errors: np.ndarray, sds: np.ndarray) -> float:
     return float(f"{found:.2g}")
 
 
-def updated(
-    entries: Entries, errors: Errors, command: str, date: str, slopes: Mapping[str, float] | None = None
-) -> Entries:
+def updated(entries: Entries, errors: Errors, slopes: Slopes, command: str, date: str) -> Entries:
     """Entries with what was measured; their values are that where enough clips were."""
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
@@ -157,7 +160,7 @@ def updated(
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}
-    for name, slope in (slopes or {}).items():
+    for name, slope in slopes.items():
         clips = len(errors[name.removesuffix("_slope")])
         found[name]["measured"] = {"slope": slope, "clips": clips, "command": command, "date": date}
         if clips >= ENOUGH:
@@ -213,16 +216,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
             progress.advance(bar)
-    slopes: dict[str, float] = {}
-    if asked.part == VIDEO:
-        errors, slopes = video_errors(rows, values)
-    else:
-        errors = {"grip": grip_errors, "pull": pull_errors}[asked.part](rows, values)
+    errors, slopes = {"grip": grip_errors, "pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1
     command = f"python -m evaluation.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
-    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat(), slopes))
+    write_entries(asked.output, updated(entries, errors, slopes, command, datetime.date.today().isoformat()))
     for name, pairs in errors.items():
         say(console, f"{name}: {len(pairs)} clips")
     say(console, f"written: {asked.output}")

@@ -3,18 +3,13 @@
 import base64
 import io
 from collections.abc import Mapping
+from pathlib import Path
+from string import Template
 
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 
-STYLE = """
-body { max-width: 1080px; margin: 0 auto; padding: 24px; color: #1d2939; font: 15px/1.5 "DejaVu Sans", sans-serif; }
-blockquote { border-left: 4px solid #1d4e89; margin: 20px 0; padding: 2px 18px; font-size: 17px; }
-img { width: 100%; border: 1px solid #e4e7ec; }
-table { display: block; overflow-x: auto; border-collapse: collapse; font-size: 13.5px; }
-th, td { text-align: left; padding: 6px 12px; border-bottom: 1px solid #e4e7ec; vertical-align: top; }
-em, table + ul { color: #667085; font-size: 13.5px; font-style: normal; }
-"""
+PAGE = Template(Path(__file__).with_suffix(".html").read_text(encoding="utf-8"))
 
 
 def render_page(title: str, text: str, figures: Mapping[str, bytes]) -> str:
@@ -22,11 +17,7 @@ def render_page(title: str, text: str, figures: Mapping[str, bytes]) -> str:
     body = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     for name, png in figures.items():
         body = body.replace(f'src="{name}"', f'src="data:image/png;base64,{base64.b64encode(png).decode()}"')
-    return (
-        "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>"
-        f"<title>{title}</title><style>{STYLE}</style></head>\n<body>\n{body}</body></html>\n"
-    )
+    return PAGE.substitute(title=title, body=body)
 
 
 def as_png(figure: Figure) -> bytes:

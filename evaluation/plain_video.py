@@ -225,14 +225,9 @@ class PlainVideo(Measurements):
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
-        drawn = {**asdict(self.settings), "seed": self.seed}
-        if self.observation is not None:
-            drawn["observation"] = self.observation
-        if self.rate == FAST:
-            drawn["rate"] = self.rate
-        if self.estimator == "network":
-            drawn |= {"estimator": self.estimator, "model_sha256": file_sha256(self.model or SHIPPED)}
-        return drawn
+        asked = {name: getattr(self, name) for name in ("seed", "estimator", "observation", "rate")}
+        network = {"model_sha256": file_sha256(self.model or SHIPPED)} if self.estimator == "network" else {}
+        return asdict(self.settings) | asked | network
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The measures of every clip, and those of all."""

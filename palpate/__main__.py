@@ -12,15 +12,10 @@ if __name__ == "__main__":
 
 import sys
 
-COMMANDS = {
-    "infer": "palpate.command.infer",
-    "live": "palpate.command.live",
-    "train": "palpate.command.train",
+OWN = ("infer", "live", "train", "calibrate", "plan", "page", "view")
+"""Commands that are modules of `palpate.command`."""
+COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
     "export": "palpate.command.train",
-    "calibrate": "palpate.command.calibrate",
-    "plan": "palpate.command.plan",
-    "page": "palpate.command.page",
-    "view": "palpate.command.view",
     "benchmark": "palpate.evaluation.benchmark",
     "synthetic": "palpate.data.synthetic.__main__",
 }

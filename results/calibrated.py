@@ -16,6 +16,7 @@ from palpate.estimators.known_force import KnownForce, predict_force
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import covariance
 from palpate.physics.mechanics import PARAMETERS
+from palpate.results.columns import TEXTS
 
 NUMBERS = ("measured_N", "estimated", "estimated_low", "estimated_high")
 NEWTONS, NORMALISED = "N", "scene units"
@@ -262,11 +263,4 @@ def agreement(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def comparison_sentence(found: dict[str, Any]) -> str:
     """The same in words."""
-    parts = {
-        "forces": "{} measured forces compared with estimates",
-        "measured_over_estimated": "measured over estimated {:.3g}",
-        "correlation": "correlation {:.2f}",
-        "rms_error_N": "RMS error {:.3g} N",
-        "within_90_percent_intervals": "{:.0%} within 90 % intervals",
-    }
-    return ", ".join(text.format(found[name]) for name, text in parts.items() if name in found)
+    return ", ".join(text.format(found[name]) for name, text in TEXTS["agreement"].items() if name in found)

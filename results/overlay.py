@@ -10,11 +10,10 @@ import numpy as np
 from palpate.data.labels import TISSUE, TOOL
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
-from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.stiffness_overlay import StiffnessMap
-from palpate.results.verdicts import COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
+from palpate.results.verdicts import ALARMS, COLORS, FAR, FIELDS, MEANINGS, Color, in_words, is_far, numbers, state
 
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
@@ -24,12 +23,6 @@ _SOFT: Color = (203, 213, 225)
 _FONT = cv2.FontFace("sans")
 _SMALLEST_WIDTH = 480
 """Narrower clips are enlarged, or the numbers would not fit [px]."""
-_ALARMS: dict[str, tuple[str, Color | None]] = {
-    BELOW: ("Force limit: below.", None),
-    ABOVE: ("Force limit: ABOVE.", (220, 38, 38)),
-    UNKNOWN: ("Force limit: unknown, neither safe nor unsafe.", (250, 204, 21)),
-}
-"""What is said of the alarm, and the colour of the picture's edge."""
 _NOTICE = "Research software, not a medical device"
 
 
@@ -71,7 +64,7 @@ def draw_overlay(
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate, stiffness.note if stiffness is not None and mapped else "")
     _footer(canvas, estimate)
-    edge = _ALARMS[estimate.alarm][1] if estimate.alarm else None
+    edge = ALARMS[estimate.alarm].get("edge") if estimate.alarm else None
     if edge is not None:
         cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), edge, max(3, round(height / 80)))
     return canvas
@@ -137,7 +130,7 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
 
 def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
-    notes = [_ALARMS[estimate.alarm][0]] if estimate.alarm else []
+    notes = [ALARMS[estimate.alarm]["say"]] if estimate.alarm else []
     notes += [MEANINGS[estimate.verdict]] if estimate.verdict else []
     notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     notes += [estimate.detail] if estimate.detail else []
@@ -151,16 +144,9 @@ def _notes(estimate: FrameEstimate) -> list[str]:
 
 def _described_field(field: ParticleField) -> str:
     if math.isnan(field.skill):
-        return "No tissue has moved so far: its stiffness isn't known."
-    left = f"leaves {1 - field.skill:.0%} of the motion so far"
-    if not field.explained:
-        return f"The fit does not explain the motion: tissue simulated under the instrument alone {left}."
-    if field.verdict == "undetermined":
-        return f"Tissue simulated under the instrument alone {left}, but no place's stiffness is determined."
-    return (
-        f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
-        f"{RANGE:g}th, relative units; not determined where nothing is coloured. The fit {left}."
-    )
+        return FIELDS["still"]
+    name = "undetermined" if field.verdict == "undetermined" else "coloured"
+    return FIELDS[name if field.explained else "unexplained"].format(left=1 - field.skill, range=RANGE)
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

@@ -1,4 +1,7 @@
-"""Panels of grips and of fields of stiffness, and what panels of pictures of results have in common."""
+"""Panels of grips and of fields of stiffness, and what pictures of results have in common.
+
+matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from palpate.results.verdicts import digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK, MUTED, GRID = "#1f2937", "#6b7280", "#e5e7eb"
 NOTICE = "palpate: research software, not a medical device."
@@ -162,6 +166,19 @@ def draw_curve(axes: Axes, times: np.ndarray, values: np.ndarray, color: str, la
 def top_of(*values: np.ndarray) -> float:
     """Upper end of an axis that begins at 0 and has room above the values; 1 without any."""
     return 1.12 * float(np.fmax.reduce(np.concatenate(values), initial=0.0)) or 1.0
+
+
+def new_figure(width: float, height: float, title: str, subtitle: str) -> Figure:
+    """A figure of a size [inches of 100 px] with a title above what will be drawn and a footer below it."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(figsize=(width, height), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12))
+    heading = "\n".join(lines_of(title, round(3.5 * width)))
+    figure.suptitle(heading, x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
+    footer = "\n".join([*lines_of(subtitle, round(9.33 * width)), NOTICE])
+    figure.supxlabel(footer, x=0.01, ha="left", fontsize=10, color=MUTED, linespacing=1.4)
+    return figure
 
 
 def lines_of(text: str, width: int = 140) -> list[str]:

@@ -1,7 +1,4 @@
-"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces.
-
-matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
-"""
+"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces."""
 
 from __future__ import annotations
 
@@ -22,8 +19,6 @@ from palpate.results.calibrated import Curve
 from palpate.results.panels import (
     FAR_COLOR,
     INK,
-    MUTED,
-    NOTICE,
     OBSERVED,
     RELEASE,
     SIMULATED,
@@ -32,6 +27,7 @@ from palpate.results.panels import (
     draw_grip,
     lines_of,
     name_axes,
+    new_figure,
 )
 from palpate.results.verdicts import COLORS, FAR, digits, in_words, numbers
 
@@ -63,21 +59,16 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     words = [_described_run(run) for run in panels]
     heights = []
     for run, (_, sentences, _) in zip(panels, words, strict=True):
-        heights += [_height(run, sentences), *[4.0] * (_field_of(run) is not None)]
-    figure, axes = _figure(heights, title, subtitle)
-    rows = iter(axes)
+        heights += [_height(run, sentences), *[4.0] * (run is not None and run.field is not None)]
+    figure = new_figure(WIDTH, sum(heights) + 1.4, title, subtitle)
+    rows = iter(figure.subplots(len(heights), height_ratios=heights, squeeze=False)[:, 0])
     for words_of, run in zip(words, panels, strict=True):
         row = next(rows)
         _head(row, *words_of)
         _draw_motion(row, run)
-        if (found := _field_of(run)) is not None:
-            draw_field(next(rows), found)
+        if run is not None and run.field is not None:
+            draw_field(next(rows), run.field)
     return figure
-
-
-def _field_of(run: InteractionEstimate | None) -> FieldEstimate | None:
-    found = None if run is None else run.main_estimate
-    return found if isinstance(found, FieldEstimate) else None
 
 
 def _height(run: InteractionEstimate | None, sentences: str) -> float:
@@ -99,7 +90,8 @@ def draw_comparison(measured: KnownForce, curves: Sequence[Curve], known: KnownF
     """
     unit = curves[0].unit if curves else "N"
     subtitle = "Measured and estimated forces." if curves else "No force was estimated where forces were measured."
-    figure, (axes,) = _figure([4.5], title, subtitle)
+    figure = new_figure(WIDTH, 5.9, title, subtitle)
+    axes = figure.subplots()
     axes.plot(measured.times, measured.force, color=OBSERVED, label="measured [N]")
     if known is not None:
         axes.plot(known.times, known.force, color=RELEASE, linewidth=4, alpha=0.4, label="which gave the scale")
@@ -128,31 +120,13 @@ def write_figure(path: Path, figure: Figure) -> None:
         figure.savefig(path)
 
 
-def _figure(heights: Sequence[float], title: str, subtitle: str) -> tuple[Figure, Sequence[Axes]]:
-    """A figure with one panel of each height [inches] below the other, a title above and a footer below them."""
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12)
-    figure = Figure(figsize=(WIDTH, sum(heights) + 1.4), dpi=100, layout=layout)
-    figure.suptitle("\n".join(lines_of(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold", color=INK)
-    footer = "\n".join([*lines_of(subtitle), NOTICE])
-    figure.supxlabel(footer, x=0.01, ha="left", fontsize=10, color=MUTED, linespacing=1.4)
-    panels = figure.subplots(len(heights), height_ratios=heights, squeeze=False)
-    return figure, list(panels[:, 0])
-
-
-def _color(name: str) -> tuple[float, ...]:
-    return tuple(channel / 255 for channel in COLORS[name])
-
-
 def _head(axes: Axes, heading: str, sentence: str, state: str) -> None:
-    """Write a heading in the colour of a state, or in ink for none, above a panel, and sentences below the heading."""
+    """Write a heading in the colour of a state above a panel, and sentences below the heading."""
     lines = lines_of(sentence)
     axes.set_title("\n".join(lines), loc="left", fontsize=10.5, color=INK, linespacing=1.3)
     axes.annotate(
         "\n".join(lines_of(heading, 110)), (0, 1), (0, 9 + 14.7 * len(lines)), "axes fraction", "offset points",
-        fontsize=13, fontweight="bold", va="bottom", color=_color(state) if state else INK, annotation_clip=False,
+        fontsize=13, fontweight="bold", va="bottom", color=np.divide(COLORS[state], 255), annotation_clip=False,
     )  # fmt: skip
 
 

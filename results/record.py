@@ -6,11 +6,13 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, distributions, version
 from os.path import isfile
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from palpate.common.files import all_below, digest_of, file_sha256
 from palpate.common.provenance import code_digest
@@ -32,18 +34,8 @@ from palpate.results.writer import ClipResults
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
-UNCALIBRATED = (
-    "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
-    "intervals hold the truth less often than that"
-)
-UNDRIVEN = (
-    "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; "
-    "the online estimator needs a clip whose tool drives the tissue"
-)
-UNEXPORTED = (
-    "{} of {} runs of contact have no scene, as not all that simulating them takes is known: "
-    "see verdict in interactions.csv"
-)
+WARNINGS: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+"""What the user should know about a clip's results, a sentence each."""
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -134,15 +126,9 @@ def build_record(
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
-            *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
-            *([UNEXPORTED.format(results.unexported, results.counts.total())] if results.unexported else []),
-            *results.doubts[:1],
-            *(
-                [f"{len(results.doubts) - 1} more runs of contact likewise: interactions.csv"]
-                if results.doubts[1:]
-                else []
-            ),
+            *_untold(results),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
@@ -150,6 +136,15 @@ def build_record(
         "overlay_encoder": results.encoder,
         "versions": versions(),
     }
+
+
+def _untold(results: ClipResults) -> Iterator[str]:
+    """What isn't known of runs of contact, in sentences."""
+    if results.unexported:
+        yield WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
+    yield from results.doubts[:1]
+    if results.doubts[1:]:
+        yield WARNINGS["doubts"].format(count=len(results.doubts) - 1)
 
 
 def _left_out(clip: ClipStream) -> list[str]:
@@ -177,32 +172,22 @@ def warnings_of(
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
         if sources[what] not in trained:
-            found.append(
-                f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
-                f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
-            )
+            words = {"what": what, "trained": " and ".join(trained), "here": sources[what]}
+            found.append(WARNINGS["elsewhere"].format(**words))
     found += source.warnings
-    if contact == "motion":
-        found.append(
-            "contact here means that a dent comes: depth that wanders, or an instrument that draws back and that no "
-            "mask shows, looks the same; see in the overlay whether something presses there"
-        )
-    elif sources["masks"] == "automatic":
-        found.append(
-            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
-            "contact here means in view, until the instrument has moved and tissue did not move with it"
-        )
+    if contact == "motion" or sources["masks"] == "automatic":
+        found.append(WARNINGS["motion" if contact == "motion" else "automatic"])
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]
         if hit:
-            share = f"{len(hit)} of {len(frames)} frames are {status}"
-            found.append(f"{share}, the first is {hit[0].frame}: {hit[0].detail}")
+            words = {"count": len(hit), "frames": len(frames), "status": status}
+            found.append(WARNINGS["persistent"].format(first=hit[0].frame, detail=hit[0].detail, **words))
     if isinstance(model, PosteriorModel) and not model.calibrated:
-        found.append(UNCALIBRATED)
+        found.append(WARNINGS["uncalibrated"])
     # Contact posteriors of version 1 did not say.
     trained = PREPROCESSING_VERSION if model is None else metadata.get("preprocessing_version", 1)
     if trained != PREPROCESSING_VERSION:
-        found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
+        found.append(WARNINGS["version"].format(trained=trained, here=PREPROCESSING_VERSION))
     return found
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import yaml
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -23,7 +24,6 @@ from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain
 from palpate.common.files import file_sha256
-from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
@@ -50,18 +50,8 @@ from palpate.results.record import build_record, depends_on, fingerprint_of, mod
 from palpate.results.sequence import write_sequence
 from palpate.results.writer import ClipResults
 
-WORDS = {
-    "depth.model": "--depth-model",
-    "depth.preset": "--depth-preset",
-    "depth.source": "--depth",
-    "geometry.contact": "--contact",
-    "geometry.smoothing": "--smoothing",
-    "give the noise": "give --noise",
-    "layout.topic": "--topic",
-    "fewer --workers": "fewer --jobs",
-    **{f"device {name}": f"--device {name}" for name in PROVIDERS},
-}
-"""Settings and the options that they are on the command line, for messages."""
+TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+"""What a batch says."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
 OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "known_force")
@@ -115,31 +105,20 @@ class Batch:
         names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
-        if self.calibration is not None and self.estimator.name == "online":
-            raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
-        if self.calibration is not None and self.known is not None:
-            raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
-        if options.force_limit is not None and self.estimator.name not in MAPPING:
-            raise ValueError(
-                "--force-limit needs a force and its interval, which --estimator "
-                f"{self.estimator.name} does not give; take network or direct."
-            )
-        if options.force_limit is not None and self.calibration is not None and not self.calibration.tells:
-            raise ValueError(
-                f"--force-limit is in newtons with --calibration, and {self.calibration.path} tells none; give known_s "
-                "there, or leave --calibration out."
-            )
-        if options.export is not None and self.estimator.name == "gan":
-            raise ValueError(
-                "--export writes what has intervals, which --estimator gan does not give; take network, direct or "
-                "online."
-            )
-        if options.bag is not None and (self.estimator.name == "online" or find_spec("rosbags") is None):
-            raise ValueError("--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.")
-        if options.scheduler is not None and options.jobs > 1:
-            raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
-        if options.shard and self.calibration is not None and self.calibration.of_one_clip:
-            raise ValueError(f"{self.calibration.path} scales all clips by one; leave --shard out, or give --jobs.")
+        name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
+        wrong = {
+            "calibration of online": known is not None and name == "online",
+            "newtons twice": known is not None and self.known is not None,
+            "limit without force": limited and name not in MAPPING,
+            "limit without newtons": limited and known is not None and not known.tells,
+            "export of gan": options.export is not None and name == "gan",
+            "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
+            "workers twice": options.scheduler is not None and options.jobs > 1,
+            "shard of a scale": options.shard and known is not None and known.of_one_clip,
+        }
+        refused = next((what for what, is_so in wrong.items() if is_so), None)
+        if refused is not None:
+            raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
         chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         newtons = self.calibration is not None or (self.known and not isinstance(self.estimator, NetworkEstimator))
@@ -400,7 +379,7 @@ def sentence_of(error: Exception) -> str:
 
 def in_options(text: str) -> str:
     """Sentences in this program's words: settings are options here."""
-    for setting, option in WORDS.items():
+    for setting, option in TEXTS["words"].items():
         text = text.replace(setting, option)
     return text
 

@@ -53,8 +53,7 @@ class FrameSpool:
         entries, self._entries = self._entries, []
         self._file.seek(0)
         for estimate, picture, labels in entries:
-            image = self._read(picture, cv2.IMREAD_COLOR)
-            image = None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            image = self._read(picture, cv2.IMREAD_COLOR_RGB)
             yield Waiting(image, self._read(labels, cv2.IMREAD_UNCHANGED), estimate)
         self._file.seek(0)
         self._file.truncate()

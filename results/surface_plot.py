@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.results.panels import INK, MUTED, NOTICE, lines_of
+from palpate.results.panels import MUTED, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,17 +36,15 @@ def draw_surface_errors(
         hole: radius of what the tool hides [mm].
         title: of the figure.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
     from matplotlib.patches import Circle
 
     panels = {"as fitted": fitted}
     if softer is not None:
         panels |= {"half as stiff": softer, "half as stiff less as fitted": softer - fitted}
-    layout = ConstrainedLayoutEngine(rect=(0, 0.12, 1, 0.8))  # between title and footer
-    figure = Figure(figsize=(4.6 * len(panels) + 1, 6.2), dpi=100, layout=layout)
-    figure.text(0.01, 0.98, "\n".join(lines_of(title, 45 * len(panels))), va="top", fontsize=14, color=INK)
     near, drawn = np.linalg.norm(places, axis=1) < HOLE_MARGIN * hole, []
+    scale = "All panels on one scale, means over cells; > 0: measured outside the simulated one."
+    circles = "Dashed: what the tool hides, left out. Dotted: next to the tool."
+    figure = new_figure(4.6 * len(panels) + 1, 6.2, title, f"{scale} {circles}")
     rows = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
     for axes, (name, distance) in zip(rows, panels.items(), strict=True):
         visible = np.isfinite(distance)
@@ -61,9 +59,7 @@ def draw_surface_errors(
     limit = max(float(np.abs(np.quantile(np.asarray(each.get_array()), (0.02, 0.98))).max()) for each in drawn)
     for each in drawn:
         each.set_clim(-limit, limit)
-    figure.colorbar(drawn[0], ax=list(rows), label="measured less simulated surface [mm]", extend="both", shrink=0.8)
-    scale = f"All panels on one scale of ± {limit:.2f} mm, means over cells; > 0: measured outside the simulated one."
-    circles = "Dashed: what the tool hides, left out. Dotted: next to the tool."
-    footer = "\n".join([*lines_of(f"{scale} {circles}", 60 * len(panels)), NOTICE])
-    figure.text(0.01, 0.02, footer, va="bottom", fontsize=10, color=MUTED)
+    figure.colorbar(
+        drawn[0], ax=list(rows), label=f"measured less simulated surface, ± {limit:.2f} mm", extend="both", shrink=0.8
+    )
     return figure

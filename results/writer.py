@@ -225,10 +225,10 @@ class ClipResults:
             self._draw_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
-            self._open.close()
-            write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             if self.calibration is not None:
                 self._write_newtons(self.calibration, title)
+            self._open.close()
+            write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
             # Of a slab |F| over stiffness is no length.
@@ -247,14 +247,11 @@ class ClipResults:
             figure = draw_comparison(calibration.measured, calibration.curves, calibration.known, title)
             write_figure(self._partial / store.COMPARISON, figure)
         for name, header, rows in tables:
-            with ExitStack() as opened:
-                table = self._open_table(name, header, opened)
-                table.writerows(columns.row(header, values) for values in rows)
+            self._open_table(name, header).writerows(columns.row(header, values) for values in rows)
 
-    def _open_table(self, name: str, header: Mapping[str, str], opened: ExitStack | None = None) -> Any:
-        """A CSV file with its head written, open as long as `opened`, or all of the clip's."""
+    def _open_table(self, name: str, header: Mapping[str, str]) -> Any:
+        """A CSV file with its head written, open as long as all of the clip's."""
         path = self._partial / name
-        opened = self._open if opened is None else opened
-        rows = csv.writer(opened.enter_context(path.open("w", encoding="utf-8", errors="replace", newline="")))
+        rows = csv.writer(self._open.enter_context(path.open("w", encoding="utf-8", errors="replace", newline="")))
         rows.writerow(header)
         return rows

@@ -208,7 +208,7 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 @pytest.mark.parametrize(
     ("library", "user"),
     [
-        ("matplotlib", "palpate.results.plots"),
+        ("matplotlib", "palpate.results.panels"),
         ("scipy.stats", "palpate.estimators.direct.sampling"),
         ("jinja2", "palpate.results.page.render"),
     ],

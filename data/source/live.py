@@ -136,27 +136,27 @@ def open_live(
     """
     if size is not None and where != "-":
         raise InputError(f"{where} has pictures of a size of its own; leave --size out.")
+    clocked = where.isdecimal() or "://" in where
     if where == "-":
         if size is None:
             raise InputError("pictures from a pipe have no size of their own; give --size, such as --size 854x480.")
-        return LiveSource("pipe", islice(_piped(pipe, size), 0, None, every), (fps or 25.0) / every, max_latency)
-    if where.isdecimal() or "://" in where:
+        name, pictures, rate = "pipe", _piped(pipe, size), fps or 25.0
+    elif clocked:
         camera = int(where) if where.isdecimal() else where
         name = f"camera {where}" if where.isdecimal() else where
         capture = cv2.VideoCapture(camera)
         if not capture.isOpened():
             raise InputError(f"{name} can't be opened; check that it is there and not in use.")
         stated = capture.get(cv2.CAP_PROP_FPS)
-        rate = fps or (stated if 0 < stated <= LARGEST_FPS else 25.0)
-        return LiveSource(
-            name, islice(_captured(camera, capture), 0, None, every), rate / every, max_latency, clocked=True
-        )
-    if not Path(where).is_file():
-        raise InputError(f"{where} is no file, stream or camera; give a path, an address, a camera's number, or -.")
-    if fps is not None:
-        raise InputError(f"{where} is played at its own rate; leave --fps out.")
-    video = VideoFile(Path(where))
-    return LiveSource(video.name, islice(_played(video), 0, None, every), video.fps / every, max_latency)
+        pictures, rate = _captured(camera, capture), fps or (stated if 0 < stated <= LARGEST_FPS else 25.0)
+    else:
+        if not Path(where).is_file():
+            raise InputError(f"{where} is no file, stream or camera; give a path, an address, a camera's number, or -.")
+        if fps is not None:
+            raise InputError(f"{where} is played at its own rate; leave --fps out.")
+        video = VideoFile(Path(where))
+        name, pictures, rate = video.name, _played(video), video.fps
+    return LiveSource(name, islice(pictures, 0, None, every), rate / every, max_latency, clocked=clocked)
 
 
 def _captured(camera: int | str, capture: cv2.VideoCapture) -> Generator[np.ndarray]:

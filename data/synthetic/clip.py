@@ -19,7 +19,7 @@ from palpate.data.synthetic.grip import GrippedMotion, draw_grip
 from palpate.data.synthetic.render import Renderer
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import SlabMotion, draw_slab
+from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, draw_slab
 from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 from palpate.data.synthetic.turning import CameraTurning
 
@@ -44,7 +44,11 @@ class SyntheticClip:
     """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
 
 
-def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion | SlabMotion]:
+Truth = PressedMotion | GrippedMotion | PressedSlab | GrippedSlab
+"""True motion of a clip."""
+
+
+def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
     """Scene and true motion of a clip, without its pictures.
 
     Geometry, motion, looks and errors of observation have a random stream each, so that changing the errors leaves the
@@ -53,22 +57,10 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion
     Raises:
         SceneError: the settings leave nothing to draw.
     """
-    if settings.tissue == "sheet" and settings.action == "press":
-        return draw_press(settings, seed)
-    scene = draw_scene(settings, np.random.default_rng([seed, 0]))
+    scene, generator = draw_scene(settings, np.random.default_rng([seed, 0])), np.random.default_rng([seed, 1])
     if settings.tissue == "slab":
-        return scene, draw_slab(scene, np.random.default_rng([seed, 1]))
-    return scene, draw_grip(scene, np.random.default_rng([seed, 1]))
-
-
-def draw_press(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion]:
-    """Scene and true motion of a press on a sheet, without its pictures.
-
-    Raises:
-        SceneError: the settings leave nothing to draw.
-    """
-    scene = draw_scene(settings, np.random.default_rng([seed, 0]))
-    return scene, draw_motion(scene, np.random.default_rng([seed, 1]))
+        return scene, draw_slab(scene, generator)
+    return scene, draw_grip(scene, generator) if settings.action == "grip" else draw_motion(scene, generator)
 
 
 def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -90,15 +82,6 @@ def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.nd
             image, labels, depth = turning.turned(index, image, labels, depth)
         depth = depth * bias
         yield image, observe_labels(labels, settings, mask_errors), observe_depth(depth, settings, depth_errors)
-
-
-def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
-    """Make a clip in memory; the same settings and seed give the same arrays.
-
-    Raises:
-        SceneError: the settings leave nothing to draw.
-    """
-    return synthetic_clip(*draw_truth(settings, seed), seed)
 
 
 def synthetic_clip(scene: Scene, motion: TrueMotion, seed: int) -> SyntheticClip:

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from palpate.data.source.camera import back_project
-from palpate.data.synthetic.render import EXPOSURE_DISTANCE, GREY, bumps, reflectance, rest_labels, surface_normals
+from palpate.data.synthetic.render import bumps, labels_in, reflectance, rest_labels, surface_normals
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.surface import SMALLEST_DRAWN, SheetView, rest_view
-from palpate.data.synthetic.tool import Tool, draw_tool
+from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, Tool, draw_tool
 from palpate.data.synthetic.truth import TrueMotion
 
 SCATTERING = (0.9, 0.5, 0.35)
@@ -55,10 +55,8 @@ class EndoscopeRenderer:
         distance = np.square(self._rays[..., :2]).sum(axis=-1)
         self._vignetting = 1 - generator.uniform(0.1, 0.4) * distance / distance.max()
         self._smoke, self._drift = generator.uniform(0, 0.08), generator.uniform(-1, 1, 2)
-        coarse = (
-            round(camera.height / cell[1] / SMOKE_SIZE * 2) + 2,
-            round(camera.width / cell[0] / SMOKE_SIZE * 2) + 2,
-        )
+        sides = (camera.height, cell[1]), (camera.width, cell[0])
+        coarse = [round(side / of_cell / SMOKE_SIZE * 2) + 2 for side, of_cell in sides]
         self._wisps = np.clip(0.5 + 0.3 * generator.standard_normal(coarse), 0, 1).astype(np.float32)
         self._gain: float | None = None
         """Logarithm of the exposure; None before the first frame, which finds its own."""
@@ -73,15 +71,11 @@ class EndoscopeRenderer:
             z, shape [H, W], float32 [scene units].
         """
         view = self._view(index)
-        labels = cv2.remap(self._labels, view.rest_u, view.rest_v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        depth, tool = view.depth.copy(), None
-        if self.scene.settings.tool_in_view:
-            tool = draw_tool(self.scene, self.motion, index, view)
+        labels, depth = labels_in(view, self._labels), view.depth.copy()
+        tool = draw_tool(self.scene, self.motion, index, view) if self.scene.settings.tool_in_view else None
         light = self._tissue_light(view, tool)
         if tool is not None:
-            labels[tool.rows, tool.columns] = GREY["grasper"]
-            depth[tool.rows, tool.columns] = tool.depth
-            light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
+            tool.paint(labels, light, depth)
         return self._camera(light, index), labels, depth
 
     def _view(self, index: int) -> SheetView:

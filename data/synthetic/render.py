@@ -14,7 +14,7 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.camera import back_project
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
-from palpate.data.synthetic.tool import draw_tool
+from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool
 from palpate.data.synthetic.truth import TrueMotion
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
@@ -23,8 +23,6 @@ ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdom
 """Linear RGB of the tissues."""
 FAT_ALBEDO = (0.78, 0.62, 0.25)
 """Linear RGB of fat."""
-EXPOSURE_DISTANCE = 0.5
-"""Distance at which a white surface facing the light is at full scale [scene units]."""
 HIGHLIGHT_EXPONENT = 1500
 """Phong exponent of the wet surface: the light is mirrored within about 2 degrees."""
 FAT_LIFT = 0.04
@@ -55,18 +53,14 @@ class Renderer:
             z, shape [H, W], float32 [scene units].
         """
         view = deformed_view(self.scene, self.motion, index, self.rest)
-        labels, light, depth = self.rest_labels.copy(), self.rest_light.copy(), view.depth.copy()
+        labels, light, depth = labels_in(view, self.rest_labels), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
             light[view.region] = self._tissue_light(view, view.region)
-            maps = view.rest_u[view.region], view.rest_v[view.region]
-            labels[view.region] = cv2.remap(self.rest_labels, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
         if self.scene.settings.occlusion > 0:
             self._add_fat(index, labels, light, depth)
         if self.scene.settings.tool_in_view:
             tool = draw_tool(self.scene, self.motion, index, view).visible(labels != GREY["fat"], depth)
-            labels[tool.rows, tool.columns] = GREY["grasper"]
-            depth[tool.rows, tool.columns] = tool.depth
-            light[tool.rows, tool.columns] = tool.light * np.square(EXPOSURE_DISTANCE / tool.depth)[:, None]
+            tool.paint(labels, light, depth)
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
         picture = encode_srgb(np.clip(blurred, 0, 1))
         if self.scene.settings.image_noise > 0:
@@ -154,6 +148,11 @@ def rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     labels[x * math.cos(angle) + y * math.sin(angle) + wave > 0.36] = GREY["abdominal wall"]
     labels[scene.outline.level(columns, rows) > 0] = GREY["gallbladder"]
     return labels
+
+
+def labels_in(view: SheetView, labels: np.ndarray) -> np.ndarray:
+    """Class codes of the sheet in a view, from those of the sheet at rest, shape [H, W] each."""
+    return cv2.remap(labels, view.rest_u, view.rest_v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
 
 
 def reflectance(scene: Scene, labels: np.ndarray, generator: np.random.Generator) -> np.ndarray:

@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.data.masks.class_table import CLASSES
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.synthetic.surface import SheetView
 from palpate.data.synthetic.truth import TrueMotion
 
+EXPOSURE_DISTANCE = 0.5
+"""Distance at which a white surface facing the light is at full scale [scene units]."""
 SHAFT_RADIUS = 0.021
 """Radius of the shaft [scene units]."""
 TIP_START = 0.5
@@ -64,6 +67,12 @@ class Tool:
         pixels = self.rows, self.columns
         kept = bare[pixels] | (self.depth < depth[pixels])
         return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
+
+    def paint(self, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
+        """Draw it into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place."""
+        labels[self.rows, self.columns] = CLASSES["grasper"].grey
+        light[self.rows, self.columns] = self.light * np.square(EXPOSURE_DISTANCE / self.depth)[:, None]
+        depth[self.rows, self.columns] = self.depth
 
 
 def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:

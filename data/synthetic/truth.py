@@ -31,6 +31,8 @@ VARIATION_LENGTH = 6.0
 """Correlation length of the spring-to-spring variation [grid px]."""
 TIME_TOLERANCE = 1e-9
 """Times closer than this are equal [s]."""
+STEP = PressShape()
+"""The simplest press: on a vertex, at once."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 REGIMES: tuple[Regime, ...] = get_args(Regime)
@@ -175,7 +177,7 @@ def simulate_motion(
     variation: np.ndarray | None = None,
     delay: float = 0.0,
     release_delay: float = 0.0,
-    shape: PressShape | None = None,
+    shape: PressShape = STEP,
 ) -> PressedMotion:
     """Integrate the sheet from rest through press and release.
 
@@ -186,7 +188,7 @@ def simulate_motion(
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
         delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
             interval each.
-        shape: shape of the press; None = the middle of what the settings allow, along the normal.
+        shape: of the press.
 
     Raises:
         SceneError: the force ends before it starts.
@@ -196,7 +198,6 @@ def simulate_motion(
     load = (release - onset) / settings.fps + release_delay - delay
     if load <= 0:
         raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
-    shape = shape or middle_shape(settings, load)
     after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
     window, frames, response = _integrate(scene, _Pressing(theta, load, shape, variation), after, fine)
@@ -255,12 +256,6 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     return PressShape(radius, (0.0, 0.0), rise, fall, (lean * math.cos(angle), lean * math.sin(angle)))
 
 
-def middle_shape(settings: SceneSettings, load: float) -> PressShape:
-    """Shape of a press with every number in the middle of its range, along the normal."""
-    radius, rise, fall = (sum(ends) / 2 for ends in (settings.patch_radius, settings.rise, settings.fall))
-    return PressShape(radius, (0.0, 0.0), *_course(settings, load, rise, fall))
-
-
 def _course(settings: SceneSettings, load: float, rise: float, fall: float) -> tuple[float, float]:
     """Times in which a force that lasts for `load` rises and falls [s]; `rise` and `fall` are its shares for `hold`."""
     if settings.profile == "hold":
@@ -307,7 +302,7 @@ def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
     return math.ceil(min(wave, diffusion)) + 8
 
 
-def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape | None = None) -> MeshWindow:
+def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape) -> MeshWindow:
     """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
     mesh, vertices, cut = crop_mesh(scene.mesh, scene.vertex, radius)
     count = np.arange(len(mesh.springs))
@@ -320,7 +315,7 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: P
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))
     pressed, shares = np.array([contact]), np.ones(1)
-    if shape is not None and shape.radius:
+    if shape.radius:
         press = Press.on_patch(mesh, contact, shape.radius, scene.direction, np.ones(1))
         pressed, shares = press.vertices, press.weights
     held = mesh.rim.copy()

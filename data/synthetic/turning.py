@@ -25,7 +25,6 @@ class CameraTurning:
         self._size = np.radians(settings.turning_deg) * generator.uniform(0.3, 1, 3)
         self._rate = 2 * np.pi / generator.uniform(*PERIODS, 3)
         self._phase = generator.uniform(0, 2 * np.pi, 3)
-        self._matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
         self._rays = back_project(np.ones((camera.height, camera.width)), camera)
 
     def rotation(self, index: int) -> np.ndarray:
@@ -38,7 +37,7 @@ class CameraTurning:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Picture, labels and depth of a frame, each [H, W, …], as the turned camera has them."""
         turn, size = self.rotation(index), (self._camera.width, self._camera.height)
-        warp = self._matrix @ turn @ np.linalg.inv(self._matrix)
+        warp = self._camera.matrix @ turn @ np.linalg.inv(self._camera.matrix)
         along = (depth * (self._rays @ turn[2])).astype(np.float32)
         image, labels, along = (
             cv2.warpPerspective(part, warp, size, flags=flags, borderMode=cv2.BORDER_REFLECT)

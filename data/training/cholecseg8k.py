@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from palpate.common.command_line import path_option, say
+from palpate.common.command_line import add_listed, path_option, say
 from palpate.common.doors import plain
 from palpate.data.cache import PreparedClip, require_models
 from palpate.data.depth.normalise import DepthSettings
@@ -97,13 +98,8 @@ def print_table(clips: Sequence[PreparedClip], console: Console) -> None:
 def _parser() -> argparse.ArgumentParser:
     text = "Prepare a data set's depth and geometry, and say what of it training can use."
     parser = argparse.ArgumentParser(prog="python -m data.cholecseg8k", description=text)
-    parser.add_argument("root", type=path_option, metavar="DIR", help="folder of the data set, or of one clip")
-    parser.add_argument("--depth", default="auto", help="auto, stored, a preset's name, or an .onnx file (%(default)s)")
-    parser.add_argument("--depth-model", metavar="FILE", help="ONNX file of the preset")
-    masks = "auto, annotation, automatic, or a file: an .onnx model or outlines in .yaml (%(default)s)"
-    parser.add_argument("--masks", default="auto", help=masks)
-    parser.add_argument("--layout", type=path_option, metavar="FILE", help="YAML file that names a clip's files")
-    parser.add_argument("--cache", type=path_option, default=Path("runs/cache"), help="of results (%(default)s)")
+    listed = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    add_listed(parser, listed, {"path": path_option})
     return parser
 
 

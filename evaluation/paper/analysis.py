@@ -9,7 +9,7 @@ import pandas as pd
 
 from palpate.data.contact.interaction import Interaction
 from palpate.evaluation.paper import simulated, statistics
-from palpate.evaluation.paper.statistics import Statistics, compare, format_number, summarise
+from palpate.evaluation.paper.statistics import SENTENCES, Statistics, compare, format_number, summarise
 from palpate.physics.mechanics import PARAMETERS, REFERENCE_DAMPING, REFERENCE_STIFFNESS, Bounds, Mechanics
 
 Record = Mapping[str, Any]
@@ -25,10 +25,6 @@ REGIMES = {
 """Column of the table of frames by simulated parameters, in the order of tables."""
 GIVEN = ["clip", "frame", "error_reference", "error_predicted", "next_depth_error", "copy_error", "theta_sensitivity"]
 """Columns of the table of frames that come from the records."""
-DEFINITIONS = (
-    f"Reference θ: k_s = {REFERENCE_STIFFNESS}, k_d = {REFERENCE_DAMPING} from the literature, F and all else "
-    "identical. Constant θ: fitted on training contacts. Mean of predicted θ: over the test frames. No motion: F = 0."
-)
 CONDITION_SHARE = 0.05
 """Below this fraction of the change between frames, a change of θ hardly reaches the decoded picture."""
 
@@ -71,11 +67,8 @@ def describe_depth(depth: Mapping[str, Statistics]) -> str:
     """One sentence on how far θ changes the decoded picture."""
     moved, error, change = (depth[name]["mean"].value for name in ("sensitivity", "decoder", "copy"))
     share = moved / change if change else np.nan
-    return (
-        f"Moving θ to the farthest corner of the admissible box changes the decoded depth by {format_number(moved)} "
-        f"scene units, {format_number(100 * share)} % of the change between frames (the decoder's own error: "
-        f"{format_number(error)}): θ {'reaches' if share >= CONDITION_SHARE else 'hardly reaches'} the picture."
-    )
+    words = {"moved": format_number(moved), "share": format_number(100 * share), "error": format_number(error)}
+    return SENTENCES["depth"].format(reaches="reaches" if share >= CONDITION_SHARE else "hardly reaches", **words)
 
 
 def analyse_depth(frames: pd.DataFrame) -> dict[str, Statistics]:
@@ -135,8 +128,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
             *(statistics.describe(found, "The predicted θ", name) for name, found in comparisons.items()),
             statistics.describe(depth["comparison"], "The decoder's next depth map", "repeating the last frame"),
             describe_depth(depth),
-            f"Test frames: {len(frames)}; observed motions of a contact behind them: {len(observed)}. Where frames "
-            "share one, p-values and intervals over frames overstate what they prove.",
-            DEFINITIONS,
+            SENTENCES["amounts"].format(frames=len(frames), observed=len(observed)),
+            SENTENCES["definitions"].format(stiffness=REFERENCE_STIFFNESS, damping=REFERENCE_DAMPING),
         ),
     )

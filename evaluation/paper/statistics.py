@@ -11,15 +11,19 @@ and whether they explain the observed motion better than constants do.
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
+import yaml
 from numpy.typing import ArrayLike
 from scipy import stats
 
 from palpate.physics.mechanics import PARAMETERS, Bounds
 
+SENTENCES: dict[str, str] = yaml.safe_load(Path(__file__).with_name("sentences.yaml").read_text(encoding="utf-8"))
+"""What is said of numbers."""
 RESAMPLES = 10_000
 """Bootstrap resamples (Bini 2026, section 4.1)."""
 CONFIDENCE = 0.95
@@ -178,10 +182,7 @@ def judge(comparison: Statistics) -> Literal["better", "worse", "no different", 
 
 def describe(comparison: Statistics, regime: str, baseline: str) -> str:
     """One sentence on a paired comparison, the clip-level interval included."""
-    return (
-        "{regime} against {baseline}: {verdict}. Change of the mean error [%]: {relative_change_percent}; Wilcoxon p: "
-        "{wilcoxon_p}; frames: {n} of clips: {clips}; mean difference over resampled clips: {difference_clip_interval}."
-    ).format(regime=regime, baseline=baseline, verdict=judge(comparison), **comparison)
+    return SENTENCES["comparison"].format(regime=regime, baseline=baseline, verdict=judge(comparison), **comparison)
 
 
 def as_reported(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -220,12 +221,12 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
 def describe_spread(spread: pd.DataFrame) -> str:
     """The verdict on the spread of all three parameters, in one sentence."""
     widths = ", ".join(f"{name} {format_number(100 * share)} %" for name, share in spread["sd_of_range"].items())
-    grounds = f"(SD in % of the admissible range: {widths}; a constant predictor has 0)."
+    grounds = SENTENCES["grounds"].format(widths=widths)
     if (spread["verdict"] == "n too small").any():
-        return f"Undetermined, n too small: whether the estimates vary or have collapsed to a constant {grounds}"
+        return SENTENCES["small"].format(grounds=grounds)
     constant = spread.index[spread["verdict"] == "constant"]
     verdict = ("Varies", "Partly collapsed", "Partly collapsed", "Collapsed")[len(constant)]
-    return f"{verdict}; practically constant over the test frames: {' and '.join(constant) or 'none'} {grounds}"
+    return SENTENCES["spread"].format(verdict=verdict, constant=" and ".join(constant) or "none", grounds=grounds)
 
 
 def conclude(spread: pd.DataFrame, constant: Statistics, reference: Statistics) -> str:
@@ -235,24 +236,18 @@ def conclude(spread: pd.DataFrame, constant: Statistics, reference: Statistics) 
         spread: from `spread_of`.
         constant, reference: comparisons with the constant θ and with the literature constants.
     """
-    verdict = judge(constant)
-    clips, rival = int(constant["clips"].value), "the constant θ fitted on the training contacts"
+    verdict, clips = judge(constant), int(constant["clips"].value)
     if not clips:
-        lead = f"No conclusion: on no test frame can the estimates be compared with {rival}"
+        said = "nothing"
     elif clips < MINIMUM_FOR_WILCOXON:
-        lead = (
-            f"{'One clip' if clips == 1 else f'{clips} clips'}: too few to judge whether the estimates beat {rival}. "
-            f"With fewer than {MINIMUM_FOR_WILCOXON} clips no two-sided signed-rank test over clips can fall below "
-            f"p = {SIGNIFICANCE:g}, and frames of one clip are not independent"
-        )
+        said = "few_clips"
     elif verdict == "too few to judge":
-        lead = f"Too few frames to judge whether the estimates beat {rival}: {constant['wilcoxon_w']}"
+        said = "few_frames"
     elif verdict == "better":
-        lead = f"The estimates beat {rival}"
-        if not constant["difference_clip_interval"].low > 0:
-            lead += ", with frames taken as independent; resampled clips do not confirm it"
+        said = "better" if constant["difference_clip_interval"].low > 0 else "unconfirmed"
     else:
-        lead = f"No success: the estimates do not beat {rival}"
-        if judge(reference) == "better":
-            lead += "; they beat only the literature constants, and that is not success"
+        said = "not_success" if judge(reference) == "better" else "not_better"
+    words = {"rival": "the constant θ fitted on the training contacts", "why": constant["wilcoxon_w"]}
+    words |= {"clips": "One clip" if clips == 1 else f"{clips} clips"}
+    lead = SENTENCES[said].format(fewest=MINIMUM_FOR_WILCOXON, significance=SIGNIFICANCE, **words)
     return f"{lead}. {describe_spread(spread)}"

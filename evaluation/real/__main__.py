@@ -20,20 +20,14 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from rich.progress import Progress
-
-from palpate.common.doors import interruptible
 from palpate.common.provenance import ROOT
-from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.grip.lattice import NothingMoves
 from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
-from palpate.evaluation.harness import OK, Experiment, Report, Row, by_measure, run
+from palpate.evaluation.harness import Measurements, Row, run
 from palpate.evaluation.real.predicted import evaluate_prediction
 from palpate.evaluation.real.pulled import PulledClip, evaluate_pull
 
@@ -44,25 +38,8 @@ KNOWN = {
 """Pulled clips, below the data's folder."""
 
 
-def judge(case: tuple[Real, tuple[str]]) -> list[Row]:
-    """What is measured of a clip, by name, as far as it comes."""
-    asked, (name,) = case
-    clip, row = asked.wanted[name,], Row(clip=name, status="")
-    try:
-        with interruptible():
-            if asked.online is None:
-                evaluate_pull(clip, row)
-            else:
-                row |= evaluate_prediction(clip, asked.online)
-    except Exception as error:  # of one clip; the others still are judged
-        known = isinstance(error, InputError | NoEstimate | NothingMoves)
-        unexpected = f"unexpected {type(error).__name__} ({error}); please report it with the clip."
-        row["status"] = str(error) if known else unexpected
-    return [row]
-
-
 @dataclass(frozen=True)
-class Real(Experiment):
+class Real(Measurements):
     """What is judged."""
 
     data: Path | None = None
@@ -79,7 +56,6 @@ class Real(Experiment):
     """of online (default: as configs/online.yaml)"""
 
     keys: ClassVar = ("clip",)
-    work: ClassVar = staticmethod(judge)
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together, or a file of settings can't be used."""
@@ -92,7 +68,7 @@ class Real(Experiment):
         for name in FILES if self.online is not None else ():
             if getattr(self.online, name) is not None:
                 raise ValueError(f"{self.settings} names a file of {name}, which is for infer.py; leave it out here.")
-        if not self.wanted:
+        if not self.clips:
             where = "" if self.data is None else f"; {self.data} holds none of {', '.join(KNOWN)}"
             raise ValueError(f"there is nothing to judge{where}. Give --data or --pulled.")
 
@@ -104,33 +80,28 @@ class Real(Experiment):
         return OnlineSettings() if self.settings is None else load_settings(self.settings)
 
     @functools.cached_property
-    def wanted(self) -> dict[tuple[str], PulledClip]:
-        """Clips by their names; a second one of a name is numbered."""
+    def clips(self) -> dict[str, PulledClip]:
+        """By their names; a second one of a name is numbered."""
         clips = []
         if self.data is not None:
             below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
             clips += [(name, clip) for name, clip in below.items() if clip.path.exists()]
         if self.pulled is not None:
             clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout, self.masks)))
-        found: dict[tuple[str], PulledClip] = {}
+        found: dict[str, PulledClip] = {}
         for name, clip in clips:
-            found[f"{name} (2)" if (name,) in found else name,] = clip
+            found[f"{name} (2)" if name in found else name] = clip
         return found
+
+    @property
+    def wanted(self) -> dict[str, Callable[[], Row]]:
+        """What judges each clip, by its name."""
+        judge = evaluate_pull if self.online is None else functools.partial(evaluate_prediction, settings=self.online)
+        return {name: functools.partial(judge, clip) for name, clip in self.clips.items()}
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
-        return {f"clip {name}": repr((clip, self.online)) for (name,), clip in self.wanted.items()}
-
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
-        """Those that could not be judged are tried again."""
-        return super().cases({key: row for key, row in done.items() if row["status"] == OK}, progress)
-
-    def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """A row a clip and measure."""
-        found = [rows[key] for key in self.wanted if key in rows]
-        frame = by_measure(found, "clip")
-        failed = [(f"{row['clip']}: {row['status']}", "red") for row in found if row["status"] != OK]
-        return Report({"table.csv": frame}, [frame], failed, failed=bool(failed))
+        return {f"clip {name}": repr((clip, self.online)) for name, clip in self.clips.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,17 +6,16 @@ since that frame, root mean squares over the points that are followed in both an
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from palpate.data.clip import ClipStream
+from palpate.api import open_clip
 from palpate.data.labels import TOOL, MaskError
 from palpate.data.masks.sources import MaskClasses, open_masks
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.following import MARGIN, PointFollower, shrunk
-from palpate.estimators.contract import Chosen
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.lattice import GripFrame, length
 from palpate.estimators.grip.recorder import DRIVEN
@@ -34,16 +33,6 @@ LEAST_POINTS = 20
 """Fewer points that are followed in both frames judge nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Follow:
-    """Followed points of a clip; N points, T frames after the first."""
-
-    lattice: Lattice
-    """The points."""
-    frames: list[GripFrame]
-    """T of them."""
-
-
 def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     """Follow, step on frame by frame, predict, and judge: what is measured, by name.
 
@@ -51,24 +40,24 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
         InputError: the clip can't be read, is too short, or shows no tool or no tissue with depth.
         NothingMoves: no sheet can be fitted to the frames that both see.
     """
-    follow = follow_clip(clip)
-    if len(follow.frames) < min(FROM) + AHEAD:
+    lattice, frames = follow_clip(clip)
+    if len(frames) < min(FROM) + AHEAD:
         raise InputError(f"{clip.path} has fewer than {min(FROM) + AHEAD + 1} usable frames; give more of them.")
     surface = first_surface(clip, settings)
     measures: Row = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    points, spacing = (follow.lattice.points, follow.lattice.distance), follow.lattice.spacing
+    points, spacing = (lattice.points, lattice.distance), lattice.spacing
     tissue = DrivenTissue(surface, *points, settings, spacing)
     for index in FROM:
-        if index + AHEAD > len(follow.frames):
+        if index + AHEAD > len(frames):
             continue
         # Anew each time: what is fitted may see the frames up to this one.
         fitted = replace(settings, fitted=min(settings.fitted, index))
         tissue = DrivenTissue(surface, *points, fitted, spacing)
-        for frame in follow.frames[:index]:
+        for frame in frames[:index]:
             tissue.step(frame.moved)
-        frame = follow.frames[index - 1]
-        later = follow.frames[index : index + AHEAD]
+        frame = frames[index - 1]
+        later = frames[index : index + AHEAD]
         around, now, then = tissue.around, frame.moved, later[-1].moved
         used = _judged(around, frame, later[-1])
         chosen = around[used]
@@ -77,8 +66,8 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
             continue
         since = then[chosen] - now[chosen]
         ahead = tissue.ahead(np.stack([item.moved for item in later]))
-        ratio = follow.lattice.ratio(follow.frames[:index])
-        resting, pulled = (follow.lattice.motion(each, ratio)[chosen] for each in (frame, later[-1]))
+        ratio = lattice.ratio(frames[:index])
+        resting, pulled = (lattice.motion(each, ratio)[chosen] for each in (frame, later[-1]))
         found = {
             "online": ahead.since[-1][used],
             "sheet": pulled - resting,
@@ -110,8 +99,11 @@ def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
     return (now.around & then.around)[around]
 
 
-def follow_clip(clip: PulledClip) -> Follow:
+def follow_clip(clip: PulledClip) -> tuple[Lattice, list[GripFrame]]:
     """Follow the tissue's points through a clip, from its first frame on in which a mask shows an instrument.
+
+    Returns:
+        The points, and where they are in the frames after the first.
 
     Raises:
         InputError: it can't be read, or no two frames can be used.
@@ -130,7 +122,7 @@ def follow_clip(clip: PulledClip) -> Follow:
     used = follower.distance > MARGIN
     away = follower.distance[used]
     frames = [GripFrame(item[used], np.isfinite(item[used]).all(axis=1) & (away < DRIVEN)) for item in moved]
-    return Follow(Lattice(follower.points[used], follower.spacing, away), frames)
+    return Lattice(follower.points[used], follower.spacing, away), frames
 
 
 def read_views(clip: PulledClip) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -155,8 +147,7 @@ def first_surface(clip: PulledClip, settings: OnlineSettings) -> Surface:
     Raises:
         InputError: no such frame, no depth, or no tissue with depth next to the tool.
     """
-    estimator = OnlineEstimator(settings)
-    stream = ClipStream(open_source(clip.path, clip.layout), estimator.preparation(Chosen(clip.layout)))
+    stream = open_clip(clip.path, OnlineEstimator(settings), layout=clip.layout_file)
     for current in stream.source:
         frame = stream.prepared(current)
         if frame.picture_labels is None or not (frame.picture_labels == TOOL).any():

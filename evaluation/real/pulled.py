@@ -9,15 +9,13 @@ that nothing moves, 1 = exact.
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.data.clip import ClipStream
-from palpate.data.source.frames import open_source
+from palpate.api import open_clip, open_estimator
 from palpate.data.source.layout import ClipLayout, load_layout
-from palpate.estimators.contract import Chosen, ClipInfo, Estimator
-from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.contract import ClipInfo
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
+from palpate.evaluation.harness import OK, Row
 
 
 @dataclass(frozen=True)
@@ -41,47 +39,34 @@ class PulledClip:
         return ClipLayout() if self.layout_file is None else load_layout(self.layout_file)
 
 
-def evaluate_pull(clip: PulledClip, measures: dict[str, object]) -> None:
-    """Open the session and gather what it says.
+def evaluate_pull(clip: PulledClip) -> Row:
+    """Open the session and gather what it says, numbers and words by name.
 
-    Args:
-        clip: the clip.
-        measures: gets what it says, numbers and words by name; first the probability of contact in every frame with
-            an instrument, by the frame's number, whatever becomes of the rest.
+    `status` says why no run of contact tells anything as a grip. The probability of contact in every frame with an
+    instrument, by the frame's number, is there whatever becomes of the rest.
 
     Raises:
         InputError: the clip can't be read.
-        NoEstimate: no run of contact tells anything as a grip.
     """
-    estimator, stream = opened(clip)
-    session = estimator.start(ClipInfo.of(stream))
-    outputs = list(estimates_of(session, stream))
+    estimator = open_estimator("direct")
+    stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks and str(clip.masks))
+    outputs = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]
     runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
-    measures |= {"frames": len(frames), "frames in contact": sum(item.contact is True for item in frames)}
+    measures: Row = {"status": OK, "frames": len(frames)}
+    measures["frames in contact"] = sum(item.contact is True for item in frames)
     known = [item for item in frames if item.contact_probability is not None]
     measures |= {f"contact_frame_{item.frame:04d}": item.contact_probability for item in known}
     gripped = [(run, run.grip) for run in runs if run.grip is not None]
     if not gripped:
-        raise NoEstimate(" ".join(run.detail for run in runs) or "No run of contact was found.")
+        return measures | {"status": " ".join(run.detail for run in runs) or "No run of contact was found."}
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
-    measures |= {"status": "ok"} | grip_measures(run, grip)
+    return measures | grip_measures(run, grip)
 
 
-def opened(clip: PulledClip) -> tuple[Estimator, ClipStream]:
-    """The estimator `direct` and a clip's prepared frames, as users open both.
-
-    Raises:
-        InputError: the clip can't be read.
-    """
-    estimator = open_estimator(EstimatorOptions("direct"))
-    chosen = Chosen(clip.layout, None if clip.masks is None else str(clip.masks))
-    return estimator, ClipStream(open_source(clip.path, clip.layout), estimator.preparation(chosen))
-
-
-def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> dict[str, object]:
+def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> Row:
     """What is known of a run's grip, by name."""
-    found: dict[str, object] = {
+    found: Row = {
         "run from frame": run.onset_frame,
         "frames that move": len(grip.times),
         "verdict": grip.verdict,

@@ -8,8 +8,9 @@ press is no step on a vertex, nobody knows its patch, its direction, its rise an
 import dataclasses
 
 import numpy as np
+from scipy.ndimage import shift
 
-from palpate.data.contact.depth_sequence import REACH, DepthSequence
+from palpate.data.contact.depth_sequence import DepthSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
@@ -124,18 +125,10 @@ def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: 
 
 def _recentred(sequence: DepthSequence, offset: np.ndarray) -> DepthSequence:
     """The depth-change sequence of what lies so many rows and columns away, as far as it shows that."""
-    change = np.full_like(sequence.change, np.nan)
-    size = 2 * REACH + 1
-    sources, targets = [], []
-    for away in offset.tolist():
-        sources.append(slice(max(away, 0), size + min(away, 0)))
-        targets.append(slice(max(-away, 0), size + min(-away, 0)))
-    change[:, targets[0], targets[1]] = sequence.change[:, sources[0], sources[1]]
+    change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
     return dataclasses.replace(sequence, change=change)
 
 
 def _squared(information: np.ndarray) -> np.ndarray:
     """With the second delay, of which nothing is known where the release was not observed, shape [5, 5]."""
-    whole = np.zeros((5, 5))
-    whole[: len(information), : len(information)] = information
-    return whole
+    return np.pad(information, (0, 5 - len(information)))

@@ -8,8 +8,9 @@ import numpy as np
 from rich.progress import Progress
 
 from palpate.common.workers import run_tasks
-from palpate.data.synthetic.clip import draw_press
+from palpate.data.synthetic.clip import draw_truth
 from palpate.data.synthetic.scene import SceneError
+from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import Estimator
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
@@ -94,7 +95,8 @@ def draw_log_theta(task: tuple[int, int]) -> np.ndarray | None:
     """
     index, seed = task
     try:
-        _, motion = draw_press(SUITES["clean"].truth_settings(index), seed)
+        _, motion = draw_truth(SUITES["clean"].truth_settings(index), seed)
     except SceneError:
         return None
+    assert isinstance(motion, PressedMotion)
     return np.log(np.abs(motion.theta))

@@ -57,11 +57,11 @@ import numpy as np
 from palpate.common.doors import interruptible
 from palpate.data.contact.interaction import Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
-from palpate.data.synthetic.clip import draw_truth, synthetic_clip
+from palpate.data.synthetic.clip import Truth, draw_truth, synthetic_clip
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene, SceneError
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, SlabMotion
+from palpate.data.synthetic.slab import GrippedSlab, SlabMotion
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
@@ -105,7 +105,7 @@ class TrueClip:
     """A clip as estimators observe it, and its truth."""
 
     scene: Scene
-    motion: PressedMotion | GrippedMotion | SlabMotion
+    motion: Truth
     frames: list[PreparedFrame]
     info: ClipInfo
 
@@ -117,7 +117,7 @@ def run_trial(trial: Trial) -> list[Row]:
 
 
 @functools.lru_cache(maxsize=1)
-def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, PressedMotion | GrippedMotion | SlabMotion]:
+def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
     """Drawn once for all suites that only observe otherwise; these follow each other."""
     return draw_truth(settings, seed)
 
@@ -164,15 +164,12 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(gripped, clip.frames, clip.scene, motion)
-    if isinstance(motion, SlabMotion):
+    if not isinstance(motion, PressedMotion):
         known: Row = {"tissue": np.array(astuple(motion.tissue))}
-        if isinstance(motion, PressedSlab):
-            force = float(np.abs(motion.force).max())
-            return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
         if isinstance(motion, GrippedSlab):
             return known, functools.partial(pulled, clip.scene, motion)
-    if not isinstance(motion, PressedMotion):
-        raise TypeError(f"{type(motion).__name__} is no motion of a suite.")
+        force = float(np.abs(motion.force).max())
+        return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
     contacts = observed_contacts(clip.frames, clip.info, trial.horizon)
     if not contacts:
         return {"status": "no contact", "reason": "no onset of contact was found."}, None

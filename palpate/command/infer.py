@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from palpate.common.command_line import path_option, real_number, whole_number
+from palpate.common.command_line import add_listed, path_option, real_number, whole_number
 from palpate.common.onnx_devices import DEVICES
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
@@ -71,9 +71,6 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     texts = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
-    words = {"presets": ", ".join(preset_names()), "smoothing": SMOOTHING}
-    for name, option in texts["options"].items():
-        named = {key: of[option[key]] for key, of in (("type", TYPES), ("choices", CHOICES)) if key in option}
-        parser.add_argument(name, **option | named | {"help": option["help"].format(**words)})
+    add_listed(parser, texts["options"], TYPES, CHOICES, presets=", ".join(preset_names()), smoothing=SMOOTHING)
     parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
     return parser

@@ -21,11 +21,13 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from palpate.common.command_line import path_option, real_number, size_of, whole_number
+from palpate.common.command_line import add_listed, path_option, real_number, size_of, whole_number
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.data.clip import ClipStream
@@ -204,32 +206,19 @@ def _size(text: str) -> tuple[int, int]:
     return found
 
 
+TYPES = {
+    "path": path_option,
+    "seconds": real_number("a time in seconds; give a positive one", 1e-3),
+    "size": _size,
+    "rate": real_number("a rate; give 1 frame a second or more", 1.0),
+    "every": whole_number(1, 100),
+    "port": whole_number(1, 65535),
+    "limit": real_number("a limit of force; give a positive number", 1e-9),
+}
+"""What live.yaml calls types."""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    text = (
-        "camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"
-    )
-    parser.add_argument("source", metavar="SOURCE", help=text)
-    seconds = real_number("a time in seconds; give a positive one", 1e-3)
-    text = "frames that have waited longer are dropped and counted [s] (default: 1)"
-    parser.add_argument("--max-latency", type=seconds, default=1.0, metavar="SECONDS", help=text)
-    parser.add_argument("--size", type=_size, metavar="WxH", help="of a pipe's pictures [px]")
-    rate = real_number("a rate; give 1 frame a second or more", 1.0)
-    parser.add_argument("--fps", type=rate, help="frames a second (default: as the source says; of a pipe 25)")
-    text = (
-        "take one of so many frames, so that this machine keeps up: frames that are dropped break a press off "
-        "(default: 1)"
-    )
-    parser.add_argument("--every", type=whole_number(1, 100), default=1, metavar="N", help=text)
-    text = f"send every line to this UDP port of {LOOPBACK}, too"
-    parser.add_argument("--port", type=whole_number(1, 65535), metavar="N", help=text)
-    text = "serve every line to an OpenIGTLink client, such as 3D Slicer, on this port of this machine (palpate[live])"
-    parser.add_argument("--igtl", type=whole_number(1, 65535), metavar="N", help=text)
-    limit = real_number("a limit of force; give a positive number", 1e-9)
-    text = "say of every frame whether the force has reached this limit [scene units]; as of palpate infer"
-    parser.add_argument("--force-limit", type=limit, metavar="X", help=text)
-    parser.add_argument("--model", type=path_option, metavar="FILE", help="exported network (default: the shipped one)")
-    parser.add_argument("--masks", metavar="SOURCE", help="as of palpate infer")
-    parser.add_argument("--depth", metavar="SOURCE", help="as of palpate infer")
-    parser.add_argument("--camera", type=path_option, metavar="FILE", help="as of palpate infer")
+    add_listed(parser, yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8")), TYPES, loopback=LOOPBACK)
     return parser

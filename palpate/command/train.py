@@ -76,25 +76,8 @@ PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
 """Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
-REFUSED: dict[str, tuple[tuple[Any, ...], str]] = {
-    "gradient_clip_val": ((None, 0), "three optimisers step by hand; lower model.learning_rate instead"),
-    "accumulate_grad_batches": ((1,), "three optimisers step by hand; raise data.loading.batch_size instead"),
-    "precision": (
-        (None, "32", 32, "32-true", "16", 16, "16-mixed", "bf16", "bf16-mixed"),
-        "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16 bits in the convolutions alone",
-    ),
-    "strategy": (
-        ("auto", "ddp", "ddp_find_unused_parameters_true"),
-        "three optimisers step in turn, and files are written by the first process; give auto or ddp",
-    ),
-}
-"""Trainer options by name: the values that work here, and why no other, with what to do instead."""
-INSTEAD = {
-    "lr_scheduler": "the rate is constant; to lower it, add --ckpt_path last and a lower --model.learning_rate",
-    "optimizer": "it is Adam; give --model.learning_rate and --model.betas",
-    "predict": "test writes what is estimated from every test frame; for other clips export, then run infer.py --model",
-}
-"""What to do instead of what Lightning's command line has elsewhere, by the name that is missing here."""
+OTHERWISE: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+"""What of Lightning's command line is not as usual."""
 
 
 class UsageError(ValueError):
@@ -119,7 +102,7 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            remedy = INSTEAD.get(unknown[0], "correct or remove it")
+            remedy = OTHERWISE["instead"].get(unknown[0], "correct or remove it")
             raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; {remedy}.")
         return super().parse_path(cfg_path, *arguments, **options)
 
@@ -127,7 +110,7 @@ class SentenceParser(LightningArgumentParser):
         sentence = " ".join(message.split()).rstrip(".")
         missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
         options = "train.py {fit,validate,test,export} --help lists all options"
-        remedy = INSTEAD.get(missing[1], options) if missing else options
+        remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
         raise UsageError(f"{sentence}; {remedy}.") from ex
 
 
@@ -167,9 +150,6 @@ class RunRecord(SaveConfigCallback):
             print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
 
 
-COMMANDS = ("fit", "validate", "test", "export")
-
-
 class RunTrainer(Trainer):
     """Lightning's trainer with an `export` function."""
 
@@ -203,15 +183,9 @@ class RunTrainer(Trainer):
 class TrainCLI(LightningCLI):
     """Command line: one configuration file, any field of which can be overridden."""
 
-    def __init__(self, *classes: Any, args: list[str] | None = None, **options: Any) -> None:
-        command = (sys.argv[1:] if args is None else args)[:1]
-        self._commands = command if command and command[0] in COMMANDS else COMMANDS
-        """Those that get a parser, each of which takes a tenth of a second."""
-        super().__init__(*classes, args=args, **options)
-
     def subcommands(self) -> dict[str, set[str]]:
         loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
-        return dict.fromkeys(self._commands, loaders)
+        return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
@@ -264,17 +238,14 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
-        if config.run_name == "":
-            raise UsageError("run_name is empty; name the run, or leave it out.")
-        if str(trainer.default_root_dir) == "":
-            raise UsageError("trainer.default_root_dir is empty; name the run folder.")
-        if config.data.root == "":
-            raise UsageError("data.root is empty; name the folder of the data set.")
+        for name, remedy in OTHERWISE["empty"].items():
+            if str(config[name]) == "":
+                raise UsageError(f"{name} is empty; {remedy}.")
         if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
             raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
-        for name, (working, remedy) in REFUSED.items():
-            if trainer[name] not in working:
-                raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {remedy}.")
+        for name, refused in OTHERWISE["refused"].items():
+            if trainer[name] not in refused["work"]:
+                raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
         if trainer.deterministic is True and not on_cpu:
             raise UsageError(
@@ -310,11 +281,9 @@ class TrainCLI(LightningCLI):
             ModelCheckpoint(folder_of(folder, "checkpoints"), name, save_on_train_epoch_end=True, **always, **when)
             for name, when in CHECKPOINTS.items()
         ]
-        callbacks = config.trainer.callbacks or []
-        callbacks = callbacks if isinstance(callbacks, list) else [callbacks]
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
-        config.trainer.callbacks = [*callbacks, *checkpoints, *bars]
+        self.trainer_defaults = self.trainer_defaults | {"callbacks": [*checkpoints, *bars]}
         trainer = super().instantiate_trainer(**kwargs)
         if isinstance(trainer.strategy, DDPStrategy):
             # Each of the three backward passes reaches a part of the parameters only.
@@ -350,7 +319,7 @@ CHOSEN: dict[str, Any] = {
     **{"trainer_defaults": {"default_root_dir": "runs/train"}, "parser_kwargs": {"description": __doc__}},
     **{"seed_everything_default": 0, "auto_configure_optimizers": False},
 }
-"""What of Lightning's command line is not as usual."""
+"""How Lightning's command line is made."""
 
 
 def contact_features(observation: str, smoothing: float, sequence: bool) -> int:

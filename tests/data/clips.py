@@ -14,6 +14,8 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame, FrameSource
+from palpate.data.synthetic.clip import SyntheticClip, draw_truth, synthetic_clip
+from palpate.data.synthetic.settings import SceneSettings
 
 WIDTH, HEIGHT = 128, 96
 FOCAL = 100.0
@@ -122,3 +124,8 @@ def real_frames(real_data: Path, folder: Path, numbers: Iterable[int]) -> Path:
         for file in (real_data / "cholecseg8k" / "video01" / "video01_00080").glob(f"frame_{number}_endo*"):
             (folder / file.name).symlink_to(file)
     return folder
+
+
+def make_clip(settings: SceneSettings, seed: int) -> SyntheticClip:
+    """A drawn clip in memory; the same settings and seed give the same arrays."""
+    return synthetic_clip(*draw_truth(settings, seed), seed)

@@ -10,13 +10,14 @@ from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
-from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import PosteriorModel
 from palpate.models.posterior import ContactPosterior
+from tests.data.clips import make_clip
 from tests.estimators.sessions import SIZE, clip_info
 from tests.inference_inputs import metadata
 

@@ -19,7 +19,7 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.prepared import STATUSES, PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame
-from palpate.data.synthetic.clip import SyntheticClip, make_clip
+from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from palpate.estimators.contract import Estimator, Output
@@ -31,6 +31,7 @@ from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.msd.simulation import simulate
 from palpate.results.columns import INTERACTIONS, interaction_values
+from tests.data.clips import make_clip
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.estimators.test_runs import whole_clip_runs
 from tests.inference_inputs import metadata, write_model, write_posterior

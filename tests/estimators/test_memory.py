@@ -8,12 +8,12 @@ import pytest
 import yaml
 
 from palpate.data.prepared import PreparedFrame
-from palpate.data.synthetic.clip import make_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import InteractionEstimate
+from tests.data.clips import make_clip
 
 MEMORY = Path("/proc/self/statm")
 PRESS = SceneSettings(width=214, height=120, depth_noise=0.001, frames=16, press_seconds=(0.2, 0.2))

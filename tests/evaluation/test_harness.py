@@ -187,7 +187,7 @@ def test_a_case_that_breaks_is_a_row(tmp_path: Path) -> None:
     assert measured("--output", str(tmp_path), "--numbers", "0") == 1
     row = harness.read_results(tmp_path / harness.RESULTS, ("number",))[0,]
     assert (row["status"], row["reason"]) == ("error", "ZeroDivisionError: division by zero")
-    (row,) = harness.measured(("a.csv", lambda: {"value": 1 / 0}))
+    (row,) = harness.measured(("file", "a.csv", lambda: {"value": 1 / 0}))
     assert row == {"file": "a.csv", "status": "failed (ZeroDivisionError: division by zero)"}
 
 

@@ -52,14 +52,14 @@ def drawn(index: int, model: float, counted: float, told: float = 0.004) -> Row:
 @pytest.mark.parametrize(("kind", "model"), [("measured", 0.01), ("uneven", 0.3), ("as_seen", 0.8)])
 def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
     rows = [drawn(index, model, VALUES[f"foundation_{kind}"]) for index in range(400)]
-    entries = model_errors.updated(read_entries(), model_errors.grip_errors(rows, VALUES), "a command", "today")
+    entries = model_errors.updated(read_entries(), *model_errors.grip_errors(rows, VALUES), "a command", "today")
     found = entries[f"foundation_{kind}"]
     assert found["value"] == found["measured"]["sd"] == pytest.approx(model, rel=0.1)
     assert found["measured"]["stated"] == pytest.approx(0.004, rel=0.1)
     assert found["source"] == "measured"
     # Few clips are noted, and change nothing.
     few = model_errors.updated(
-        read_entries(), model_errors.grip_errors(rows[: model_errors.ENOUGH - 1], VALUES), "a command", "today"
+        read_entries(), *model_errors.grip_errors(rows[: model_errors.ENOUGH - 1], VALUES), "a command", "today"
     )[f"foundation_{kind}"]
     assert few["value"] == VALUES[f"foundation_{kind}"]
     assert few["measured"]["clips"] == model_errors.ENOUGH - 1
@@ -84,7 +84,7 @@ def test_videos_tell_three_quantities_whatever_a_fit_makes_of_each_clip() -> Non
             row |= {f"{name}_model_sd": counted, f"{name}_sd": math.hypot(counted, factor * 0.1)}
         rows.append(row)
     errors, found = model_errors.video_errors(rows, VALUES)
-    entries = model_errors.updated(read_entries(), errors, "a command", "today", found)
+    entries = model_errors.updated(read_entries(), errors, found, "a command", "today")
     for kind in quantities.values():
         if slopes[kind]:
             assert entries[f"brightness_{kind}_slope"]["value"] == pytest.approx(slopes[kind], abs=0.03)
@@ -110,7 +110,7 @@ def test_pulls_tell_force_over_young_and_its_course() -> None:
     course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])
     reaction = np.array([1.3 * 4.0 / 200.0, math.hypot(0.05, VALUES["pull_force"])])
     row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
-    found = model_errors.pull_errors([row], VALUES)
+    found, _ = model_errors.pull_errors([row], VALUES)
     assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
     assert found["pull_course"] == [pytest.approx((0.1 / 1.1, VALUES["pull_course"] ** 2 * (1 / 1.21 - 1)), abs=0.003)]
 

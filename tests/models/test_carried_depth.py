@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
@@ -93,7 +93,7 @@ def test_gradient_by_theta_is_that_of_differences(make_batch) -> None:
 def test_the_true_theta_makes_the_renderers_next_picture(seed: int) -> None:
     """Four frames on, noise-free: what is left of the change where it is largest is at most a quarter."""
     settings = SceneSettings(width=214, height=120, regime="under-damped", frames=32)
-    scene, motion = draw_press(settings, seed)
+    scene, motion = draw_truth(settings, seed)
     stream = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
     frames = list(stream)
     contact = observed_contacts(frames, ClipInfo.of(stream))[motion.onset_frame]

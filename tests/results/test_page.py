@@ -19,7 +19,7 @@ from palpate.data.synthetic.clip import write_clip
 from palpate.results.page.gather import TEXTS, advice
 from palpate.results.page.own import is_own
 from palpate.results.page.render import write_pages
-from palpate.results.record import PERSISTENT, UNCALIBRATED, UNDRIVEN
+from palpate.results.record import PERSISTENT, WARNINGS
 from palpate.results.store import WRITTEN, OutputError
 from palpate.results.verdicts import COLORS, MEANINGS
 from tests.tables import read_rows
@@ -140,7 +140,8 @@ def test_every_status_verdict_file_and_warning_has_a_remedy() -> None:
     assert set(TEXTS["statuses"]) == statuses
     assert set(TEXTS["verdicts"]) == {*MEANINGS, "no_estimate"} == set(COLORS) - statuses - {"doubtful"}
     assert set(TEXTS["files"]) == set(WRITTEN)
-    warnings = [UNCALIBRATED, UNDRIVEN, *(f"3 of 9 frames are {name}, the first is 1: x" for name in PERSISTENT)]
+    warnings = [WARNINGS[name] for name in ("uncalibrated", "undriven")]
+    warnings += [f"3 of 9 frames are {name}, the first is 1: x" for name in PERSISTENT]
     assert TEXTS["other_warning"] not in map(advice, warnings)
 
 

@@ -16,12 +16,13 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
-from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
+from palpate.data.synthetic.clip import SyntheticClip, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.tracks.following import Shown
 from palpate.estimators.contract import ClipInfo
 from palpate.evaluation.recovery.trial import observed_contacts
+from tests.data.clips import make_clip
 
 UNSEEN = SceneSettings(width=214, height=120, frames=36, tool_in_view=False, depth_noise=0.001)
 MOTION = PrepareSettings(geometry=GeometrySettings(smoothing=4.0, rigid_motion="subtract", contact="motion"))

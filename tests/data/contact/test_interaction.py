@@ -16,13 +16,12 @@ from palpate.data.clip import ClipStream
 from palpate.data.contact.interaction import Interaction
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
-from palpate.data.synthetic.clip import make_clip
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.training.samples import SampleSettings, builder_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.runs import Run, RunTracker
 from palpate.physics.mechanics import Mechanics
-from tests.data.clips import GRID, SETTINGS, remove_depth, remove_frame, stored, write_clip
+from tests.data.clips import GRID, SETTINGS, make_clip, remove_depth, remove_frame, stored, write_clip
 from tests.data.synthetic.test_source import SCENE
 
 MECHANICS = Mechanics()

@@ -9,7 +9,7 @@ from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, footprint
 from palpate.data.source.camera import Camera, back_project
-from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
@@ -329,7 +329,7 @@ def test_turning_adds_up_to_what_is_shown_after_it() -> None:
 def clip_of(seed: int, size: tuple[int, int]) -> tuple[Interaction, Scene, TrueMotion]:
     """The contact of a rendered clip without noise, as it is gathered, and its truth."""
     brief = {"frames": 9, "press_seconds": (0.16, 0.16), "onset_fraction": (0.2, 0.25)}
-    scene, motion = draw_press(SceneSettings(width=size[0], height=size[1], **brief), seed)
+    scene, motion = draw_truth(SceneSettings(width=size[0], height=size[1], **brief), seed)
     clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
     contacts = observed_contacts(list(clip), ClipInfo.of(clip))
     return contacts[motion.onset_frame], scene, motion

@@ -23,9 +23,10 @@ from palpate.data.source.frames import discover
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
 from palpate.data.synthetic.__main__ import main, picture_size
-from palpate.data.synthetic.clip import SyntheticClip, clip_seed, make_clip, write_clip
+from palpate.data.synthetic.clip import SyntheticClip, clip_seed, write_clip
 from palpate.data.synthetic.files import open_video
 from palpate.data.synthetic.settings import SceneSettings
+from tests.data.clips import make_clip
 
 SIZE = {"width": 108, "height": 60, "grid_width": 108, "grid_height": 60}
 SMALL = SceneSettings(**SIZE, frames=20, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.3))

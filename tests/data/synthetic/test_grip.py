@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from palpate.data.synthetic.clip import draw_truth, make_clip, write_clip
+from palpate.data.synthetic.clip import draw_truth, write_clip
 from palpate.data.synthetic.grip import GRIP_RADIUS, MARGIN_PX, GrippedMotion, edge_anchor, lattice_matrix
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import tip_offset
 from palpate.physics.sheet import equilibrium
+from tests.data.clips import make_clip
 
 GRIP = SceneSettings(
     width=107, height=60, grid_width=107, grid_height=60, frames=12, action="grip", onset_fraction=(0.0, 0.0),

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from palpate.data.synthetic.clip import SyntheticClip, make_clip, synthetic_clip
+from palpate.data.synthetic.clip import SyntheticClip, synthetic_clip
 from palpate.data.synthetic.render import GREY, Renderer, encode_srgb
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
 from palpate.data.synthetic.tool import tip_offset
 from palpate.data.synthetic.truth import TrueMotion, simulate_motion
+from tests.data.clips import make_clip
 
 COURSE = {"frames": 24, "onset_fraction": (0.15, 0.2), "press_seconds": (0.2, 0.3)}
 SMALL = SceneSettings(width=214, height=120, **COURSE, image_noise=0.0)

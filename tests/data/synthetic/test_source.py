@@ -9,10 +9,10 @@ from palpate.data.clip import prepare
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
-from palpate.data.synthetic.clip import make_clip, write_clip
+from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
-from tests.data.clips import stored
+from tests.data.clips import make_clip, stored
 
 SIZE = {"width": 107, "height": 60, "grid_width": 107, "grid_height": 60}
 SCENE = SceneSettings(**SIZE, frames=14, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.001)

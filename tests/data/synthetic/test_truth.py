@@ -88,7 +88,7 @@ def test_a_wider_window_changes_nothing(scene: Scene, motion: PressedMotion, mon
 
 
 def test_the_window_holds_its_border_and_the_rim_but_never_the_contact(scene: Scene) -> None:
-    window = cut_window(scene, 6, None)
+    window = cut_window(scene, 6, None, PressShape())
     assert not window.held[window.contact]
     apart = np.abs(scene.mesh.pixels[window.vertices] - scene.mesh.pixels[scene.vertex]).max(axis=1)
     np.testing.assert_array_equal(window.held, (apart == 6) | scene.mesh.rim[window.vertices])
@@ -103,7 +103,8 @@ def with_settings(scene: Scene, **changes) -> Scene:
 def test_a_ramp_rises_from_its_start_to_the_force_at_release(scene: Scene, motion: PressedMotion, late: bool) -> None:
     """Late by a quarter of a frame, it has risen for three quarters in the first that it is seen in."""
     delays = {"delay": 0.01 * late, "release_delay": 0.01 * late}
-    ramp = simulate_motion(with_settings(scene, profile="ramp"), THETA, ONSET, RELEASE, **delays)
+    shape = PressShape(rise=(RELEASE - ONSET) / scene.settings.fps)
+    ramp = simulate_motion(scene, THETA, ONSET, RELEASE, **delays, shape=shape)
     expected = np.zeros(24)
     expected[ONSET + late : RELEASE + late] = THETA[2] * (np.arange(8) + 0.75 * late) / 8
     np.testing.assert_allclose(ramp.force, expected)
@@ -111,16 +112,16 @@ def test_a_ramp_rises_from_its_start_to_the_force_at_release(scene: Scene, motio
 
 
 def test_a_hold_rises_holds_and_falls(scene: Scene) -> None:
-    hold = simulate_motion(with_settings(scene, profile="hold"), THETA, ONSET, ONSET + 6)
+    third = 2 / scene.settings.fps
+    hold = simulate_motion(scene, THETA, ONSET, ONSET + 6, shape=PressShape(rise=third, fall=third))
     np.testing.assert_allclose(hold.force[ONSET : ONSET + 7] / THETA[2], [0, 0.5, 1, 1, 1, 0.5, 0], atol=1e-9)
 
 
 def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
-    wide = with_settings(scene, patch_radius=(4.0, 4.0))
-    window = cut_window(wide, 12, None, PressShape(4.0))
+    window = cut_window(scene, 12, None, PressShape(4.0))
     assert window.shares.sum() == pytest.approx(1)
     assert not window.held[window.pressed].any()
-    pressed = simulate_motion(wide, THETA, ONSET, RELEASE)
+    pressed = simulate_motion(scene, THETA, ONSET, RELEASE, shape=PressShape(4.0))
     assert pressed.peak < 0.6 * motion.peak
     # Before any spring pulls, the vertex in the middle has its share of the acceleration.
     first, alone = (np.linalg.norm(item.response[0]) for item in (pressed, motion))

@@ -9,7 +9,7 @@ import pytest
 from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
-from palpate.data.synthetic.clip import draw_press
+from palpate.data.synthetic.clip import draw_truth
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion
@@ -32,7 +32,7 @@ SIDE = 2 * REACH + 1
 
 @functools.cache
 def truth() -> tuple[Scene, PressedMotion]:
-    return draw_press(SETTINGS, 3)
+    return draw_truth(SETTINGS, 3)
 
 
 def contact_of(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.interaction import Interaction
-from palpate.data.synthetic.clip import draw_press, synthetic_clip
+from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.onset import BETWEEN, STAMP
@@ -34,7 +34,7 @@ DIRECT = EstimatorOptions("direct")
 @pytest.fixture(scope="module")
 def truth():
     """Scene and motion of the clip in most suites."""
-    return draw_press(SUITES["clean"].truth_settings(2), SEED)
+    return draw_truth(SUITES["clean"].truth_settings(2), SEED)
 
 
 def test_suites_that_only_observe_otherwise_share_a_truth():
@@ -47,7 +47,7 @@ def test_suites_that_only_observe_otherwise_share_a_truth():
 def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     """A delay of half a frame, eight steps of the simulator: a track without error, and the information it holds."""
     settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
-    scene, motion = draw_press(settings, SEED)
+    scene, motion = draw_truth(settings, SEED)
     after = np.arange(1, 26)
     observed = motion.contact[motion.onset_frame + after] - 0.002 * scene.direction
     step, times = MECHANICS.time_step, after / 25
@@ -77,7 +77,7 @@ def test_a_press_without_a_tool_is_compared_as_it_was_stamped():
     assert (row["onset_off"] in (0, 1), row["release_off"] in (0, 1), row["place_off"]) == (True, True, 0)
     assert np.sqrt(np.mean(np.square(row["tracking"]))) < 0.002
     assert (np.diag(row["field_information"]) > 0).all()
-    _, motion = draw_press(SUITES["late-onset"].settings(2), SEED)
+    _, motion = draw_truth(SUITES["late-onset"].settings(2), SEED)
     late = recovery.as_stamped(motion, motion.onset_frame + 1)
     assert late.onset_frame == motion.onset_frame + 1
     assert late.delay == pytest.approx(motion.delay - 0.04)
@@ -92,7 +92,7 @@ def test_a_clip_in_three_suites(monkeypatch, truth):
         return truth
 
     monkeypatch.setattr(recovery, "draw_truth", draw)
-    monkeypatch.setattr(estimators, "draw_press", draw)
+    monkeypatch.setattr(estimators, "draw_truth", draw)
     recovery._truth.cache_clear()
     wanted = {"clean": {"constant": CONSTANT}, "8bit": {"constant": CONSTANT}, "mismatch": {"constant": CONSTANT}}
     clean, rounded, mismatch = run_trial(Trial(2, SEED, wanted | {"noisy": {}}))
@@ -136,7 +136,7 @@ def test_failures_become_results(monkeypatch):
     failing = raising(SceneError("nothing to draw."))
     row = run(monkeypatch, draw_truth=failing)
     assert (row["status"], row["reason"], "theta" in row) == ("no scene", "nothing to draw.", False)
-    monkeypatch.setattr(estimators, "draw_press", failing)
+    monkeypatch.setattr(estimators, "draw_truth", failing)
     assert draw_log_theta((2, SEED)) is None
 
 

@@ -16,19 +16,20 @@ simulation alone; stiffness place by place is left to the optimiser.
 import dataclasses
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
+from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.objective import Objective
 from palpate.estimators.online.session import knot_shares
 from palpate.physics.identifiability import LIMIT
-from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
-from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.simulation import Stepping
 from palpate.physics.pbd.stiffness import Stiffness
 
 TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
@@ -64,41 +65,65 @@ class Fit(NamedTuple):
     bending: float
     """Stiffness of shapes, likewise."""
     error: float
-    """Mean over frames of error over motion, root mean squares over points."""
+    """Error over motion, root mean squares over points, of frames held out in turn: their mean."""
 
     def stepping(self, usual: Stepping, stiffness: float) -> Stepping:
         """The usual one with this time step and foundation, for such a stiffness of distances."""
         return dataclasses.replace(usual, time_step=self.time_step, foundation=self.foundation * stiffness)
 
 
-def fit_motion(
-    body: Body, grip: Grip, seen: np.ndarray, shown: Answer, stepping: Stepping, stiffness: float, bendings: list[float]
-) -> Fit | None:
-    """Try every combination on the frames so far, from rest on; None where nothing moves in any.
+class Fitting:
+    """The first frames by every combination, and by what is given, all led by the instrument from rest on.
 
     Args:
-        body: N particles.
-        grip: where the gripped ones are in T frames.
-        seen: displacement of Q points in them, shape [T, Q, 2] [px]; not observed = NaN.
-        shown: gives that of states [T, N, 3].
-        stepping: sweeps a step; its time step and foundation don't count.
-        stiffness: of distances, the same everywhere.
-        bendings: stiffness of shapes over that, to choose from.
+        objective: how the body is stepped if nothing is fitted.
+        begun: the stiffness then, the same everywhere.
+        bendings: stiffness of shapes over that of distances, to choose from.
+        shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
     """
-    used = np.asarray(np.isfinite(seen).all(axis=-1))
-    motion = np.array([length(frame[some]) if some.any() else 0 for frame, some in zip(seen, used, strict=True)])
-    telling = np.flatnonzero(motion > LEAST)
-    if len(telling) == 0:
-        return None
-    fits = []
-    for time_step, foundation, bending in product(TIME_STEPS, FOUNDATIONS, bendings):
-        fit = Fit(time_step, foundation, bending, np.nan)
-        fields = uniform(body, stiffness, bending * stiffness)
-        states = simulate(body, fields, grip, fit.stepping(stepping, stiffness)).positions[0, 1:]
-        off = shown(states) - seen
-        errors = [length(off[frame, used[frame]]) / motion[frame] for frame in telling]
-        fits.append(fit._replace(error=float(np.mean(errors))))
-    return min(fits, key=lambda fit: fit.error)
+
+    def __init__(self, objective: Objective, begun: Stiffness, bendings: list[float], shown: Answer) -> None:
+        self._shown, stiffness = shown, float(begun.distance[0])
+        shapes = stiffness * np.repeat(np.array(bendings)[:, None], objective.body.count, axis=1)
+        fields = Stiffness(np.full_like(shapes, stiffness), shapes, begun.volume)
+        self._fits, self._groups = [None], [(objective, begun)]
+        for time_step, foundation in product(TIME_STEPS, FOUNDATIONS):
+            own = [Fit(time_step, foundation, bending, np.nan) for bending in bendings]
+            stepping = own[0].stepping(objective.stepping, stiffness)
+            self._groups.append((dataclasses.replace(objective, stepping=stepping), fields))
+            self._fits += own
+        self._states = [objective.body.rest] * len(self._groups)
+        self._errors: list[list[float]] = []
+        """Over the motion, of every frame in which points move, by what is given and by all combinations."""
+
+    def step(self, places: np.ndarray, seen: np.ndarray) -> None:
+        """Lead all on, and compare them with a frame; arguments as of `Determined.step`."""
+
+        def stepped(group: tuple[Objective, Stiffness], states: np.ndarray) -> np.ndarray:
+            return group[0].stepped(group[1], states, places[None]).positions[:, -1]
+
+        with ThreadPoolExecutor(2) as both:
+            self._states = list(both.map(stepped, self._groups, self._states))
+        used = np.isfinite(seen).all(axis=1)
+        motion = length(seen[used]) if used.any() else 0.0
+        if motion > LEAST:
+            off = (self._shown(np.concatenate(self._states)) - seen)[:, used]
+            self._errors.append([length(each) / motion for each in off])
+
+    @property
+    def best(self) -> Fit | None:
+        """What explains the frames so far best; None if that isn't what held-out frames ask for.
+
+        Each frame is held out in turn, and must be explained by what the others choose: in the mean better than by
+        what is given, and as well as a run must be. Else what is fitted may be noise.
+        """
+        errors = np.array(self._errors)
+        if len(errors) < 2:
+            return None
+        chosen = (errors.sum(axis=0) - errors).argmin(axis=1)
+        held_out, fit = float(errors[np.arange(len(errors)), chosen].mean()), self._fits[errors.sum(axis=0).argmin()]
+        explained = held_out < min(errors[:, 0].mean(), 1 - LEAST_SKILL)
+        return fit._replace(error=held_out) if fit is not None and explained else None
 
 
 LEARNT = 0.5

@@ -26,7 +26,7 @@ from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.objective import Objective
-from palpate.estimators.online.session import knot_shares
+from palpate.estimators.online.session import LONGEST, knot_shares
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping
@@ -144,7 +144,9 @@ NOISE = 0.3
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
 
-    def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
+    def __init__(
+        self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer, newton: bool = False
+    ) -> None:
         """Begin at rest.
 
         Args:
@@ -152,8 +154,9 @@ class Determined:
             begun: stiffness to begin with, shape [N].
             cells: gives values of the particles [N, C] at the points, shape [Q, C].
             shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
+            newton: whether the fields of each frame are to be the likeliest by then (`likeliest`).
         """
-        self._objective, self._shown = objective, shown
+        self._objective, self._shown, self._newton = objective, shown, newton
         rest = objective.body.rest
         (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
         total = self._shares.shape[2]
@@ -163,7 +166,7 @@ class Determined:
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell = cells(stretch).argmax(axis=1)
-        self._carried = np.repeat(rest[None], total + 2, axis=0)
+        self._carried = np.repeat(rest[None], total + 2 - newton, axis=0)
         self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
@@ -193,16 +196,18 @@ class Determined:
             seen: displacement of the points, shape [Q, 2] [px]; not observed = NaN.
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
-        likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
-        kinds = zip(likeliest, fields[:2], factors, strict=True)
-        distance, shape = (np.concatenate([best[None], field[None], field * factor]) for best, field, factor in kinds)
+        own = np.stack(fields[:2])[:, None]
+        all_of = [own, own * factors]
+        if not self._newton:
+            all_of.insert(0, np.exp(self._begun + self._shares @ self._posterior(fields)[1])[:, None])
+        distance, shape = np.concatenate(all_of, axis=1)
         fewer = len(distance)
         carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
         for other, state in zip(self._others, self._carried[fewer:], strict=True):
             carried.append(other.stepped(fields, state, places[None]).positions[:, -1])
         self._carried = np.concatenate(carried)
-        best, *shown = self._shown(self._carried)
-        shown = np.array(shown)
+        shown = self._shown(self._carried)
+        best, shown = shown[0], shown if self._newton else shown[1:]
         used = np.isfinite(seen).all(axis=1)
         if not used.any():
             self.course.append((math.nan, math.nan, math.nan))
@@ -225,6 +230,23 @@ class Determined:
             self._squares[one] += flat @ flat.T
             self._shared[one] += count * means @ means.T
             self._points[one] += count
+
+    def likeliest(self, fields: Stiffness) -> Stiffness:
+        """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
+
+        To what is likeliest of them if time step and foundation stay as they are, at most LONGEST a knot.
+        """
+        covariance, likeliest = self._posterior(fields)
+        knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
+        others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
+        way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
+        way *= min(1.0, LONGEST / max(float(np.abs(way).max()), 1e-300))
+        # As if they had been led by these fields all along: what remains of former ones would count again.
+        slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
+        self._carried = self._carried + np.tensordot(way, slopes, 1)
+        bounds = self._objective.bounds.distance, self._objective.bounds.shape
+        changed = zip(fields[:2], self._shares[:, :, knots] @ way, bounds, strict=True)
+        return Stiffness(*(np.minimum(own * np.exp(by), bound) for own, by, bound in changed), fields.volume)
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.

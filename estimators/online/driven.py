@@ -14,7 +14,7 @@ from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, Fitting, uniform
 from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast, telling
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
-from palpate.estimators.online.session import Frame, Session
+from palpate.estimators.online.session import Frame, Method, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
 from palpate.physics.pbd.stiffness import Stiffness
@@ -27,6 +27,7 @@ NEIGHBOURS = 6
 """Followed points that tell how a gripped particle moves."""
 CAUGHT_UP = 2
 """Frames that are taken in once more with every one to come, until all are: at once they would take seconds."""
+NEWTON = Method("PBD-RM-ON", "gauss-newton")
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
@@ -90,8 +91,13 @@ class DrivenTissue:
         how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
-        self.session = Session(objective, begun, settings.method)
-        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
+        method = settings.method
+        self._newton = method == dataclasses.replace(NEWTON, rate=method.rate) and len(self.around) > 0
+        """Whether the fields are the likeliest by what is followed, which the session does not see."""
+        if self._newton:
+            method = dataclasses.replace(method, name="PBD-RM")
+        self.session = Session(objective, begun, method)
+        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown, self._newton)
         self._places = body.rest[self.surface.gripped]
         self.past: deque[np.ndarray] = deque(maxlen=PAST)
         """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
@@ -222,7 +228,10 @@ class DrivenTissue:
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
         strained = np.abs(lengths / rest - 1) > self.settings.strain
-        if found.terms is not None:  # stiffness was learnt from it
+        newton = self._newton and found.gap is not None
+        if newton:
+            self.session.fields = self.alone.likeliest(self.session.fields)
+        if newton or found.terms is not None:  # stiffness was learnt from it
             self._moving[first[strained]] = self._moving[second[strained]] = True
         return found
 

@@ -16,19 +16,20 @@ simulation alone; stiffness place by place is left to the optimiser.
 import dataclasses
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
+from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.objective import Objective
-from palpate.estimators.online.session import knot_shares
+from palpate.estimators.online.session import LONGEST, knot_shares
 from palpate.physics.identifiability import LIMIT
-from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
-from palpate.physics.pbd.simulation import Stepping, simulate
+from palpate.physics.pbd.simulation import Stepping
 from palpate.physics.pbd.stiffness import Stiffness
 
 TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
@@ -64,41 +65,65 @@ class Fit(NamedTuple):
     bending: float
     """Stiffness of shapes, likewise."""
     error: float
-    """Mean over frames of error over motion, root mean squares over points."""
+    """Error over motion, root mean squares over points, of frames held out in turn: their mean."""
 
     def stepping(self, usual: Stepping, stiffness: float) -> Stepping:
         """The usual one with this time step and foundation, for such a stiffness of distances."""
         return dataclasses.replace(usual, time_step=self.time_step, foundation=self.foundation * stiffness)
 
 
-def fit_motion(
-    body: Body, grip: Grip, seen: np.ndarray, shown: Answer, stepping: Stepping, stiffness: float, bendings: list[float]
-) -> Fit | None:
-    """Try every combination on the frames so far, from rest on; None where nothing moves in any.
+class Fitting:
+    """The first frames by every combination, and by what is given, all led by the instrument from rest on.
 
     Args:
-        body: N particles.
-        grip: where the gripped ones are in T frames.
-        seen: displacement of Q points in them, shape [T, Q, 2] [px]; not observed = NaN.
-        shown: gives that of states [T, N, 3].
-        stepping: sweeps a step; its time step and foundation don't count.
-        stiffness: of distances, the same everywhere.
-        bendings: stiffness of shapes over that, to choose from.
+        objective: how the body is stepped if nothing is fitted.
+        begun: the stiffness then, the same everywhere.
+        bendings: stiffness of shapes over that of distances, to choose from.
+        shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
     """
-    used = np.asarray(np.isfinite(seen).all(axis=-1))
-    motion = np.array([length(frame[some]) if some.any() else 0 for frame, some in zip(seen, used, strict=True)])
-    telling = np.flatnonzero(motion > LEAST)
-    if len(telling) == 0:
-        return None
-    fits = []
-    for time_step, foundation, bending in product(TIME_STEPS, FOUNDATIONS, bendings):
-        fit = Fit(time_step, foundation, bending, np.nan)
-        fields = uniform(body, stiffness, bending * stiffness)
-        states = simulate(body, fields, grip, fit.stepping(stepping, stiffness)).positions[0, 1:]
-        off = shown(states) - seen
-        errors = [length(off[frame, used[frame]]) / motion[frame] for frame in telling]
-        fits.append(fit._replace(error=float(np.mean(errors))))
-    return min(fits, key=lambda fit: fit.error)
+
+    def __init__(self, objective: Objective, begun: Stiffness, bendings: list[float], shown: Answer) -> None:
+        self._shown, stiffness = shown, float(begun.distance[0])
+        shapes = stiffness * np.repeat(np.array(bendings)[:, None], objective.body.count, axis=1)
+        fields = Stiffness(np.full_like(shapes, stiffness), shapes, begun.volume)
+        self._fits, self._groups = [None], [(objective, begun)]
+        for time_step, foundation in product(TIME_STEPS, FOUNDATIONS):
+            own = [Fit(time_step, foundation, bending, np.nan) for bending in bendings]
+            stepping = own[0].stepping(objective.stepping, stiffness)
+            self._groups.append((dataclasses.replace(objective, stepping=stepping), fields))
+            self._fits += own
+        self._states = [objective.body.rest] * len(self._groups)
+        self._errors: list[list[float]] = []
+        """Over the motion, of every frame in which points move, by what is given and by all combinations."""
+
+    def step(self, places: np.ndarray, seen: np.ndarray) -> None:
+        """Lead all on, and compare them with a frame; arguments as of `Determined.step`."""
+
+        def stepped(group: tuple[Objective, Stiffness], states: np.ndarray) -> np.ndarray:
+            return group[0].stepped(group[1], states, places[None]).positions[:, -1]
+
+        with ThreadPoolExecutor(2) as both:
+            self._states = list(both.map(stepped, self._groups, self._states))
+        used = np.isfinite(seen).all(axis=1)
+        motion = length(seen[used]) if used.any() else 0.0
+        if motion > LEAST:
+            off = (self._shown(np.concatenate(self._states)) - seen)[:, used]
+            self._errors.append([length(each) / motion for each in off])
+
+    @property
+    def best(self) -> Fit | None:
+        """What explains the frames so far best; None if that isn't what held-out frames ask for.
+
+        Each frame is held out in turn, and must be explained by what the others choose: in the mean better than by
+        what is given, and as well as a run must be. Else what is fitted may be noise.
+        """
+        errors = np.array(self._errors)
+        if len(errors) < 2:
+            return None
+        chosen = (errors.sum(axis=0) - errors).argmin(axis=1)
+        held_out, fit = float(errors[np.arange(len(errors)), chosen].mean()), self._fits[errors.sum(axis=0).argmin()]
+        explained = held_out < min(errors[:, 0].mean(), 1 - LEAST_SKILL)
+        return fit._replace(error=held_out) if fit is not None and explained else None
 
 
 LEARNT = 0.5
@@ -119,7 +144,9 @@ NOISE = 0.3
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
 
-    def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
+    def __init__(
+        self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer, newton: bool = False
+    ) -> None:
         """Begin at rest.
 
         Args:
@@ -127,8 +154,9 @@ class Determined:
             begun: stiffness to begin with, shape [N].
             cells: gives values of the particles [N, C] at the points, shape [Q, C].
             shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
+            newton: whether the fields of each frame are to be the likeliest by then (`likeliest`).
         """
-        self._objective, self._shown = objective, shown
+        self._objective, self._shown, self._newton = objective, shown, newton
         rest = objective.body.rest
         (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
         total = self._shares.shape[2]
@@ -138,7 +166,7 @@ class Determined:
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell = cells(stretch).argmax(axis=1)
-        self._carried = np.repeat(rest[None], total + 2, axis=0)
+        self._carried = np.repeat(rest[None], total + 2 - newton, axis=0)
         self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
@@ -168,16 +196,18 @@ class Determined:
             seen: displacement of the points, shape [Q, 2] [px]; not observed = NaN.
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
-        likeliest = np.exp(self._begun + self._shares @ self._posterior(fields)[1])
-        kinds = zip(likeliest, fields[:2], factors, strict=True)
-        distance, shape = (np.concatenate([best[None], field[None], field * factor]) for best, field, factor in kinds)
+        own = np.stack(fields[:2])[:, None]
+        all_of = [own, own * factors]
+        if not self._newton:
+            all_of.insert(0, np.exp(self._begun + self._shares @ self._posterior(fields)[1])[:, None])
+        distance, shape = np.concatenate(all_of, axis=1)
         fewer = len(distance)
         carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
         for other, state in zip(self._others, self._carried[fewer:], strict=True):
             carried.append(other.stepped(fields, state, places[None]).positions[:, -1])
         self._carried = np.concatenate(carried)
-        best, *shown = self._shown(self._carried)
-        shown = np.array(shown)
+        shown = self._shown(self._carried)
+        best, shown = shown[0], shown if self._newton else shown[1:]
         used = np.isfinite(seen).all(axis=1)
         if not used.any():
             self.course.append((math.nan, math.nan, math.nan))
@@ -200,6 +230,23 @@ class Determined:
             self._squares[one] += flat @ flat.T
             self._shared[one] += count * means @ means.T
             self._points[one] += count
+
+    def likeliest(self, fields: Stiffness) -> Stiffness:
+        """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
+
+        To what is likeliest of them if time step and foundation stay as they are, at most LONGEST a knot.
+        """
+        covariance, likeliest = self._posterior(fields)
+        knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
+        others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
+        way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
+        way *= min(1.0, LONGEST / max(float(np.abs(way).max()), 1e-300))
+        # As if they had been led by these fields all along: what remains of former ones would count again.
+        slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
+        self._carried = self._carried + np.tensordot(way, slopes, 1)
+        bounds = self._objective.bounds.distance, self._objective.bounds.shape
+        changed = zip(fields[:2], self._shares[:, :, knots] @ way, bounds, strict=True)
+        return Stiffness(*(np.minimum(own * np.exp(by), bound) for own, by, bound in changed), fields.volume)
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.

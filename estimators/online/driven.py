@@ -1,5 +1,6 @@
 """Tissue that an instrument drives, stepped on by what is followed of it in every frame."""
 
+import copy
 import dataclasses
 from collections import deque
 from contextlib import suppress
@@ -10,13 +11,13 @@ from scipy.spatial import KDTree
 from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
 from palpate.estimators.grip.recorder import DRIVEN
-from palpate.estimators.online.determined import BENDINGS, Determined, Fit, fit_motion, uniform
+from palpate.estimators.online.determined import BENDINGS, Determined, Fit, Fitting, uniform
 from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast, telling
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
-from palpate.estimators.online.session import Frame, Session
+from palpate.estimators.online.session import Frame, Method, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
-from palpate.physics.load import Grip
+from palpate.physics.pbd.stiffness import Stiffness
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
@@ -24,6 +25,9 @@ LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
 NEIGHBOURS = 6
 """Followed points that tell how a gripped particle moves."""
+CAUGHT_UP = 2
+"""Frames that are taken in once more with every one to come, until all are: at once they would take seconds."""
+NEWTON = Method("PBD-RM-ON", "gauss-newton")
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
@@ -55,9 +59,10 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: list[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = []
+        self._first: deque[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = deque()
         """What the first frames tell, as `step` takes it."""
-        self._awaited = settings.fitted
+        self._better: DrivenTissue | None = None
+        """The same by what was fitted, until it has taken all frames in."""
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
         if settings.path is not None:  # which needn't begin at the instrument's mask
@@ -73,22 +78,33 @@ class DrivenTissue:
         self._fixed = body.pinned.copy()
         self._fixed[surface.gripped] = True
         self._edges = body.edges.T
-        self._begin()
+        self._fitting: Fitting | None = None
+        objective, begun = self._begin()
+        if settings.fitted > 0:
+            allowed = [bending for bending in BENDINGS if bending * settings.start.distance < settings.bounds.shape]
+            allowed = allowed or [settings.start.shape / settings.start.distance]
+            self._fitting = Fitting(objective, begun, allowed, self.shown)
 
-    def _begin(self) -> None:
-        """At rest, by the settings as they are."""
+    def _begin(self) -> tuple[Objective, Stiffness]:
+        """At rest, by the settings as they are: what is stepped, and the stiffness to begin with."""
         settings, body = self.settings, self.surface.body
         how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
-        self.session = Session(objective, begun, settings.method)
-        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
+        method = settings.method
+        self._newton = method == dataclasses.replace(NEWTON, rate=method.rate) and len(self.around) > 0
+        """Whether the fields are the likeliest by what is followed, which the session does not see."""
+        if self._newton:
+            method = dataclasses.replace(method, name="PBD-RM")
+        self.session = Session(objective, begun, method)
+        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown, self._newton)
         self._places = body.rest[self.surface.gripped]
         self.past: deque[np.ndarray] = deque(maxlen=PAST)
         """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
         self._seen: deque[np.ndarray] = deque(maxlen=PAST)
         """Displacement of all followed points in these frames."""
         self._moving = np.zeros(body.count, bool)
+        return objective, begun
 
     @property
     def stretched(self) -> np.ndarray:
@@ -144,8 +160,8 @@ class DrivenTissue:
     def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
-        With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
-        taken in once more.
+        With the last of the frames that are fitted to, what one number each says of the tissue is chosen. All are then
+        taken in once more by that, some with every frame to come, and until they are the state is that without it.
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
@@ -155,34 +171,41 @@ class DrivenTissue:
         """
         frame = moved, cloud, led
         found = self._taken(*frame)
-        if self._awaited > 0:
-            self._awaited -= 1
+        if self._fitting is not None or self._better is not None:
             self._first.append(frame)
-            if self._awaited == 0:
-                if self._fitted():
-                    self._begin()
-                    for frame in self._first:
-                        found = self._taken(*frame)
-                self._first = []
+        if self._better is not None:
+            return self.finish(CAUGHT_UP) or found
+        if self._fitting is not None and len(self._first) == self.settings.fitted:
+            self._begin_by(self._fitting.best)
         return found
 
-    def _fitted(self) -> bool:
-        """Choose time step, foundation and bending by the first frames; whether these tell anything."""
-        settings = self.settings
-        way = np.stack(self.past) - self.surface.body.rest[self.surface.gripped]
-        seen = np.stack([frame[0][self.around] for frame in self._first])
-        grip, stiffness = Grip(self.surface.gripped, way), settings.start.distance
-        bounds, stepping = settings.bounds, settings.stepping
-        allowed = [bending for bending in BENDINGS if bending * stiffness < bounds.shape]
-        allowed = allowed or [settings.start.shape / stiffness]
-        self.fit = fit_motion(self.surface.body, grip, seen, self.shown, stepping, stiffness, allowed)
-        if self.fit is None:
-            return False
-        shape = self.fit.bending * stiffness
-        bounds = dataclasses.replace(bounds, shape=min(bounds.shape, self.fit.bending * bounds.distance))
-        stepping = self.fit.stepping(stepping, stiffness)
-        self.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
-        return True
+    def finish(self, most: int = MOST_FITTED) -> Frame | None:
+        """Take so many frames in once more that are awaiting it; the last one by what was fitted, once none is."""
+        found, better = None, self._better
+        if better is not None:
+            for _ in range(min(most, len(self._first))):
+                found = better._taken(*self._first.popleft())
+            if not self._first:
+                vars(self).update(vars(better))
+                return found
+        return None
+
+    def _begin_by(self, fit: Fit | None) -> None:
+        """Begin anew by what the first frames say, if they say anything."""
+        self.fit, self._fitting = fit, None
+        if fit is None:
+            self._first.clear()
+            return
+        settings, stiffness = self.settings, self.settings.start.distance
+        shape = fit.bending * stiffness
+        bounds = dataclasses.replace(
+            settings.bounds, shape=min(settings.bounds.shape, fit.bending * settings.bounds.distance)
+        )
+        stepping = fit.stepping(settings.stepping, stiffness)
+        better = copy.copy(self)
+        better.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
+        better._begin()
+        self._better = better
 
     def _taken(self, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
         if self.settings.path is None:
@@ -196,6 +219,8 @@ class DrivenTissue:
                 matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
         self.alone.step(self.session.fields, self._places, seen_around)
+        if self._fitting is not None:
+            self._fitting.step(self._places, seen_around)
         found = self.session.step(self._places, matches)
         self.past.append(self._places)
         self._seen.append(moved)
@@ -203,7 +228,10 @@ class DrivenTissue:
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
         strained = np.abs(lengths / rest - 1) > self.settings.strain
-        if found.terms is not None:  # stiffness was learnt from it
+        newton = self._newton and found.gap is not None
+        if newton:
+            self.session.fields = self.alone.likeliest(self.session.fields)
+        if newton or found.terms is not None:  # stiffness was learnt from it
             self._moving[first[strained]] = self._moving[second[strained]] = True
         return found
 
@@ -219,6 +247,7 @@ class DrivenTissue:
             moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; of none, which model
                 predicts better is said alone.
         """
+        self.finish()
         path, places = list(self.past), self._places
         for motion in moved:
             found = self.gripped_places(motion)

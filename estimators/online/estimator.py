@@ -156,6 +156,7 @@ class _Followed:
     def estimate(self) -> FieldEstimate:
         """What the run tells by now."""
         driven = self._driven
+        driven.finish()
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted

@@ -3,7 +3,7 @@
 The gap is left by residual mapping: the deformation that takes a simulated state to what was observed of it (equation
 6). How far particles are from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
 value [m²], its gradient [N, 3] [m], and its second derivatives by one axis [N, N], the same for all three and none
-below 0. Once its pairs are fixed a term is quadratic in positions.
+below 0, or their diagonal [N]. Once its pairs are fixed a term is quadratic in positions.
 """
 
 from collections.abc import Sequence
@@ -22,6 +22,9 @@ from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
 from palpate.physics.pbd.simulation import Motion, Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
+
+NEAR = 5
+"""Particles that are looked at for the one that is nearest to a point of a cloud, before all are."""
 
 
 class Chamfer:
@@ -45,10 +48,12 @@ class Chamfer:
         if len(seen) == 0:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
-        self._tree = KDTree(self.cloud)
+        self._tree, self._last, self._gone = KDTree(self.cloud), None, 0.0
+        self._near = np.zeros((min(NEAR, len(self.seen)), len(self.cloud)), np.int64)
+        self._beyond, self._every = np.full(len(self.cloud), -np.inf), np.arange(len(self.cloud))
 
-    def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """Value, gradient and second derivatives.
+    def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Value, gradient and second derivatives, which are a diagonal [N].
 
         Raises:
             ValueError: a position that is not finite.
@@ -57,15 +62,32 @@ class Chamfer:
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
         out, there = self._tree.query(shown)
-        back, here = KDTree(shown).query(self.cloud)
+        back, here = self._nearest(shown)
         own, others = len(shown), len(self.cloud)
         counts = np.bincount(here, minlength=own)
         drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
         gradient, weight = np.zeros_like(points), np.zeros(len(points))
         gradient[self.seen] = 2 * (shown - self.cloud[there]) / own + 2 * (counts[:, None] * shown - drawn) / others
         weight[self.seen] = 2 / own + 2 * counts / others
-        curved = csr_array((weight, np.arange(len(points)), np.arange(len(points) + 1)))
-        return float(np.square(out).mean() + np.square(back).mean()), gradient, curved
+        return float(np.square(out).mean() + np.square(back).mean()), gradient, weight
+
+    def _nearest(self, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of the cloud's points to the nearest particle, and which: one of those that were near, or anew.
+
+        Where these are no nearer than another may have come since, as far as any has gone.
+        """
+        if self._last is not None:
+            self._gone += float(np.linalg.norm(shown - self._last, axis=1).max())
+        self._last = shown
+        axes = zip(shown.T, self.cloud.T, strict=True)
+        apart = sum(np.square(own[self._near] - other) for own, other in axes)
+        back, here = np.sqrt(apart.min(axis=0)), self._near[apart.argmin(axis=0), self._every]
+        old = np.flatnonzero(back > self._beyond - self._gone)
+        if len(old):
+            away, which = KDTree(shown).query(self.cloud[old], list(range(1, len(self._near) + 1)))
+            back[old], here[old] = away[:, 0], which[:, 0]
+            self._near[:, old], self._beyond[old] = which.T, away[:, -1] + self._gone
+        return back, here
 
 
 class Tracks:
@@ -126,8 +148,8 @@ class _Step(NamedTuple):
     """A gradient step, for the adjoint."""
 
     points: np.ndarray
-    bends: list[csr_array]
-    """Second derivatives of what was matched."""
+    bends: list[csr_array | np.ndarray]
+    """Second derivatives of what was matched, as of `slope`."""
     rates: np.ndarray
     """Of the particles, shape [N, 1]; 0 for what is held."""
 
@@ -152,7 +174,8 @@ class Residual:
         start = pull = np.where(free, by_deformation, 0.0)
         for points, bends, rates in reversed(self._path):
             ahead = rates * pull
-            bent = sum((bend @ ahead for bend in bends), self._energy.bend(points, ahead) / len(pull))
+            bent = self._energy.bend(points, ahead) / len(pull)
+            bent = sum((bend[:, None] * ahead if bend.ndim == 1 else bend @ ahead for bend in bends), bent)
             pull = pull - np.where(free, bent, 0.0)
             # What is held is part of the state, but doesn't move: its pull on the others' path isn't asked for.
         return pull - start
@@ -183,7 +206,7 @@ def map_residual(
             apart, slope, bend = match.slope(now)
             value, gradient = value + apart, gradient + slope
             bends.append(bend)
-        curvature = sum((bend.sum(axis=1) for bend in bends), np.zeros(len(now)))  # no entry is negative
+        curvature = sum((bend if bend.ndim == 1 else bend.sum(axis=1) for bend in bends), np.zeros(len(now)))
         rates = (wanted / np.maximum(1.0, wanted * curvature))[:, None]
         path.append(_Step(now, bends, rates))
         values.append(value)

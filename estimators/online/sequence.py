@@ -85,6 +85,8 @@ class SequenceTissue:
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
+            if frame == self._sequence.held[-1]:
+                self.driven.finish()
             self._past.append((frame, self.driven.session.positions))
             yield frame, self._field(gap)
 

@@ -190,8 +190,9 @@ class Method:
 
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
     """Simulation alone; with states that are mapped to what is observed; with stiffness that is optimised, too."""
-    optimizer: Literal["adam", "gauss-newton"] = "adam"
-    """What changes the stiffness: Adam, the paper's, or recursive Gauss–Newton steps of the fields at a few knots."""
+    optimizer: Literal["adam", "gauss-newton"] = "gauss-newton"
+    """What changes the stiffness: Adam, the paper's, or recursive Gauss–Newton steps of the fields at a few knots. Of
+    tissue whose points are followed in pictures these are `estimators.online.determined`'s."""
     rate: float = 0.1
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 

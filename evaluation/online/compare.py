@@ -56,7 +56,8 @@ def run_case(
         figure 5 has mm). `ahead`: those frames, [J]. `gap`: mean norm of the residual mapping 1 to 10 frames ahead
         (equation 10), [J] [m]. `keypoint`: mean distance of keypoints to where they are predicted, over 1 to 10 frames
         ahead, [J] [m]; equation 11 has that of the tenth. `rank`: Spearman's correlation of the last distance field
-        with truth where tissue moves; of a uniform field not a number. `seconds`: median time of a step.
+        with truth where tissue moves; of a uniform field not a number. `seconds`: median time of a step
+        on one processor core.
     """
     body, frames = pull.body, len(pull.truth)
     objective = Objective(body, pull.gripped)
@@ -70,9 +71,9 @@ def run_case(
     nearest = KDTree(body.rest).query(pull.points[0, pull.keypoints])[1]
     chamfer, spent, ahead, rows = [], [], [], []
     for frame in range(frames):
-        begun = time.perf_counter()
+        begun = time.process_time()
         state = session.step(pull.places[frame], pull.matches(frame, match))
-        spent.append(time.perf_counter() - begun)
+        spent.append(time.process_time() - begun)
         chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.visible).slope(state.positions)[0]))
         if frame % every == every - 1 and frame + HORIZON < frames:
             ahead.append(frame)

@@ -21,7 +21,7 @@ from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_module")
 SHARES = np.linspace(0, 1, 6)
-SETTINGS = "particles: 150\nstrain: 0.01\n"
+SETTINGS = "particles: 150\nstrain: 0.01\nfitted: 2\n"
 
 
 def write_annotated(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> Path:

@@ -10,6 +10,7 @@ from scipy.stats import spearmanr
 
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import open_sequence
+from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.session import Method
@@ -31,17 +32,17 @@ def test_the_field_does_not_depend_on_frame_and_unit(tmp_path: Path) -> None:
     turn = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
     one = followed(write_sequence(tmp_path / "one", 8, turn=turn, pins=None))
     other = followed(write_sequence(tmp_path / "other", 8, pins=None, length=1000.0, unit="mm"))
-    np.testing.assert_allclose(one.distance, other.distance, rtol=1e-3)
+    np.testing.assert_allclose(one.distance, other.distance, rtol=5e-3)
     np.testing.assert_allclose((one.positions - SHIFT) @ turn, (other.positions - SHIFT) @ TURN, atol=1e-6)
-    assert np.ptp(one.distance) > 0.005
+    assert np.ptp(one.distance) > 0.5
 
 
 @pytest.mark.slow
 def test_the_field_ranks_and_moves_as_the_truth(tmp_path: Path) -> None:
-    """Less well than the session that is given the simulated sheet itself: 0.66 in place of 0.79."""
+    """Less well than the session that is given the simulated sheet itself: 0.73 in place of 0.79."""
     drawn, field = pull(60), followed(write_sequence(tmp_path, 60), particles=300)
     rest, now = ((places - SHIFT) @ TURN for places in (field.rest, field.positions))
-    assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.6
+    assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7
     assert field.skill > 0.8
     inner = (drawn.body.rest[:, :2] > 0.01).all(axis=1) & (drawn.body.rest[:, :2] < SIDE - 0.01).all(axis=1)
     found = LinearNDInterpolator(rest[:, :2], now - rest)(drawn.body.rest[inner, :2])
@@ -106,12 +107,18 @@ def test_forces_or_a_palpation_tell_kilopascals_of_what_is_known(tmp_path: Path)
     chosen = OnlineSettings(particles=300, fitted=0, method=NEWTON)
     tissue = SequenceTissue(open_sequence(write_sequence(tmp_path, 60, forces="forces.csv", thickness=0.002)), chosen)
     field = list(tissue.fields())[-1][1]
-    assert tissue.kilopascals(field) is None  # nothing is determined
+    assert tissue.kilopascals(dataclasses.replace(field, known=np.zeros(len(field.rest), bool))) is None
+    soft = ((field.rest - SHIFT) @ TURN)[:, 0] > SIDE / 2
+    off = np.log(field.distance / np.where(soft, 1.0, 3.0))
+    held = np.abs(off - off[tissue.driven.stretched].mean()) < NINETY * field.distance_log_sd
+    assert field.known.mean() > 0.4
+    assert held[field.known].mean() > 0.85  # of 90 % intervals
+    unit, log_sd = tissue.kilopascals(field)
+    assert abs(np.log(unit * np.median(field.distance[soft & field.known]) / (1.55 / 2))) < NINETY * log_sd
     known = dataclasses.replace(
         field, known=np.ones(len(field.rest), bool), distance_log_sd=np.full(len(field.rest), 0.1)
     )
     unit, log_sd = tissue.kilopascals(known)
-    soft = ((field.rest - SHIFT) @ TURN)[:, 0] > SIDE / 2
     assert unit * np.median(field.distance[soft]) == pytest.approx(1.55 / 2, rel=0.15)
     at = placed(np.array([0.02, 0.06, 0.0])).tolist()
     path = write_sequence(tmp_path, 60, palpation="e.json", palpated_at=at)

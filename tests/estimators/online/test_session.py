@@ -70,7 +70,7 @@ def test_mapping_predicts_better_than_none_and_optimised_fields_better_still(opt
 
 def test_a_frame_tells_what_was_done():
     state = truth()[0][0]
-    sessions = {name: Session(Objective(BODY, GRIPPED), START, Method(name)) for name in METHODS}
+    sessions = {name: Session(Objective(BODY, GRIPPED), START, Method(name, "adam")) for name in METHODS}
     frames = {name: session.step(state[GRIPPED], seen(state)) for name, session in sessions.items()}
     assert [frames[name].gap is None for name in METHODS] == [True, False, False]
     assert [frames[name].terms is None for name in METHODS] == [True, True, False]
@@ -84,7 +84,9 @@ def test_a_frame_tells_what_was_done():
 
 
 def test_a_frame_that_shows_nothing_is_simulated_alone():
-    session, plain = (Session(Objective(BODY, GRIPPED), START, how) for how in (Method(), Method("PBD")))
+    session, plain = (
+        Session(Objective(BODY, GRIPPED), START, how) for how in (Method(optimizer="adam"), Method("PBD"))
+    )
     places = BODY.rest[GRIPPED] + path(4)[0]
     blind = session.step(places, [])
     assert (blind.gap, blind.terms) == (None, None)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.alarm import ABOVE, BELOW, UNKNOWN
 from palpate.results.columns import UNITS
@@ -157,9 +157,13 @@ def _described_field(field: ParticleField) -> str:
         return f"The fit does not explain the motion: tissue simulated under the instrument alone {left}."
     if field.verdict == "undetermined":
         return f"Tissue simulated under the instrument alone {left}, but no place's stiffness is determined."
+    unit = "relative units"
+    if "young_kPa" in (numbers := field.numbers()):
+        middle, low, high = (f"{numbers[name]:.3g}" for name in YOUNG)
+        unit = f"which is {middle} kPa ({low} to {high}) against stretch"
     return (
         f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
-        f"{RANGE:g}th, relative units; not determined where nothing is coloured. The fit {left}."
+        f"{RANGE:g}th, {unit}; not determined where nothing is coloured. The fit {left}."
     )
 
 

@@ -116,7 +116,16 @@ class Batch:
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":
-            raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
+            raise ValueError(
+                "--calibration is for estimators of forces; of online leave it out, and give palpation or sheet_m in "
+                "--settings."
+            )
+        online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
+        if online is not None and (self.known is None) != (online.settings.sheet_m is None):
+            raise ValueError(
+                "--known-force and sheet_m in --settings tell kilopascals together, of --estimator online; give both, "
+                "or neither."
+            )
         if self.calibration is not None and self.known is not None:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
         if options.force_limit is not None and self.estimator.name not in MAPPING:
@@ -172,7 +181,8 @@ class Batch:
             known = None if newtons is None else newtons.known
             if self.known is not None:
                 known = self.known(path, self.settings.layout.topic)
-            options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
+            options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
+            options["known"] = None if self.fields else known
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
@@ -189,7 +199,9 @@ class Batch:
                 if diameter is not None and length.metres is not None:
                     raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
                 ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
-                session = self.estimator.start(ClipInfo.of(clip))
+                told = length.metres and (length.metres, length.log_sd)
+                metres = (lambda: told) if ruler is None else ruler.metres
+                session = self.estimator.start(replace(ClipInfo.of(clip), force=known, metres=metres))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
                 stream = ruler.watched(stream) if ruler else stream
@@ -348,7 +360,8 @@ class Batch:
         """Names of what is written for a clip."""
         compared = newtons is not None and newtons.measured is not None
         known = self.known if newtons is None else newtons.known
-        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
+        forces = known is not None and not self.fields
+        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: forces, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
         wanted |= {store.EARLIER: False}

@@ -25,10 +25,12 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
+from palpate.estimators.calibration_file import palpated_young
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
+from palpate.estimators.online.kilopascals import Kilopascals, Palpated, particle_at
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
@@ -62,6 +64,7 @@ class OnlineEstimator:
         self.settings = settings
         self.pins = None if settings.pins is None else read_pins(Path(settings.pins))
         self.path = None if settings.path is None else read_path(Path(settings.path))
+        self.palpated = None if settings.palpation is None else palpated_young(Path(settings.palpation))
         named = {name: getattr(settings, name) for name in FILES}
         files = {name: _described(Path(path)) for name, path in named.items() if path is not None}
         self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
@@ -101,6 +104,7 @@ class _Followed:
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
+        self._kilopascals = Kilopascals(self._driven, self._known(estimator.palpated))
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
@@ -122,7 +126,19 @@ class _Followed:
             moved = still
         cloud = None if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
+        if self._gap is not None and self._clip.force is not None:
+            self._kilopascals.add(abs(float(self._clip.force.at(np.array(frame.frame.time_s)))))
         self._times.append(frame.frame.time_s)
+
+    def _known(self, palpated: tuple[float, float] | None) -> Palpated | float | None:
+        """E [Pa] where it was palpated, or the thickness of the sheet whose forces are known [m]; None = nothing."""
+        if palpated is None:
+            return self._settings.sheet_m
+        surface = self._driven.surface
+        size = surface.camera.height, surface.camera.width
+        pixels = grid_to_picture(surface.project(surface.body.rest), size, self._clip.size)
+        edge = self._driven.session.objective.edge * self._clip.camera.fx / float(np.median(surface.body.rest[:, 2]))
+        return Palpated(*palpated, particle_at(pixels, np.array(self._settings.palpated_at), edge))
 
     def _led(self, time: float) -> np.ndarray | None:
         """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't known.
@@ -141,6 +157,11 @@ class _Followed:
             said = f"takes tissue behind the camera by {time:g} s"
             raise InputError(f"{printable(self._path.path)} {said}; give z in scene units, as the clip's depth is.")
         return places
+
+    @property
+    def kilopascals(self) -> str:
+        """What tells them, or why nothing does, a sentence."""
+        return self._kilopascals.said
 
     @property
     def fitted(self) -> str:
@@ -179,7 +200,8 @@ class _Followed:
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
-        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
+        found = ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
+        return self._kilopascals.anchored(found, None if self._clip.metres is None else self._clip.metres())
 
     def _cloud(self, frame: PreparedFrame) -> Cloud:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
@@ -246,7 +268,8 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            said = f"{found.explanation or UNDRIVEN} {self._driven.fitted}".strip()
+            kilopascals = self._driven.kilopascals if found.determined else ""
+            said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
         detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)
 

@@ -30,7 +30,7 @@ from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
-from palpate.estimators.online.kilopascals import Kilopascals, Palpated, particle_at
+from palpate.estimators.online.kilopascals import NOWHERE, Kilopascals, Palpated, particle_at
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
@@ -38,7 +38,10 @@ from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
-FIELD_ALONE = "This estimator tells relative stiffness place by place (fields.npz), not k_s, k_d or F."
+FIELD_ALONE = (
+    "This estimator tells relative stiffness place by place (fields.npz), in kilopascals by a known force or a "
+    "palpation, not k_s, k_d or F."
+)
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
 
 NUMBERS = (
@@ -268,7 +271,8 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            kilopascals = self._driven.kilopascals if found.determined else ""
+            kilopascals = self._driven.kilopascals
+            kilopascals = kilopascals and (kilopascals if found.determined else NOWHERE)
             said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
         detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)

@@ -27,6 +27,7 @@ PULL_LOG_SD = 0.1
 SHAPES = 3.0, 5.0
 """By how much more shapes resist a pull along one axis than distances do, in a sheet and in a volume: stretched alike
 in all directions they resist twice as much, but not across that axis (their ν is 0, that of springs 1/3 and 1/4)."""
+NOWHERE = "No kilopascals: stiffness is determined nowhere."
 LARGEST_GAP = 2.0
 """A place lies on tissue if a particle is so near, in mean edges."""
 
@@ -54,8 +55,8 @@ class Kilopascals:
     def __init__(self, driven: DrivenTissue, known: Palpated | float | None) -> None:
         self._driven, self._known = driven, known
         self._past: deque[tuple[np.ndarray, float]] = deque(maxlen=PULLS)
-        self.said = ""
-        """What comes of it by now, a sentence; empty without anything known or a determined field."""
+        self.said = "" if known is None else NOWHERE
+        """What comes of it by now, a sentence; empty without anything known."""
 
     def add(self, force: np.ndarray | float) -> None:
         """Keep the state that a frame was mapped to.
@@ -75,8 +76,10 @@ class Kilopascals:
             field: as it is now.
             metres: of a unit of the particles' places, and the standard deviation of its logarithm; None = not known.
         """
-        self.said = ""
-        if self._known is None or not field.known.any():
+        if self._known is None:
+            return field
+        self.said = NOWHERE
+        if not field.known.any():
             return field
         bending = SHAPES[len(field.tetrahedra) > 0] * field.shape
         stiffness = field.distance + bending

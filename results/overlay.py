@@ -157,13 +157,13 @@ def _described_field(field: ParticleField) -> str:
         return f"The fit does not explain the motion: tissue simulated under the instrument alone {left}."
     if field.verdict == "undetermined":
         return f"Tissue simulated under the instrument alone {left}, but no place's stiffness is determined."
-    unit = "relative units"
-    if "young_kPa" in (numbers := field.numbers()):
-        middle, low, high = (f"{numbers[name]:.3g}" for name in YOUNG)
-        unit = f"which is {middle} kPa ({low} to {high}) against stretch"
+    unit = ", relative units"
+    if "young_kPa" in (found := field.numbers()):
+        middle, low, high = (f"{found[name]:.3g}" for name in YOUNG)
+        unit = f"; against stretch the median is {middle} kPa ({low} to {high})"
     return (
         f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
-        f"{RANGE:g}th, {unit}; not determined where nothing is coloured. The fit {left}."
+        f"{RANGE:g}th{unit}; not determined where nothing is coloured. The fit {left}."
     )
 
 

@@ -247,5 +247,5 @@ def test_reasons_and_legend() -> None:
     found = Kilopascals(cast(DrivenTissue, SimpleNamespace(surface=surface)), Palpated(4000, 0.0, 0)).anchored(
         FIELD_SEEN
     )
-    assert "which is 4 kPa (" in _described_field(found)
+    assert "against stretch the median is 4 kPa (" in _described_field(found)
     assert "relative units" in _described_field(FIELD_SEEN)

@@ -35,9 +35,8 @@ class FieldFile:
         self._add(f"frame_{frame}/run", np.array(field.onset_frame))
         for name in ("positions", "pixels", "distance", "shape", "distance_log_sd", "shape_log_sd"):
             self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))
-        if field.young is not None:
-            for name, values in zip(YOUNG, field.young, strict=True):
-                self._add(f"frame_{frame}/{name}", values.astype(np.float32))
+        for name, values in () if field.young is None else zip(YOUNG, field.young, strict=True):
+            self._add(f"frame_{frame}/{name}", values.astype(np.float32))
         self._add(f"frame_{frame}/known", field.known)
         self._add(f"frame_{frame}/shape_known", field.shape_known)
 

@@ -159,8 +159,7 @@ def _described_field(field: ParticleField) -> str:
         return f"Tissue simulated under the instrument alone {left}, but no place's stiffness is determined."
     unit = ", relative units"
     if "young_kPa" in (found := field.numbers()):
-        middle, low, high = (f"{found[name]:.3g}" for name in YOUNG)
-        unit = f"; against stretch the median is {middle} kPa ({low} to {high})"
+        unit = "; against stretch the median is {:.3g} kPa ({:.3g} to {:.3g})".format(*(found[name] for name in YOUNG))
     return (
         f"Stiffness against stretch, small picture: against bending. Red {RANGE:g} times the median, blue a "
         f"{RANGE:g}th{unit}; not determined where nothing is coloured. The fit {left}."

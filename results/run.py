@@ -116,16 +116,10 @@ class Batch:
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         if self.calibration is not None and self.estimator.name == "online":
-            raise ValueError(
-                "--calibration is for estimators of forces; of online leave it out, and give palpation or sheet_m in "
-                "--settings."
-            )
+            raise ValueError("--calibration is for estimators of forces; --estimator online knows none, leave it out.")
         online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
-        if online is not None and (self.known is None) != (online.settings.sheet_m is None):
-            raise ValueError(
-                "--known-force and sheet_m in --settings tell kilopascals together, of --estimator online; give both, "
-                "or neither."
-            )
+        if online and (self.known is None) != (online.settings.sheet_m is None):
+            raise ValueError("--known-force and sheet_m in --settings tell kPa of online together; give both or none.")
         if self.calibration is not None and self.known is not None:
             raise ValueError("--known-force and --calibration both tell newtons; give forces in the latter's file.")
         if options.force_limit is not None and self.estimator.name not in MAPPING:
@@ -199,9 +193,8 @@ class Batch:
                 if diameter is not None and length.metres is not None:
                     raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
                 ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
-                told = length.metres and (length.metres, length.log_sd)
-                metres = (lambda: told) if ruler is None else ruler.metres
-                session = self.estimator.start(replace(ClipInfo.of(clip), force=known, metres=metres))
+                told = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
+                session = self.estimator.start(replace(ClipInfo.of(clip), force=known, metres=told))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
                 stream = ruler.watched(stream) if ruler else stream
@@ -359,9 +352,8 @@ class Batch:
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
         compared = newtons is not None and newtons.measured is not None
-        known = self.known if newtons is None else newtons.known
-        forces = known is not None and not self.fields
-        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: forces, store.FIELDS: self.fields}
+        known = (None if self.fields else self.known) if newtons is None else newtons.known
+        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
         wanted |= {store.EARLIER: False}

@@ -30,7 +30,7 @@ from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
-from palpate.estimators.online.kilopascals import NOWHERE, Kilopascals, Palpated, particle_at
+from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
@@ -39,8 +39,7 @@ from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
 FIELD_ALONE = (
-    "This estimator tells relative stiffness place by place (fields.npz), in kilopascals by a known force or a "
-    "palpation, not k_s, k_d or F."
+    "Relative stiffness place by place (fields.npz) is told, kPa by a known force or palpation; no k_s, k_d or F."
 )
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
 
@@ -107,7 +106,13 @@ class _Followed:
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
-        self._kilopascals = Kilopascals(self._driven, self._known(estimator.palpated))
+        anchor: Palpated | float | None = settings.sheet_m
+        if estimator.palpated is not None:
+            place = grid_to_picture(
+                np.array([settings.palpated_at]), clip.size[::-1], (surface.camera.width, surface.camera.height)
+            )
+            anchor = (*estimator.palpated, surface.particle(place))
+        self.kilopascals = Kilopascals(self._driven, anchor)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
@@ -130,18 +135,8 @@ class _Followed:
         cloud = None if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
         if self._gap is not None and self._clip.force is not None:
-            self._kilopascals.add(abs(float(self._clip.force.at(np.array(frame.frame.time_s)))))
+            self.kilopascals.add(abs(float(self._clip.force.at(np.array(frame.frame.time_s)))))
         self._times.append(frame.frame.time_s)
-
-    def _known(self, palpated: tuple[float, float] | None) -> Palpated | float | None:
-        """E [Pa] where it was palpated, or the thickness of the sheet whose forces are known [m]; None = nothing."""
-        if palpated is None:
-            return self._settings.sheet_m
-        surface = self._driven.surface
-        size = surface.camera.height, surface.camera.width
-        pixels = grid_to_picture(surface.project(surface.body.rest), size, self._clip.size)
-        edge = self._driven.session.objective.edge * self._clip.camera.fx / float(np.median(surface.body.rest[:, 2]))
-        return Palpated(*palpated, particle_at(pixels, np.array(self._settings.palpated_at), edge))
 
     def _led(self, time: float) -> np.ndarray | None:
         """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't known.
@@ -160,11 +155,6 @@ class _Followed:
             said = f"takes tissue behind the camera by {time:g} s"
             raise InputError(f"{printable(self._path.path)} {said}; give z in scene units, as the clip's depth is.")
         return places
-
-    @property
-    def kilopascals(self) -> str:
-        """What tells them, or why nothing does, a sentence."""
-        return self._kilopascals.said
 
     @property
     def fitted(self) -> str:
@@ -204,7 +194,7 @@ class _Followed:
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
         found = ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
-        return self._kilopascals.anchored(found, None if self._clip.metres is None else self._clip.metres())
+        return self.kilopascals.anchored(found, None if self._clip.metres is None else self._clip.metres())
 
     def _cloud(self, frame: PreparedFrame) -> Cloud:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
@@ -271,8 +261,7 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            kilopascals = self._driven.kilopascals
-            kilopascals = kilopascals and (kilopascals if found.determined else NOWHERE)
+            kilopascals = self._driven.kilopascals.said if found.determined else ""
             said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
         detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)

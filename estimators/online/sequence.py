@@ -17,7 +17,7 @@ from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
 from palpate.estimators.calibration_file import palpated_young
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.kilopascals import Kilopascals, Palpated, particle_at
+from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
@@ -80,7 +80,7 @@ class SequenceTissue:
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
             if self._sequence.forces is not None:
-                self._kilopascals.add(-self._view[:3, :3] @ self._sequence.forces[frame])
+                self._kilopascals.add(float(np.linalg.norm(self._sequence.forces[frame])))
             yield frame, self._kilopascals.anchored(self._field(gap))
 
     def _known(self) -> Palpated | float | None:
@@ -89,16 +89,14 @@ class SequenceTissue:
         Raises:
             InputError: the palpation's file can't be used, or nothing is tissue there.
         """
-        given, scale, rest = self._sequence.given, UNITS[self._sequence.given.unit], self.surface.body.rest
+        given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
         if given.palpation is None or given.palpated_at is None:
             return None if given.thickness is None else scale * given.thickness
-        place = moved(scale * np.array(given.palpated_at), self._view)
-        at = particle_at(rest, place, self.driven.session.objective.edge)
+        at = self.surface.particle(self.surface.project(moved(scale * np.array([given.palpated_at]), self._view)))
         if at is None:
-            said = f"{1000 * np.linalg.norm(rest - place, axis=1).min():.0f} mm away from the tissue"
             where = printable(self._sequence.path)
-            raise InputError(f"palpated_at in {where} lies {said}; give a place on it, in the poses' frame and unit.")
-        return Palpated(*palpated_young(self._sequence.path.parent / given.palpation), at)
+            raise InputError(f"palpated_at in {where} lies beside the tissue; give a place on it, in the poses' frame.")
+        return (*palpated_young(self._sequence.path.parent / given.palpation), at)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""

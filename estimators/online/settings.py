@@ -97,7 +97,6 @@ class OnlineSettings:
             raise ValueError("palpation and palpated_at belong together; give both.")
         if self.sheet_m is not None and (self.thickness is not None or self.palpation is not None):
             raise ValueError("sheet_m is for a sheet of which no palpation tells kilopascals; leave it out.")
-        require_numbers(self, positive=("sheet_m",))
         for name in FILES:
             if "\0" in (getattr(self, name) or ""):
                 raise ValueError(f"{name} holds a NUL, which no file's name does; leave it out.")
@@ -105,7 +104,7 @@ class OnlineSettings:
             raise ValueError(f"points is {self.points}; give 1 at least.")
         if not 0 <= self.fitted <= MOST_FITTED:
             raise ValueError(f"fitted is {self.fitted}; give 0 to {MOST_FITTED} frames.")
-        require_numbers(self, not_negative=("strain", "elastic"))
+        require_numbers(self, positive=("sheet_m",), not_negative=("strain", "elastic"))
         for name in ("distance", "shape"):
             begun, bound = getattr(self.start, name), getattr(self.bounds, name)
             if not begun < bound:

@@ -1,6 +1,6 @@
 """What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, Self
 
@@ -12,6 +12,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
 from palpate.data.source.coding import Coding
 from palpate.data.source.layout import ClipLayout
+from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 SMOOTHING = 4.0
@@ -62,6 +63,10 @@ class ClipInfo:
     """Contact that is missing on up to this many frames is still the same run."""
     coding: Coding | None = None
     """How the pictures were coded, where that is known."""
+    force: KnownForce | None = None
+    """Forces that are known, of whoever tells stiffness by them frame by frame."""
+    metres: Callable[[], tuple[float, float] | None] | None = None
+    """Gives the length of a scene unit as it is known by now [m], and the standard deviation of its logarithm."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:

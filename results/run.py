@@ -106,7 +106,9 @@ class Batch:
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
+        online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
         wrong = {
+            "half of a sheet": online and (self.known is None) != (online.settings.sheet_m is None),
             "calibration of online": known is not None and name == "online",
             "newtons twice": known is not None and self.known is not None,
             "limit without force": limited and name not in MAPPING,
@@ -151,7 +153,8 @@ class Batch:
             known = None if newtons is None else newtons.known
             if self.known is not None:
                 known = self.known(path, self.settings.layout.topic)
-            options: dict[str, Any] = {"overlay": self.options.overlay, "known": known, "calibration": newtons}
+            options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
+            options["known"] = None if self.fields else known
             options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
@@ -168,7 +171,8 @@ class Batch:
                 if diameter is not None and length.metres is not None:
                     raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
                 ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
-                session = self.estimator.start(ClipInfo.of(clip))
+                told = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
+                session = self.estimator.start(replace(ClipInfo.of(clip), force=known, metres=told))
                 frames: deque[PreparedFrame] = deque()
                 stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
                 stream = ruler.watched(stream) if ruler else stream
@@ -326,7 +330,7 @@ class Batch:
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
         compared = newtons is not None and newtons.measured is not None
-        known = self.known if newtons is None else newtons.known
+        known = (None if self.fields else self.known) if newtons is None else newtons.known
         wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}

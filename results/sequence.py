@@ -4,7 +4,6 @@
 `parameters.csv` a line a frame. What isn't known is not a number there.
 """
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import open_sequence
 from palpate.data.source.sequence_checks import require_fit
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.results.store import make_output, writing
@@ -54,7 +53,7 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
     with writing(folder):
         require_own(folder / "particles.csv", folder / "parameters.csv")
         for frame, field in tissue.fields():
-            number, verdict, values = sequence.numbers[frame], field.verdict, _values(field, tissue.kilopascals(field))
+            number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
             cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
             inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
@@ -69,13 +68,8 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
     return verdict, len(rows)
 
 
-def _values(field: ParticleField, unit: tuple[float, float] | None) -> dict[str, Any]:
-    """Of every particle: both stiffnesses with the ends of their intervals where they are known, and as simulated.
-
-    Args:
-        field: in a frame.
-        unit: of stiffness against stretch [kPa], and the deviation of its logarithm; None = unknown.
-    """
+def _values(field: ParticleField) -> dict[str, Any]:
+    """Of every particle: both stiffnesses with the ends of their intervals where they are known, and E."""
     found: dict[str, Any] = {}
     for name, fitted, log_sd, known in (
         ("stiffness", field.distance, field.distance_log_sd, field.known),
@@ -84,7 +78,5 @@ def _values(field: ParticleField, unit: tuple[float, float] | None) -> dict[str,
         value, factor = np.where(known, fitted, np.nan), np.exp(NINETY * log_sd)
         found |= {name: value, f"{name}_low": value / factor, f"{name}_high": value * factor}
         found[f"simulated_{name}"] = fitted
-    kilopascals, own_sd = unit or (math.nan, 0.0)
-    factor = np.exp(NINETY * np.hypot(field.distance_log_sd, own_sd))
-    young = kilopascals * found["stiffness"]
-    return found | {"young_kPa": young, "young_kPa_low": young / factor, "young_kPa_high": young * factor}
+    young = np.full((len(YOUNG), len(field.rest)), np.nan) if field.young is None else field.young
+    return found | dict(zip(YOUNG, young, strict=True))

@@ -28,16 +28,23 @@ def placed(points: np.ndarray, turn: np.ndarray = TURN) -> np.ndarray:
 
 
 def write_sequence(
-    folder: Path, frames: int = 12, still: int = 0, turn: np.ndarray = TURN, length: float = 1.0, **changed
+    folder: Path,
+    frames: int = 12,
+    still: int = 0,
+    turn: np.ndarray = TURN,
+    length: float = 1.0,
+    drawn: Pull | None = None,
+    **changed,
 ) -> Path:
     """A pull with `still` frames of rest before it, its clouds in the camera's frame; returns sequence.yaml.
 
     Args:
         turn: of the sheet in the robot's frame.
         length: of a metre in the file's unit.
+        drawn: the pull; None = the usual one.
         changed: fields of the file; None leaves one out.
     """
-    drawn, random = pull(frames), np.random.default_rng(1)
+    drawn, random = drawn or pull(frames), np.random.default_rng(1)
     flat = [
         np.column_stack([random.uniform(0, SIDE, (3000, 2)), random.normal(0, NOISE, 3000)]) for _ in range(1 + still)
     ]

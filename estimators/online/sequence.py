@@ -5,8 +5,6 @@ then doesn't depend on that frame, and what is said of it is turned back.
 """
 
 import dataclasses
-import math
-from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,16 +15,14 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
-from palpate.estimators.calibration_file import SHEET_FACTOR, palpated_young
-from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
+from palpate.estimators.calibration_file import palpated_young
 from palpate.estimators.online.driven import Cloud, DrivenTissue
+from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.pbd.body import make_body
-from palpate.physics.pbd.potential import Potential
-from palpate.physics.pbd.stiffness import spread
 
 DISTANCE = 10.0
 """From which tissue is looked at, over its size."""
@@ -40,9 +36,7 @@ MOST_NODES = 20
 """Places of the grid over particles: more are of a cloud that has some points far off."""
 STEEPEST = 3.0
 """Longest edge of a triangle, over the distance of particles across the line of sight."""
-PULLS = 10
-"""Last frames whose forces tell kilopascals."""
-OF_VIDEO = ("match", "background", "pins", "path")
+OF_VIDEO = ("match", "background", "pins", "path", "sheet_m", "palpation", "palpated_at")
 """Settings that a sequence's own file stands for."""
 
 
@@ -73,10 +67,10 @@ class SequenceTissue:
         match = "both" if len(self._followed) else "chamfer"
         how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
         pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
-        self._past: deque[tuple[int, np.ndarray]] = deque(maxlen=PULLS)
         if sequence.given.thickness is not None and settings.thickness is not None:
             raise InputError(f"thickness in {where} is a sheet's, and --settings make a volume; leave one of them out.")
         self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how)
+        self._kilopascals = Kilopascals(self.driven, self._known())
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
@@ -87,42 +81,24 @@ class SequenceTissue:
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
             if frame == self._sequence.held[-1]:
                 self.driven.finish()
-            self._past.append((frame, self.driven.session.positions))
-            yield frame, self._field(gap)
+            if self._sequence.forces is not None:
+                self._kilopascals.add(float(np.linalg.norm(self._sequence.forces[frame])))
+            yield frame, self._kilopascals.anchored(self._field(gap))
 
-    def kilopascals(self, field: ParticleField) -> tuple[float, float] | None:
-        """A unit of a frame's stiffness against stretch [kPa], and the deviation of its logarithm; None = unknown.
-
-        By E where that was palpated, or by the forces along the tool's way in the last frames, which the simulated
-        sheet is to hold: its springs are of SHEET_FACTOR times E times thickness. Stiffness that isn't determined
-        tells nothing of that.
+    def _known(self) -> Palpated | float | None:
+        """E where it was palpated, or the thickness of the sheet whose forces are known [m]; None = nothing.
 
         Raises:
-            InputError: the palpation's file can't be used.
+            InputError: the palpation's file can't be used, or nothing is tissue there.
         """
         given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
-        if given.palpation is not None and given.palpated_at is not None:
-            young, log_sd = palpated_young(self._sequence.path.parent / given.palpation)
-            at = int(np.linalg.norm(field.rest - scale * np.array(given.palpated_at), axis=1).argmin())
-            own = math.hypot(log_sd, float(field.distance_log_sd[at]))
-            return (young / 1000 / float(field.distance[at]), own) if field.known[at] else None
-        forces = self._sequence.forces
-        if forces is None or given.thickness is None or len(self._past) < LEAST_KNOWN or not field.known.any():
-            return None
-        session, body, gripped = self.driven.session, self.surface.body, self.surface.gripped
-        energy, foundation = Potential(body, spread(body, session.fields)[0]), session.objective.stepping.foundation
-        pulls = []
-        for frame, state in self._past:
-            away = state[gripped] - body.rest[gripped]
-            way = away.mean(axis=0) / max(float(np.linalg.norm(away.mean(axis=0))), 1e-12)
-            pull = energy.slope(state)[1][gripped].sum(axis=0) + foundation * away.sum(axis=0)
-            pulls.append((pull @ way, -(self._view[:3, :3] @ forces[frame]) @ way))
-        factor, variance, _ = fit_factor(*np.array(pulls).T)
-        if factor**2 <= variance or factor < 0:
-            return None
-        spread_of = float(np.median(field.distance_log_sd[field.known]))
-        unit = factor / (SHEET_FACTOR * scale * given.thickness) / 1000
-        return unit, math.hypot(math.sqrt(variance) / factor, spread_of)
+        if given.palpation is None or given.palpated_at is None:
+            return None if given.thickness is None else scale * given.thickness
+        at = self.surface.particle(self.surface.project(moved(scale * np.array([given.palpated_at]), self._view)))
+        if at is None:
+            where = printable(self._sequence.path)
+            raise InputError(f"palpated_at in {where} lies beside the tissue; give a place on it, in the poses' frame.")
+        return (*palpated_young(self._sequence.path.parent / given.palpation), at)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""

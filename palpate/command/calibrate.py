@@ -32,7 +32,7 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
-from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, Probe, kind_of, read_pull
+from palpate.estimators.palpation.curves import HOLD, PROBES, PULL, Probe, kind_of, read_pull
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.estimators.palpation.stiffening import fit_stiffening, told
@@ -175,7 +175,7 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
                 continue
             if kind == PULL and indenter is not None:
                 raise InputError(f"{path} is of a pull, in which nothing indents; leave --indenter and --size out.")
-            for probe in [read_pull(path)] if kind in (PULL, PRESS) else read_probes(path):
+            for probe in read_probes(path) if kind == PROBES else [read_pull(path)]:
                 known = _curve(probe, indenter, kind == PULL, options.predict)
                 rows += [(path.name, probe.name, *row) for row in known]
                 missed += sum(row[0].startswith("force at") and row[1] is None for row in known)
@@ -183,7 +183,8 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
             say(console, str(error), "red")
             status = 1
     if missed:
-        say(console, f"forces not told within 25 %: {missed}, as laws part there; go further.", "yellow")
+        why = "as the laws that fit a curve part beyond it (curves.csv has their intervals); measure further"
+        say(console, f"forces not told within 25 %: {missed}, {why}, or --predict nearer.", "yellow")
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status

@@ -53,9 +53,7 @@ class Energy:
         gradient = self.solid.deformation(displacement)
         law = self.material.law
         mu, lam = (np.broadcast_to(value, len(self.solid.elements))[:, None] for value in self.material.lame)
-        energy, stress, slope = respond(
-            law, gradient, mu, lam, stiffening=self.material.stiffening, tangent=tangent
-        )
+        energy, stress, slope = respond(law, gradient, mu, lam, stiffening=self.material.stiffening, tangent=tangent)
         energy, stress = self.scale * energy, self.scale * stress
         if slope is not None:
             slope = self.scale * slope

@@ -10,6 +10,8 @@ neo_hookean         μ/2 (tr FᵀF - 3) - μ log J + λ/2 log² J (Bonet & Wood 
 stable_neo_hookean  Smith, de Goes & Kim 2018, equation 14, reparametrised as there (section 3.4) so that (μ, λ) are
                     Lamé's; also defined where an element is turned inside out
 
+Each may stiffen as tissue does, by one number more (`respond`).
+
 F is of shape [..., 3, 3], F_ij = ∂x_i/∂X_j; nine-vectors are row by row.
 """
 

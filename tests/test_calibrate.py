@@ -14,7 +14,7 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
-from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.estimators.palpation.material_fit import STIFFENS, UNKNOWN, MaterialFit
 from palpate.evaluation.palpation import example
 from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
@@ -87,7 +87,7 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
         (each,) = palpations
         zero = np.zeros_like(skin.body.rest)
         rest = find_equilibrium(skin.body, Material("linear", 4.6e9, 0.3), held, forces=zero)
-        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3)
+        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3, UNKNOWN, np.zeros(3))
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
     options = ["--output", str(tmp_path), "--export", "usd"]
@@ -112,16 +112,25 @@ def test_palpations_have_scenes(tmp_path, capsys, monkeypatch):
         forces[skin.body.rest[:, 2].argmax()] = 0.05, 0.0, -0.2
         found.append(find_equilibrium(skin.body, Material("corotational", 1e4, 0.4), held, forces=forces))
         covariance = np.diag([0.01, 1e-4])
-        return MaterialFit(1e4, 0.4, covariance, [palpations[0].pose], found, 3e-4, 5)
+        stiffens = (STIFFENS, np.array([60.0, 40.0, 80.0])) if len(found) > 1 else (UNKNOWN, np.zeros(3))
+        return MaterialFit(1e4, 0.4, covariance, [palpations[0].pose], found[:1], 3e-4, 5, *stiffens)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
     arguments = ["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path), "--export", "vtk"]
     assert calibrate.main(arguments) == 0
-    assert "scene_1.vtu" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "scene_1.vtu" in said.err
+    assert "stiffening, not determined: press with forces further apart" in said.out
+    assert strict(tmp_path / "calibration.json")["stiffening"] == "stiffening, not determined"
     moved = simulated(read_scene(tmp_path / "scene_1.vtu"))[0]
     largest = np.abs(found[0].displacement).max()
     np.testing.assert_allclose(moved, found[0].displacement, atol=0.001 * largest)
     assert largest > 1e-4
+    assert calibrate.main(arguments) == 0
+    said, record = capsys.readouterr(), strict(tmp_path / "calibration.json")
+    assert "no scene: other simulators" in said.err
+    assert "stiffening, b = 60 (90 %: 40 to 80)" in said.out
+    assert (record["stiffening_b"], record["stiffening_b_low"], record["stiffening_b_high"]) == (60, 40, 80)
 
 
 def write_use(folder: Path) -> Path:

@@ -45,7 +45,7 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     give = f"give a CSV file with the columns {', '.join(columns)}"
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
-        rows = csv.DictReader(text, restval="")  # the value of what a short row lacks
+        rows = csv.DictReader(text, restval="", skipinitialspace=True)  # the value of what a short row lacks
         found = [[float(row[name]) for name in columns] for row in rows]
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise InputError(f"{printable(path)} is no {what} ({reason(error)}); {give}.") from error

@@ -8,6 +8,7 @@ import numpy as np
 from palpate.estimators.palpation.registration import placed, register, thinned
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, Material, find_equilibrium
+from palpate.physics.fem.laws import respond
 from palpate.physics.fem.linear_system import LinearSystem
 
 FACTORED = 60_000
@@ -50,6 +51,8 @@ class Bench:
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         """Equilibria that were computed, those that failed included."""
+        self.stiffening = 0.0
+        """b of the law whose stiffness grows by a factor e where the body is strained; 0 = it isn't looked for."""
         self.near: LinearSystem | None = None
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
@@ -68,13 +71,28 @@ class Bench:
         self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
         """Of the points along the sight, by what of them has not moved [m]."""
 
-    def rest(self, young: float, poisson: float, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
+    @property
+    def unknowns(self) -> int:
+        """Of the material."""
+        return 3 if self.stiffening else 2
+
+    def watch_stiffening(self, rests: Sequence[Equilibrium]) -> None:
+        """Count the growth of the stiffness by where bodies' energy is, of that under which most is."""
+        means = []
+        for rest in rests:
+            shape = respond(self.law, rest.energy.solid.deformation(rest.displacement), np.ones(()), np.zeros(()))
+            means.append(np.average(shape.energy, weights=shape.energy * rest.energy.solid.weights))
+        self.stiffening = 1 / float(max(means))
+
+    def rest(
+        self, young: float, poisson: float, growth: float = 0.0, *, starts: Sequence[np.ndarray | None]
+    ) -> list[Equilibrium]:
         """The body under each force.
 
         Raises:
             NoEquilibrium: it can't bear one.
         """
-        return self._found(Material(self.law, young, poisson), starts)
+        return self._found(Material(self.law, young, poisson, self.stiffening * growth), starts)
 
     def linear(self, young: float, poisson: float) -> list[Equilibrium]:
         """The same by Hooke's law at small strain, where displacements go with 1/E."""

@@ -19,6 +19,10 @@ LEAST = 4
 """Rows of a curve, below which nothing is fitted to it."""
 TURN = 0.02
 """Share of a curve's range by which it goes back where it turns."""
+STIFFEST = 100.0
+"""Of tissue [N/mm]: metres that are given as millimetres make it a thousand times as stiff."""
+FAR = 0.9
+"""Share of the largest depth from which on a curve that turns has gone as far as it is read."""
 DEEPEST, SHALLOWEST = 100.0, -1.0
 """Depths beyond are slips of the pen of whoever recorded them, and are left out [mm]."""
 
@@ -73,7 +77,7 @@ def read_probes(path: Path) -> list[Probe]:
     Raises:
         InputError: it can't be read, or holds no probe.
     """
-    table = read_columns(path, PROBES, "table of probes, of a hold or of a pull (pull_mm, force_N)")
+    table = read_columns(path, PROBES, "table of probes")
     depth = table[:, 4]
     table = table[np.isfinite(table).all(axis=1) & (depth > SHALLOWEST) & (depth < DEEPEST)]
     found = []
@@ -94,19 +98,26 @@ def read_pull(path: Path) -> Probe:
         InputError: it can't be read, has too few rows that go further, or its force falls all the way.
     """
     columns = PRESS if kind_of(path) == PRESS else PULL
-    table = read_columns(path, columns, "table of a curve")
+    table = read_columns(path, columns, "table of a pull, nor of a press (depth_mm), of probes or of a hold")
     table = table[np.isfinite(table).all(axis=1)]
     depth = table[:, 0]
-    furthest = np.maximum.accumulate(depth)
-    kept = np.diff(furthest, prepend=-np.inf) > 0
-    if len(depth) and (furthest - depth > TURN * np.ptp(depth)).any():
+    if len(depth):
+        furthest, back = np.maximum.accumulate(depth), TURN * np.ptp(depth)
+        # Cycles creep, so that later ones reach further at the same force: only the first that goes far counts.
+        far = np.argmax(depth >= FAR * depth.max() + (1 - FAR) * depth.min())
+        turned = np.flatnonzero((furthest - depth > back) & (np.arange(len(depth)) > far))
+        first, rising = turned[0] if len(turned) else len(depth), np.diff(furthest, prepend=-np.inf) > 0
         # At a turn the force falls at once, and readings that err make samples after it look as if they went further.
-        kept &= depth < depth.max() - TURN * np.ptp(depth)
-    depth, force = table[kept].T
+        rising &= (depth < depth[:first].max() - back) if len(turned) else True
+        table = table[:first][rising[:first]]
+    depth, force = table.T
     if len(depth) < LEAST:
         give = f"give {LEAST} different ones in order of time, loading first"
         raise InputError(f"{printable(path)} has {len(depth)} values of {columns[0]} that grow; {give}.")
-    if np.polyfit(depth, force, 1)[0] < 0:
+    if (stiffness := float(np.polyfit(depth, force, 1)[0])) > STIFFEST:
+        said = f"resists by {stiffness:.3g} N/mm, as no tissue does"
+        raise InputError(f"{printable(path)} {said}; give {columns[0]} in millimetres and force_N in newtons.")
+    if stiffness < 0:
         raise InputError(f"{printable(path)}: force_N falls as {columns[0]} grows; give what resists it as positive.")
     return Probe("1", np.full(3, np.nan), depth, force)
 

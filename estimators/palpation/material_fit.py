@@ -10,14 +10,18 @@ takes ten times as many simulations (docs/reports/palpation.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
+from palpate.estimators.estimate import NINETY
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation
 from palpate.estimators.palpation.registration import turned
 from palpate.estimators.palpation.skin import Skin
+from palpate.estimators.palpation.stiffening import ASKED
 from palpate.physics.fem import Equilibrium, NoEquilibrium
 from palpate.physics.identifiability import LIMIT
 
@@ -46,14 +50,15 @@ class State:
     moved: np.ndarray
     """Displacement of the surface's vertices, shape [V, 3] [m]."""
     slopes: np.ndarray
-    """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
+    """Its derivatives by relative compliance, E's inverse over that simulated, by ν and, of K = 3, by the growth of the
+    stiffness, shape [V, 3, K] [m]."""
     nodes: np.ndarray
     """Displacement of the body's nodes, shape [N, 3] [m]."""
     node_slopes: np.ndarray
-    """Its derivatives likewise, shape [N, 3, 2] [m]."""
+    """Its derivatives likewise, shape [N, 3, K] [m]."""
 
     def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes with a change of relative compliance and ν, shape [N, 3] [m]."""
+        """Displacement of the nodes with a change of what `slopes` are by, [K], shape [N, 3] [m]."""
         return self.nodes + self.node_slopes @ change
 
 
@@ -63,23 +68,24 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
     for rest in rests:
         if id(rest) in states:  # one press seen several times
             continue
-        by_young, by_poisson = np.moveaxis(rest.tangents(), -1, 0)
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
-        slopes = np.stack([-float(np.mean(rest.material.young)) * by_young, by_poisson], axis=-1)
+        factors = np.array([-float(np.mean(rest.material.young)), 1.0, bench.stiffening])
+        slopes = (rest.tangents() * factors)[..., : bench.unknowns]
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
         moved = bench.skin.shares @ rest.displacement
-        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
+        surface = scale * moved, scale * on_skin.reshape(-1, 3, bench.unknowns)
         states[id(rest)] = State(*surface, scale * rest.displacement, scale * slopes)
     return [states[id(rest)] for rest in rests]
 
 
-def _unknowns(which: int) -> np.ndarray:
-    """Indices of what a palpation's points tell of, shape [8]."""
-    return np.concatenate([[0, 1], np.arange(2 + 6 * which, 8 + 6 * which)])
+def _unknowns(which: int, count: int) -> np.ndarray:
+    """Indices of what a palpation's points tell of, K of the material and six, shape [K + 6]."""
+    return np.concatenate([np.arange(count), count + np.arange(6 * which, 6 + 6 * which)])
 
 
 class System:
-    """Residuals with a change of (relative 1/E, ν) from what was simulated, linearised by it and every pose's six."""
+    """Residuals with a change of K of the material, relative 1/E, ν and, of three, the growth of the stiffness, from
+    what was simulated, linearised by it and every pose's six."""
 
     def __init__(
         self,
@@ -87,10 +93,11 @@ class System:
         states: Sequence[State],
         change: np.ndarray,
         poses: Sequence[np.ndarray],
-        poisson: float,
+        ends: np.ndarray,
         chosen: Sequence[np.ndarray] | None = None,
     ) -> None:
-        self.bench, self.states, self.change, self.poses, self.poisson = bench, states, change, list(poses), poisson
+        self.bench, self.states, self.change, self.poses, self.ends = bench, states, change, list(poses), ends
+        self.count = len(change)
         self.chosen: list[np.ndarray] = []
         """Which points count, of each press [P]: the same ones until something is simulated again."""
         skin, triangles = bench.skin, bench.skin.triangles
@@ -113,7 +120,7 @@ class System:
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
             places.append(match.at(triangles, skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
+        """By the material's K and the six of the pose that a point was observed from, shape [R, K + 6]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
         limit, size = OUTLIER * bench.noise, np.abs(self.residual)
@@ -129,9 +136,10 @@ class System:
             step = trust * step
             before = 1 + system.change[0]
             compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
-            change = np.array([compliance - 1, np.clip(system.change[1] + step[1], *self._bounds())])
-            poses = [turned(pose, part) for pose, part in zip(system.poses, step[2:].reshape(-1, 6), strict=True)]
-            following = System(self.bench, self.states, change, poses, self.poisson, self.chosen)
+            more = np.clip(system.change[1:] + step[1 : self.count], *self.ends)
+            change, turns = np.array([compliance - 1, *more]), step[self.count :].reshape(-1, 6)
+            poses = [turned(pose, part) for pose, part in zip(system.poses, turns, strict=True)]
+            following = System(self.bench, self.states, change, poses, self.ends, self.chosen)
             if following.cost > ROUGH * system.cost and trust > SHORTEST:
                 trust /= 3
                 continue
@@ -140,16 +148,12 @@ class System:
                 break
         return system
 
-    def _bounds(self) -> tuple[float, float]:
-        """Of ν's change."""
-        return max(POISSON[0] - self.poisson, -WIDEST), min(POISSON[1] - self.poisson, WIDEST)
-
     def _normal(self) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix [U, U] and right-hand side [U], with what the tool tells of the poses.
 
         ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
         """
-        off = [0.0, 0.0]
+        off = [0.0] * self.count
         for pose, each in zip(self.poses, self.bench.palpations, strict=True):
             gone = pose @ np.linalg.inv(each.pose)
             turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
@@ -157,7 +161,7 @@ class System:
         normal, right = np.diag(self._precision()), -self._precision() * off
         weighted = self.jacobian * (self.weight / self.noise**2)[:, None]
         for which in range(len(self.poses)):
-            own, unknowns = self.which == which, _unknowns(which)
+            own, unknowns = self.which == which, _unknowns(which, self.count)
             normal[np.ix_(unknowns, unknowns)] += weighted[own].T @ self.jacobian[own]
             right[unknowns] -= weighted[own].T @ self.residual[own]
         return normal, right
@@ -165,45 +169,68 @@ class System:
     def _precision(self) -> np.ndarray:
         """What is known of the unknowns beforehand, shape [U]."""
         poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
-        return np.concatenate([[0.0, 0.0], *poses])
+        return np.concatenate([[0.0] * self.count, *poses])
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss–Newton's, shape [U], of ν none where it would leave its range; sd of (log E, ν) by the noise, [2]."""
+        """Gauss–Newton's, shape [U], none where it would leave its range; sd of the material's K by the noise, [K]."""
         normal, right = self._normal()
-        sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
+        sd = np.sqrt(np.diag(np.linalg.inv(normal))[: self.count])
         normal += np.diag(self._precision()) / STRIDE**2
         found = np.linalg.solve(normal, right)
-        low, high = self._bounds()
-        if (self.change[1] <= low and found[1] < 0) or (self.change[1] >= high and found[1] > 0):
-            free = np.arange(len(right)) != 1
+        (low, high), at, ahead = self.ends, self.change[1:], found[1 : self.count]
+        free = np.ones(len(right), bool)
+        free[1 : self.count] = ~((at <= low) & (ahead < 0) | (at >= high) & (ahead > 0))
+        if not free.all():
             found = np.zeros(len(right))
             found[free] = np.linalg.solve(normal[free][:, free], right[free])
         return found, sd
 
     def still(self) -> bool:
         """Whether what was simulated is as good."""
-        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
+        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[: self.count])
         return bool((np.abs(self.change) < CLOSE * sd).all())
 
+    def odds(self, model_error: float, growth: float) -> float:
+        """For a growth that is as likely anywhere up to GROWTH against none, by Laplace's approximation.
+
+        Args:
+            model_error: as of `covariance`.
+            growth: that was simulated.
+        """
+        best = growth + self.change[2] + np.linalg.solve(*self._normal())[2]
+        sd = float(np.sqrt(self.covariance(model_error)[2, 2]))
+        inside = ndtr((GROWTH - best) / sd) - ndtr(-best / sd)
+        return float(sd / GROWTH * np.sqrt(2 * np.pi) * inside * np.exp(min(0.5 * (best / sd) ** 2, 600.0)))
+
     def covariance(self, model_error: float) -> np.ndarray:
-        """Of (log E, ν): the sensor's noise, and displacements that mesh and law have wrong by that share."""
+        """Of (log E, ν and, of three, the growth): the sensor's noise, and displacements that mesh and law have wrong
+        by that share."""
         normal = self._normal()[0]
         normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
         inverse = np.linalg.inv(normal)
         # Beyond so many points sums over pairs gain nothing: errors are correlated among neighbours.
         count = len(self.sinks)
         some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
-        own = inverse[:2, np.stack([_unknowns(which) for which in self.which[some]])]
+        own = inverse[: self.count, np.stack([_unknowns(which, self.count) for which in self.which[some]])]
         gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.weight[some] / self.noise**2
         reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
         apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
         correlation = np.exp(-apart / (2 * reach**2))
         lever = gain * self.sinks[some] * (count / len(some))
-        found = inverse[:2, :2] + model_error**2 * lever @ correlation @ lever.T
-        sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
+        found = inverse[: self.count, : self.count] + model_error**2 * lever @ correlation @ lever.T
+        # A law that is not the body's errs in its own way under each force, which looks like stiffening.
+        apart = correlation * (self.which[some, None] == self.which[None, some])
+        found[2:, 2:] += model_error**2 * lever[2:] @ apart @ lever[2:].T
+        sign = np.diag([-1.0, 1.0, 1.0][: self.count])  # log E falls as the compliance grows
         return sign @ found @ sign
 
 
+ALIKE = 1.25
+"""Ratio of the largest force to the smallest, below which nothing tells whether the body stiffens."""
+GROWTH = 3.0
+"""Up to which every growth of the stiffness, the logarithm of its factor where the body is strained, is as likely."""
+STIFFENS, STRAIGHT, UNKNOWN = "stiffening", "linear", "stiffening, not determined"
+"""Verdicts on it."""
 KNOWN = 0.025
 """A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05."""
 ROUNDS = 15
@@ -256,6 +283,10 @@ class MaterialFit:
     """Root mean square distance that is left [m]."""
     solves: int
     """Equilibria that were computed."""
+    stiffens: str
+    """STIFFENS, STRAIGHT (odds are as much against it), or UNKNOWN."""
+    stiffening: np.ndarray
+    """b of the law (`physics.fem.laws.respond`) with its 90 % interval, shape [3]; 0 but where it stiffens."""
 
     @property
     def young_sd(self) -> float:
@@ -300,41 +331,90 @@ def fit_material(
     rests = bench.linear(settings.young, poisson)
     require_along(bench, settings.young, rests)
     scale = _scale(bench, rests)
-    young = settings.young / scale
-    system = found = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, poisson).solved()
-    steps, trust, stiffer = 0, 1.0, 1.0
+    young, at = settings.young / scale, np.array([poisson])
+    begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, _ends(at))
+    young, at, rests, found = _iterated(bench, young, at, begun, None, report)
+    verdict, interval = UNKNOWN, np.zeros(3)
+    sizes = [float(np.linalg.norm(each.force)) for each in palpations]
+    if max(sizes) > ALIKE * min(sizes):
+        bench.watch_stiffening(rests)
+        at = np.append(at, 0.0)
+        asking = System(bench, states_of(bench, rests, 1.0), np.append(found.change, 0.0), found.poses, _ends(at))
+        odds = asking.odds(settings.model_error, 0.0)
+        verdict = STRAIGHT if odds < 1 / ASKED else UNKNOWN
+        if odds > ASKED:
+            with suppress(NoEquilibrium):
+                fitted = _iterated(bench, young, at, asking, rests, report)
+                if fitted[3].odds(settings.model_error, fitted[1][1]) > ASKED:
+                    (young, at, rests, found), verdict = fitted, STIFFENS
+    covariance = found.covariance(settings.model_error)
+    # By the derivatives, from what was simulated last.
+    young, at = float(young / (1 + found.change[0])), at[: found.count - 1] + found.change[1:]
+    if verdict == STIFFENS:
+        half = NINETY * float(np.sqrt(covariance[2, 2]))
+        interval = bench.stiffening * np.maximum(at[1] + half * np.array([0.0, -1.0, 1.0]), 0)
+    told = (young, float(at[0]), covariance[:2, :2], found.poses, rests, found.noise, bench.solves)
+    return MaterialFit(*told, verdict, interval)
+
+
+def _ends(at: np.ndarray) -> np.ndarray:
+    """How far ν and, of two, the growth may change between two simulations, shape [2, K - 1]."""
+    low, high = np.array([POISSON, (0.0, 2 * GROWTH)][: len(at)]).T
+    widest = np.array([WIDEST, 1.0][: len(at)])
+    return np.stack([np.maximum(low - at, -widest), np.minimum(high - at, widest)])
+
+
+def _iterated(
+    bench: Bench,
+    young: float,
+    at: np.ndarray,
+    system: System,
+    rests: list[Equilibrium] | None,
+    report: Callable[[str], None],
+) -> tuple[float, np.ndarray, list[Equilibrium], System]:
+    """Simulate and solve in turn; E, ν with the growth as simulated last, the bodies, and what was solved from there.
+
+    Args:
+        bench: the body.
+        young, at: E [Pa] and (ν, growth) or (ν,) of
+        system: what is known so far, by
+        rests: these simulations; None = by the linear law, to which there is no way back.
+        report: as of `fit_material`.
+
+    Raises:
+        NoEquilibrium: as `fit_material`.
+    """
+    found, steps, trust, stiffer = system.solved(), 0, 1.0, 1.0
     while True:
-        aim = stiffer * young / (1 + trust * found.change[0]), poisson + trust * float(found.change[1])
-        starts: list[np.ndarray | None] = [None] * len(palpations)
-        if steps:
+        aim = stiffer * young / (1 + trust * found.change[0]), at + trust * found.change[1:]
+        starts: list[np.ndarray | None] = [None] * len(bench.palpations)
+        if rests is not None:
             starts = [state.predicted(trust * found.change) for state in found.states]
         try:
-            tried = bench.rest(*aim, starts)
+            tried = bench.rest(aim[0], *aim[1], starts=starts)
         except NoEquilibrium:
-            if steps:
+            if rests is not None:
                 trust /= 3
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
             if trust < SHORTEST or stiffer > STIFFEST:
                 raise
             continue
-        following = System(bench, states_of(bench, tried, 1.0), np.zeros(2), found.poses, aim[1])
-        if steps and following.cost > ROUGH * system.cost and trust > SHORTEST:
+        states = states_of(bench, tried, 1.0)
+        following = System(bench, states, np.zeros(found.count), found.poses, _ends(aim[1]))
+        if rests is not None and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
         gone = trust * found.change
         steps, stiffer = steps + 1, 1.0
-        (young, poisson), rests, system = aim, tried, following
+        (young, at), rests, system = aim, tried, following
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
-        report(f"step {steps}: E {young:.4g} Pa, ν {poisson:.3f}, {1000 * found.noise:.3g} mm left")
+        more = f", b {bench.stiffening * at[1]:.3g}" if len(at) > 1 else ""
+        report(f"step {steps}: E {young:.4g} Pa, ν {at[0]:.3f}{more}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
-            break
-    covariance = found.covariance(settings.model_error)
-    # By the derivatives, from what was simulated last.
-    young, poisson = float(young / (1 + found.change[0])), float(poisson + found.change[1])
-    return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
+            return young, at, rests, found
 
 
 def require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
@@ -378,7 +458,7 @@ def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
         moved = scale * (bench.skin.shares @ rest.displacement)
         slopes = np.stack([moved, still], axis=-1)
         states.append(State(still, slopes, np.zeros(0), np.zeros(0)))
-    system = System(bench, states, np.zeros(2), bench.poses, 0.0)
+    system = System(bench, states, np.zeros(2), bench.poses, np.zeros((2, 1)))
     against = np.zeros(len(rests), bool)
     for which, each in enumerate(bench.palpations):
         own = system.which == which

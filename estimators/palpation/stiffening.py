@@ -12,8 +12,15 @@ import numpy as np
 
 BINS = 16
 """At most, evenly over depth: laws err alike at samples closer together."""
-LAWS = np.array([(0, 1), (0.5, 1), (1, 1), (2, 1), (0, 2), (0.5, 2), (1, 2)], np.float64)
-"""q and p of a stiffness (1 + c·xᵖ)^(1/q) over the depth x, 1 at the largest; q = 0: exp(c·xᵖ). As likely before."""
+LAWS = np.array(
+    [
+        *((0, 1, 0), (0.5, 1, 0), (1, 1, 0), (2, 1, 0), (-0.5, 1, 0), (0, 2, 0), (0.5, 2, 0), (1, 2, 0)),
+        *((0, 4, 4), (1, 4, 4), (1, 8, 20)),
+    ],
+    np.float64,
+)
+"""q, p and t of a stiffness (1 + c·s)^(1/q) over the depth x, 1 at the largest, with s = (1 + t)·xᵖ/(1 + t·xᵖ); q = 0:
+exp(c·s). Below 0 it locks, with t above 0 it levels off as of fibres that are taut. As likely before."""
 GROWTH = np.linspace(-1.0, 4.5, 111)
 """Logarithm of the stiffness at the largest over that at the least depth, as likely before; 0 is among them."""
 FLOOR = 0.004
@@ -21,8 +28,10 @@ FLOOR = 0.004
 ASKED = 20.0
 """Odds from which on the evidence asks for stiffening."""
 OTHER_LAW = 0.2
-"""Standard deviation of the logarithm of a force at twice the largest depth, for laws that are none of these: by it
-90 % intervals hold on 25 ramps into meat (docs/reports/palpation.md)."""
+"""Standard deviation of the logarithm of a force at twice the largest depth, for laws that are none of these."""
+HAZARD, STEEPEST = 0.6, 15.0
+"""How often slack fibres grow taut per range of depths beyond a curve that is straight so far, and stiffness over that
+at the least depth up to which they then raise it, uniformly in its logarithm."""
 WIDEST = 1.25
 """Factor between a value and either end of its interval, up to which it is told."""
 DRAWS = 2000
@@ -68,7 +77,12 @@ class Stiffening:
         # Fibres that are all taut stiffen no further: half of the draws lie between their law and its last tangent.
         tangent = _risen(np.minimum(x, 1), self.growth, self.law) + beyond * np.exp(self.growth)[:, None]
         taut = np.maximum(chance.uniform(-1, 1, (len(risen), 1)), 0)
-        force = self.offset[:, None] + self.slope[:, None] * (risen + taut * np.minimum(tangent - risen, 0))
+        risen = risen + taut * np.minimum(tangent - risen, 0)
+        # And slack ones may grow taut further on, at any depth; the less likely, the more a curve has stiffened.
+        begins = chance.exponential(np.exp(np.maximum(self.growth, 0) / 2)[:, None] / HAZARD)
+        more = np.exp(chance.uniform(0, 1, len(risen)) * np.maximum(np.log(STEEPEST) - self.growth, 0))
+        risen = risen + ((more - 1) * np.exp(self.growth))[:, None] * np.maximum(beyond - begins, 0)
+        force = self.offset[:, None] + self.slope[:, None] * risen
         other = np.exp(OTHER_LAW * beyond * chance.standard_normal((len(risen), 1)))
         return np.quantile(force * other + self.noise[:, None], INTERVAL, axis=0)
 
@@ -89,7 +103,7 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     x = (depth - begin) / (end - begin)
     bins = np.minimum((BINS * x).astype(int), BINS - 1)
     kept, count = np.unique(bins, return_counts=True)
-    x, force = (np.bincount(bins, each)[kept] / count for each in (x, force))
+    every, (x, force) = (x, force), (np.bincount(bins, each)[kept] / count for each in (x, force))
     growth, law = (each.ravel() for each in np.meshgrid(GROWTH, np.arange(len(LAWS))))
     scale = _risen(np.ones(1), growth, law)
     # Over what the law rises by in all, so that the flat prior is of forces.
@@ -111,15 +125,20 @@ def fit_stiffening(depth: np.ndarray, force: np.ndarray) -> Stiffening:
     spread = np.sqrt(square[drawn] / chance.chisquare(freedom, DRAWS))
     shift = np.linalg.cholesky(inverse[drawn]) @ chance.standard_normal((DRAWS, 2, 1))
     offset, rise = (best[drawn] + spread[:, None] * shift[..., 0]).T
-    noise = spread * np.sqrt(freedom / max(len(x) - 3, 1)) * chance.standard_normal(DRAWS)
+    noise = spread * np.sqrt(freedom / max(len(x) - 3, 1))
+    # Of a sample, not of a bin's mean.
+    top, (at, measured) = [square.argmin()], every
+    apart = measured - best[top[0]] @ [np.ones(len(at)), _risen(at, growth[top], law[top])[0] / scale[top[0]]]
+    noise = np.maximum(noise, apart.std()) * chance.standard_normal(DRAWS)
     return Stiffening(begin, end, bool(stiffens), offset, rise / scale[drawn, 0], growth[drawn], law[drawn], noise)
 
 
 def _risen(x: np.ndarray, growth: np.ndarray, law: np.ndarray) -> np.ndarray:
     """Integral of the stiffness from 0 to x, shape [Q], over that at 0, shape [M, Q], by Gauss and Legendre."""
-    power, bend = LAWS[law].T[..., None, None]
+    power, bend, taut = LAWS[law].T[..., None, None]
     at = (x[:, None] * (NODES + 1) / 2) ** bend
+    at = at * (1 + taut) / (1 + taut * at)
     fung = np.exp(np.minimum(growth[:, None, None] * at, 300))
-    base = np.maximum(1 + np.expm1(power * growth[:, None, None]) * at, 0)
+    base = np.maximum(1 + np.expm1(power * growth[:, None, None]) * at, 1e-3)
     stiffness = np.where(power == 0, fung, base ** (1 / np.where(power == 0, 1, power)))
     return x / 2 * (stiffness @ WEIGHTS)

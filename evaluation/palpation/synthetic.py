@@ -108,6 +108,7 @@ def press(
     law: str = "neo_hookean",
     spacing: float | None = None,
     edge: float | None = None,
+    stiffening: float = 0.0,
 ) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
     """The truth: a body under a force along its normal; skin, rest, force [3] and contact [3].
 
@@ -120,13 +121,15 @@ def press(
         law: of `physics.fem.LAWS`.
         spacing: of the surface's vertices; None = a 26th of the body's size [m].
         edge: longest of an element where the tool presses; None = as the cells are [m].
+        stiffening: b of the law.
     """
     contact, normal = body.contact(*place)
     longest = None if edge is None else around(contact[None], TOOL, edge)
     skin, held = body.skin(cells, body.size / 26 if spacing is None else spacing, longest)
     vector = -force * normal
     forces = skin.pressed(contact, TOOL, vector)
-    return skin, find_equilibrium(skin.body, Material(law, young, poisson), held, forces=forces), vector, contact
+    rest = find_equilibrium(skin.body, Material(law, young, poisson, stiffening), held, forces=forces)
+    return skin, rest, vector, contact
 
 
 def observe(

@@ -32,8 +32,8 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
-from palpate.estimators.palpation.curves import HOLD, PRESS, PULL, Probe, kind_of, read_pull
-from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
+from palpate.estimators.palpation.curves import HOLD, PROBES, PULL, Probe, kind_of, read_pull
+from palpate.estimators.palpation.material_fit import NOTHING, STIFFENS, UNKNOWN, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.physics.fem import NoEquilibrium
@@ -114,6 +114,9 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     young, poisson = (None, None) if nothing else (found.young, found.poisson)
     record: dict[str, object] = {"law": scene.settings.law, "verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
+    record |= {"stiffening": found.stiffens}
+    if found.stiffens == STIFFENS and not nothing:
+        record |= zip(("stiffening_b", "stiffening_b_low", "stiffening_b_high"), found.stiffening.tolist(), strict=True)
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
     if thickness is not None:
         record["thickness_m"] = thickness / 1000
@@ -130,7 +133,10 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     with writing(output), replacing_own(output / PALPATION[2]) as partial:
         write_figure(partial, _picture(scene, found))
     names = list(PALPATION)
-    for number in range(len(found.rests) if options.export is not None and not nothing else 0):
+    stiffens = found.stiffens == STIFFENS
+    if stiffens and options.export is not None:
+        say(console, "no scene: other simulators have no law that stiffens as the body does.", "yellow")
+    for number in range(len(found.rests) if options.export is not None and not (nothing or stiffens) else 0):
         names.append(f"scene_{number + 1}.{FORMATS[options.export]['ending']}")
         _write(output, names[-1], scene_text(palpation_scene(found, number), options.export))
     say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
@@ -141,6 +147,8 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
     doubt = f" ± {found.poisson_sd:.2g}" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
+    said = {STIFFENS: ", b = {:.3g} (90 %: {:.3g} to {:.3g})", UNKNOWN: ": press with forces further apart"}
+    print(found.stiffens + said.get(found.stiffens, "").format(*found.stiffening))
     return 0
 
 
@@ -175,7 +183,7 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
                 continue
             if kind == PULL and indenter is not None:
                 raise InputError(f"{path} is of a pull, in which nothing indents; leave --indenter and --size out.")
-            for probe in [read_pull(path)] if kind in (PULL, PRESS) else read_probes(path):
+            for probe in read_probes(path) if kind == PROBES else [read_pull(path)]:
                 known = _curve(probe, indenter, kind == PULL, options.predict)
                 rows += [(path.name, probe.name, *row) for row in known]
                 missed += sum(row[0].startswith("force at") and row[1] is None for row in known)
@@ -183,7 +191,8 @@ def _curves(options: argparse.Namespace, indenter: Indenter | None, console: Con
             say(console, str(error), "red")
             status = 1
     if missed:
-        say(console, f"forces not told within 25 %: {missed}, as laws part there; go further.", "yellow")
+        why = "as the laws that fit a curve part beyond it (curves.csv has their intervals); measure further"
+        say(console, f"forces not told within 25 %: {missed}, {why}, or --predict nearer.", "yellow")
     _write(output, "curves.csv", to_csv([dict(zip(CURVES, row, strict=True)) for row in rows], CURVES, ".6g"))
     say(console, f"written: {output}/curves.csv")
     return status

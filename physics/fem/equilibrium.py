@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from palpate.physics.fem.laws import Material, Response, respond
+from palpate.physics.fem.laws import Material, Response, respond, stress_by_stiffening
 from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.solid import Solid
 from palpate.physics.load import Grip, Load
@@ -53,7 +53,7 @@ class Energy:
         gradient = self.solid.deformation(displacement)
         law = self.material.law
         mu, lam = (np.broadcast_to(value, len(self.solid.elements))[:, None] for value in self.material.lame)
-        energy, stress, slope = respond(law, gradient, mu, lam, tangent=tangent)
+        energy, stress, slope = respond(law, gradient, mu, lam, stiffening=self.material.stiffening, tangent=tangent)
         energy, stress = self.scale * energy, self.scale * stress
         if slope is not None:
             slope = self.scale * slope
@@ -143,16 +143,22 @@ class Equilibrium:
         return found.reshape(*self.displacement.shape, -1)
 
     def tangents(self) -> np.ndarray:
-        """Derivatives of the displacement by Young's modulus (of a body with one) and Poisson's ratio, [N, 3, 2]."""
-        material = self.material
+        """Derivatives of the displacement by E (of a body with one), ν and the law's stiffening b, [N, 3, 3]."""
+        material, solid = self.material, self.energy.solid
         by_young = self._forces_at(*material.lame) / np.mean(material.young)
-        return self.moved_by(-np.stack([by_young, self._forces_at(*material.lame_by_poisson)], axis=-1))
+        gradient, mu = solid.deformation(self.displacement), self._by_element(material.lame[0])
+        by_stiffening = solid.forces(stress_by_stiffening(material.law, gradient, mu, material.stiffening))
+        by_poisson = self._forces_at(*material.lame_by_poisson)
+        return self.moved_by(-np.stack([by_young, by_poisson, by_stiffening], axis=-1))
 
     def _forces_at(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Nodal forces of the elastic stress with other constants, in which it is linear, shape [N, 3]."""
-        solid = self.energy.solid
-        parts = (np.broadcast_to(value, len(solid.elements))[:, None] for value in (mu, lam))
-        return solid.forces(respond(self.material.law, solid.deformation(self.displacement), *parts).stress)
+        solid, material, parts = self.energy.solid, self.material, (self._by_element(mu), self._by_element(lam))
+        gradient = solid.deformation(self.displacement)
+        return solid.forces(respond(material.law, gradient, *parts, stiffening=material.stiffening).stress)
+
+    def _by_element(self, value: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(value, len(self.energy.solid.elements))[:, None]
 
 
 def find_equilibrium(

@@ -8,7 +8,7 @@ import pytest
 
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from palpate.estimators.palpation.bench import Bench
-from palpate.estimators.palpation.material_fit import NOTHING, require_along, states_of
+from palpate.estimators.palpation.material_fit import NOTHING, STIFFENS, UNKNOWN, require_along, states_of
 from palpate.estimators.palpation.registration import MOST_ALIGNED, placed, thinned
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 
@@ -16,13 +16,13 @@ BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
 @functools.cache
-def pressed(force: float):
-    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational")
+def pressed(force: float, b: float = 0.0):
+    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational", stiffening=b)
 
 
-def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800) -> Palpation:
+def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800, b: float = 0.0) -> Palpation:
     """A press by the fit's own mesh and law: what is left is the noise."""
-    return observe(*pressed(force), sensor, seed, count=count)
+    return observe(*pressed(force, b), sensor, seed, count=count)
 
 
 @pytest.fixture(scope="module")
@@ -45,15 +45,15 @@ def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
     """What they are off by goes with the square of the change; from there fewer Newton steps lead to rest."""
     skin, held, seen = slab
     bench = Bench(skin, held, [seen], "corotational")
-    (rest,) = bench.rest(1e4, 0.4, [None])
+    (rest,) = bench.rest(1e4, 0.4, starts=[None])
     (state,) = states_of(bench, [rest], 1.0)
     assert bench.solves == 1
     off = []
     for change in (np.array([0.02, 0.01]), np.array([0.01, 0.005])):
         begun = state.predicted(change)
-        (there,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], [begun])
+        (there,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], starts=[begun])
         off.append(np.abs(begun - there.displacement).max() / np.abs(rest.displacement).max())
-        (plain,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], [rest.displacement])
+        (plain,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], starts=[rest.displacement])
         assert there.iterations < plain.iterations
         np.testing.assert_allclose(there.displacement, plain.displacement, atol=1e-9)
     assert off[0] < 2e-3
@@ -121,3 +121,22 @@ def test_a_pose_is_found_by_a_part_of_the_points() -> None:
     points = np.arange(3.0 * (5 * MOST_ALIGNED + 1)).reshape(-1, 3)
     assert 0.8 * MOST_ALIGNED <= len(thinned(points)) <= MOST_ALIGNED
     np.testing.assert_array_equal(thinned(points[:7]), points[:7])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("b", [0.0, 100.0])
+def test_stiffening_is_found_where_it_is_and_where_forces_tell(slab, b: float) -> None:
+    """By presses of 0.4 and 2.5 N; b = 100 makes the dent of the latter less than half as deep."""
+    skin, held, _ = slab
+    found = fit_material(skin, held, [observed(0.4, count=3000, b=b), observed(2.5, count=3000, b=b)])
+    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd < 0.5
+    middle, low, high = found.stiffening
+    assert (found.stiffens == STIFFENS) == (b > 0)
+    assert low <= b <= high
+    assert b == 0 or 50 < low < middle < high < 200
+
+
+def test_forces_that_are_alike_do_not_tell_whether_a_body_stiffens(slab) -> None:
+    skin, held, seen = slab
+    found = fit_material(skin, held, [seen, observed(1.1)])
+    assert (found.stiffens, *found.stiffening) == (UNKNOWN, 0, 0, 0)

@@ -91,12 +91,48 @@ def test_a_pull_s_loading_is_read(tmp_path: Path) -> None:
     assert low[0] < fung(np.array(6.0), 0.3) < high[0]
 
 
+SKIN: dict[str, Law] = {
+    "Fung": lambda depth, growth: fung(depth, np.log(growth)),
+    "second order": lambda depth, growth: depth + (growth - 1) / 2 * depth**2,
+    "toe, then straight": integrated(lambda depth, growth: 1 + (growth - 1) / (1 + np.exp((0.6 - depth) / 0.12))),
+    "locks": integrated(lambda depth, growth: (1 - np.minimum(depth, 1) * (1 - growth**-0.5)) ** -2),
+}
+
+
+@pytest.mark.parametrize("by_force", [True, False])
+def test_forces_of_skin_that_stiffens_fifteenfold_are_told_or_not(tmp_path: Path, by_force: bool) -> None:
+    """Cycles to 2.5 N that creep and lose a third, cut at half of the force or of the pull."""
+    tables, near, sure = [], [], []
+    for case, law in enumerate(8 * list(SKIN.values())):
+        chance = np.random.default_rng(case)
+        way, creep = np.linspace(0, 1, int(chance.integers(30, 150))), chance.uniform(0, 0.05, 3)
+        up = 2.5 * law(way, 15.0) / law(np.array(1.0), 15.0)
+        force = [each for late in creep for each in (np.interp(way - late, way, up), 0.7 * up[::-1])]
+        pull = 12 * np.concatenate([way, way[::-1]] * 3)
+        seen = np.concatenate([up, *force[1:]]) + chance.normal(0, 0.012, len(pull))
+        kept = seen <= 1.25 if by_force else pull <= 6
+        text = "\n".join(f"{at:.3f}, {each:.3f}" for at, each in zip(pull[kept], seen[kept], strict=True))
+        (tmp_path / "pull.csv").write_text(f"pull_mm, force_N\n{text}")
+        read = read_pull(tmp_path / "pull.csv")
+        assert read.depth.max() < 12 * way[np.searchsorted(up, 1.35)] if by_force else 6
+        beyond = ~kept & (np.arange(len(pull)) < len(way))
+        middle, low, high = fit_stiffening(read.depth, read.force).force(pull[beyond])
+        known = told(middle, low, high)
+        tables.append(((low <= seen[beyond]) & (seen[beyond] <= high)).mean() >= 0.8)
+        near.append(np.abs(middle / seen[beyond] - 1)[known] <= 0.25)
+        sure.append(known.mean())
+    assert np.mean(tables) >= 0.8
+    assert np.concatenate(near).mean() >= 0.95
+    assert np.mean(sure) > (0.4 if by_force else 0.1)
+
+
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
         (["4,1", "3,1", "2,1", "1,0"], "0 values of pull_mm that grow"),
         (["1,-1", "2,-2", "3,-3", "4,-4"], "falls as pull_mm grows"),
         (["0,0", "1,1", "2,2"], "has 3 values"),
+        (["0,0", "0.001,0.5", "0.002,1", "0.003,2"], "resists by 650 N/mm, as no tissue does; give pull_mm in milli"),
     ],
 )
 def test_pulls_that_say_nothing_are_a_sentence(tmp_path: Path, rows: list[str], says: str) -> None:

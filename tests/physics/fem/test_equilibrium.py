@@ -152,12 +152,13 @@ def test_large_rotations_are_found(law: str) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_derivatives_equal_finite_differences(law: str) -> None:
+@pytest.mark.parametrize("b", [0.0, 2.0])
+def test_derivatives_equal_finite_differences(law: str, b: float) -> None:
     body, young, ratio = block(2, seed=2), 40.0, 0.35
     forces, held = pulled(body), clamped(body)
 
-    def rest(young: float = young, ratio: float = ratio, forces: np.ndarray = forces):
-        return find_equilibrium(body, Material(law, young, ratio), held, forces=forces, steps=2)
+    def rest(young: float = young, ratio: float = ratio, forces: np.ndarray = forces, b: float = b):
+        return find_equilibrium(body, Material(law, young, ratio, b), held, forces=forces, steps=2)
 
     found = rest()
     moved = found.tangents()
@@ -165,6 +166,7 @@ def test_derivatives_equal_finite_differences(law: str) -> None:
         [
             (rest(young=young + young * STEP), rest(young=young - young * STEP), young * STEP),
             (rest(ratio=ratio + STEP), rest(ratio=ratio - STEP), STEP),
+            *([(rest(b=b + STEP), rest(b=b - STEP), STEP)] if b else []),
         ]
     ):
         expected = (more.displacement - less.displacement) / (2 * step)

@@ -91,12 +91,11 @@ def test_bodies_of_any_triangles_are_measured(kind, tmp_path):
     costs = PressingCosts(SpaceScene("", *[(0.0, 0.0, 1.0)] * 3, 1.0, 1.0), measure(tmp_path / "ball.ply", "m", 0.0025))
     points = drawn.uniform(-0.024, 0.024, (4000, 3))
     true = np.linalg.norm(points, axis=1) - 0.02
-    seam = np.full(len(points), np.inf)
-    if kind == "overlapping":
+    known = true > -0.01
+    if kind == "overlapping":  # in the lens that both share the closest place is elsewhere
         true = np.minimum(true, np.linalg.norm(points - APART, axis=1) - 0.02)
-        seam = np.hypot(points[:, 0] - 0.015, np.hypot(*points[:, 1:].T) - 0.0132)
-    error = np.abs(costs.distance(points) - true)[(true > -0.004) & (seam > 0.004)]
-    assert error.max() < 0.6 * costs.known["step"]
+        known &= points[:, 0] < 0.009
+    assert np.abs(costs.distance(points) - true)[known].max() < 0.6 * costs.known["step"]
 
 
 @pytest.mark.parametrize("thickness", [0.0005, 0.005, 0.01])

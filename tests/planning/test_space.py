@@ -76,11 +76,7 @@ def test_bodies_of_any_triangles_are_measured(kind, tmp_path):
         vertices, faces = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
         vertices = vertices + 1e-5 * drawn.normal(size=vertices.shape)
     elif kind == "overlapping":
-        other = trimesh.creation.icosphere(4, 0.02).apply_translation([0.015, 0.0, 0.0])
-        vertices, faces = (
-            np.concatenate([vertices, other.vertices]),
-            np.concatenate([faces, other.faces + len(vertices)]),
-        )
+        faces, vertices = np.concatenate([faces, faces + len(vertices)]), np.concatenate([vertices, vertices + APART])
     elif kind == "nested":
         vertices, faces = np.concatenate([vertices, 0.6 * vertices]), np.concatenate([faces, faces + len(vertices)])
     elif kind == "repeated":

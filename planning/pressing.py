@@ -27,6 +27,8 @@ DEPTHS = 81
 """Of a press: so many that the energy, which is between them as straight as the force, is off by little."""
 STEP = 0.25
 """Of places along an edge, over the radius."""
+BETWEEN = 0.95
+"""Share of the limit that the force may reach at those places; between them it is up to 4.5 % larger."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
 SHAPE_SD = 0.2
@@ -85,20 +87,25 @@ class PressingCosts:
         force, energy = np.concatenate(found, axis=1)
         return force, energy
 
-    def edges(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K] [N]."""
+    def along(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first, [K]."""
         counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (STEP * self.radius)).astype(int) + 2
         begin = np.cumsum(counts) - counts
         line = np.repeat(np.arange(len(starts)), counts)
         share = (np.arange(len(line)) - begin[line]) / (counts[line] - 1)
-        force, energy = self.loads(starts[line] + share[:, None] * (ends - starts)[line])
+        return starts[line] + share[:, None] * (ends - starts)[line], begin
+
+    def edges(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K] [N]."""
+        tips, begin = self.along(starts, ends)
+        force, energy = self.loads(tips)
         changes = np.abs(np.diff(energy, prepend=0.0))
         changes[begin] = 0.0
         return np.add.reduceat(changes, begin) / 2, np.maximum.reduceat(force, begin)
 
     def deformation(self, work: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Of lines of which `edges` told work and force, infinite over the limit, shape [K] [mJ]."""
-        over = force * self.scene.young * self.spread > self.scene.limit_N
+        over = force * self.scene.young * self.spread > BETWEEN * self.scene.limit_N
         return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))
 
     def price(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A road map around a body in space, and the way through it.
 
 The map is kept in a file for all starts, goals, moduli, limits and α. Places of its cheapest chain are left out as
-long as that lowers the cost.
+long as that lowers the cost, and then moved.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from palpate.common.provenance import code_digest
 from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import kept
 from palpate.planning.pressing import PressingCosts, unit_press
-from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours
+from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours, shortened
 from palpate.planning.space import SpaceScene
 from palpate.planning.surface import measure
 
@@ -23,7 +23,9 @@ NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 """Places, lines from each, and lines from start and from goal."""
 AROUND = 8
 """How far beyond the grid places are drawn, over the radius."""
-VERSION = 1
+MOVES, FIRST, FINEST = 16, 4.0, 0.25
+"""Places tried instead of one of the way's, and how far from it about, at first and at last, over the radius."""
+VERSION = 2
 """Of what is in a file."""
 FAR = 1.0
 """From the body [m]; points farther off are taken for another unit."""
@@ -50,6 +52,8 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
             raise InputError(f"{said} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
         if name != "goal" and costs.distance(place[None])[0] < 0:
             raise Blocked(f"{said} lies inside the tissue; move it out.")
+        if name != "port" and not np.isfinite(costs.loads(place[None])[0])[0]:
+            raise Blocked(f"at the {said} tip or shaft would go through the tissue; move it or the port.")
         if name != "port" and not np.isfinite(costs.price(place[None], place[None]))[0]:
             raise Blocked(f"at the {said} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
     return costs, found
@@ -71,7 +75,22 @@ def plan_in_space(costs: PressingCosts) -> Plan:
     if plan is None:
         limit = f"limit_N, {costs.scene.limit_N:g}"
         raise Blocked(f"no way to the goal keeps the force below {limit}; raise it, or move goal or port.")
-    return plan
+    return shortened(costs.plan, _moved(costs, plan.places))
+
+
+def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
+    """A way of places [P, 3], each of its lines halved, with places moved to where that lowers the cost."""
+    draws = np.random.default_rng(0)
+    halved = np.linspace(0, len(places) - 1, 2 * len(places) - 1)
+    way = np.stack([np.interp(halved, np.arange(len(places)), each) for each in places.T], axis=1)
+    reach = FIRST * costs.radius
+    while reach > FINEST * costs.radius:
+        for i in range(1, len(way) - 1):
+            tried = np.concatenate([way[i : i + 1], way[i] + reach * draws.normal(size=(MOVES, 3))])
+            ends = np.concatenate([np.broadcast_to(way[j], tried.shape) for j in (i - 1, i + 1)])
+            way[i] = tried[costs.price(np.tile(tried, (2, 1)), ends).reshape(2, -1).sum(axis=0).argmin()]
+        reach /= 2**0.5
+    return way
 
 
 def _made(scene: SpaceScene) -> dict[str, Any]:

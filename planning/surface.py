@@ -1,5 +1,7 @@
 """A body's closed surface, and how far from it places are: a grid of signed distances."""
 
+import contextlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,24 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SIZES = (2e-3, 2.0)
 """Longest side of a body [m]."""
 MOST_VOXELS = 2_000_000
+COARSEST = 1.5
+"""Step of the grid over the tip's radius."""
+MOST_OPEN = 0.01
+"""Share of triangles with free space on both sides, from which on a surface with a rim is no body's."""
+THROUGH = 0.6
+"""Slope of the distance below which the nearest place of the surface leaps to another side of the body."""
+NO_WAY = -1e3
+"""Distance of places that no instrument gets to [m]."""
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     """Signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
 
-    Close to the surface they are those from the tangent plane, of second order in the step. What lies behind openings
-    narrower than four steps counts as body.
+    The body is all that the outside can't reach, so that triangles within it, of hollows and of bodies that overlap,
+    don't count, and the way that triangles face only where it is thinner than a few steps. Close to the surface
+    distances are those from the nearest triangle's plane, of second order in the step. What lies behind openings
+    narrower than four steps counts as body. An instrument pushes tissue before it and doesn't pierce it: in the middle
+    between two sides that face away from each other, and half a radius around, distances are `NO_WAY`.
 
     Args:
         path: of the surface, whose lengths are in `unit`.
@@ -32,34 +45,59 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         shape [X, Y, Z] [m].
 
     Raises:
-        InputError: the file can't be read, is not closed, or has the size of another unit.
+        InputError: the file can't be read, is not closed, has the size of another unit, or is too large for the tip.
     """
     import trimesh  # takes a second, and is needed the first time alone
 
     try:
-        mesh = trimesh.load_mesh(path)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # readers chat
+            mesh = trimesh.load_mesh(path)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
         size = float(mesh.apply_scale(UNITS[unit]).extents.max())
     except Exception as error:  # each format's reader raises its own
-        raise InputError(f"{printable(path)} is no mesh of triangles; save it as PLY, STL or OBJ.") from error
+        said = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
+        raise InputError(f"{printable(path)} {said}") from error
     if not SIZES[0] <= size <= SIZES[1]:
-        likely = "mm" if size > SIZES[1] else "m"
-        raise InputError(f"{printable(path)} is {size:.3g} m long in unit {unit}; give `unit: {likely}`.")
-    if not (mesh.is_watertight and mesh.is_winding_consistent):
-        raise InputError(f"{printable(path)} is not closed, so that nothing lies within; fill its holes.")
-    if mesh.volume < 0:
-        mesh.invert()
+        metres = {each: size / UNITS[unit] * scale for each, scale in UNITS.items()}
+        likely = " or ".join(each for each, length in metres.items() if SIZES[0] <= length <= SIZES[1])
+        raise InputError(f"{printable(path)} is {size:.3g} m long in unit {unit}; give `unit: {likely or 'm'}`.")
     low, high = mesh.bounds[0] - 2 * radius, mesh.bounds[1] + 2 * radius
     step = max(radius / 3, float((np.prod(high - low) / MOST_VOXELS) ** (1 / 3)))
+    if step > COARSEST * radius:
+        said = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
+        raise InputError(f"{printable(path)} {said}")
     fine = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, step, max_iter=20))
+    places, normals = fine.triangles_center, fine.face_normals
+
+    def cells(points: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(((points - low) / step).round().astype(int).T)
+
+    def around(points: np.ndarray) -> np.ndarray:
+        found = np.zeros(grid.shape[:3], bool)
+        found[cells(points)] = True
+        return ndimage.binary_dilation(found, np.ones((3, 3, 3)))
+
     grid = low + step * np.moveaxis(np.indices(np.ceil((high - low) / step).astype(int) + 1), 0, -1)
-    wall = np.zeros(grid.shape[:3], bool)
-    wall[tuple(((fine.vertices - low) / step).round().astype(int).T)] = True
-    wall = ndimage.binary_dilation(wall, np.ones((3, 3, 3)))
+    outside = ndimage.label(~around(np.concatenate([fine.vertices, places])))[0]
+    outside = outside == outside[0, 0, 0]
+    # Of the two sides of each triangle the one that is closer to the outside; those of which none is close lie within.
+    inwards = ndimage.distance_transform_edt(~outside)
+    before, behind = (inwards[cells(places + side * 2 * step * normals)] for side in (1, -1))
+    thin = np.maximum(before, behind) <= 1
+    if (np.bincount(mesh.edges_unique_inverse) % 2).any() and thin.mean() > MOST_OPEN:
+        raise InputError(f"{printable(path)} is not closed, so that nothing lies within; fill its holes.")
+    normals = normals * np.where(thin, np.sign(fine.volume), np.sign(behind - before))[:, None]
+    outer = np.minimum(before, behind) <= 2
+    places, normals = places[outer], normals[outer]
+    wall = around(np.concatenate([fine.triangles[outer].reshape(-1, 3), places]))
     nearest = np.zeros(wall.shape, int)
-    nearest[wall] = KDTree(fine.vertices).query(grid[wall], workers=-1)[1]
+    nearest[wall] = KDTree(places).query(grid[wall], workers=-1)[1]
     nearest = nearest[tuple(ndimage.distance_transform_edt(~wall, return_distances=False, return_indices=True))]
-    away, outside = grid - fine.vertices[nearest], ndimage.label(~wall)[0]
-    far = np.where(outside == outside[0, 0, 0], 1, -1) * np.linalg.norm(away, axis=-1)
-    signed = np.where(wall, (away * fine.vertex_normals[nearest]).sum(axis=-1), far)
+    away = grid - places[nearest]
+    far = np.linalg.norm(away, axis=-1)
+    signed = np.where(wall, (away * normals[nearest]).sum(axis=-1), np.where(outside, far, -far))
+    through = (signed < step) & (np.linalg.norm(np.gradient(signed, step), axis=0) < THROUGH)
+    if through.any():
+        signed[step * ndimage.distance_transform_edt(~through) < radius / 2] = NO_WAY
     return {"low": low, "step": step, "values": signed.astype(np.float32)}

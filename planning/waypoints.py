@@ -3,28 +3,38 @@
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from palpate.planning.pressing import STEP, PressingCosts
+from palpate.planning.pressing import PressingCosts
 from palpate.planning.roadmap import Plan
 
-COLUMNS = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw", "expected_force_N", "low", "high")
+COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "expected_force_N", "force_low_N", "force_high_N")
 
 
 def waypoints(costs: PressingCosts, plan: Plan) -> np.ndarray:
     """Rows of `COLUMNS` along a way at constant speed, shape [W, 11].
 
-    Poses are the tip's, its z axis along the shaft away from the port, turned there from the frame's the shortest way;
-    low and high are the force's 90 % interval [N].
+    Poses are the tip's, its z axis along the shaft away from the port. It is turned there the shortest way, at the
+    start from the frame's and then from the start's, so that poses change little by little; low and high are the
+    force's 90 % interval [N].
     """
-    gone = np.cumsum(np.linalg.norm(np.diff(plan.places, axis=0, prepend=plan.places[:1]), axis=1))
-    at = np.union1d(gone, np.linspace(0.0, gone[-1], int(gone[-1] / (STEP * costs.radius)) + 2))
-    tips = np.stack([np.interp(at, gone, each) for each in plan.places.T], axis=1)
-    x, y, z = (tips - costs.port).T / np.maximum(np.linalg.norm(tips - costs.port, axis=1), 1e-9)
-    turns = np.stack([-y, x, 0 * z, 1 + z], axis=1)
-    turns[turns[:, 3] < 1e-9] = [1.0, 0.0, 0.0, 0.0]  # straight down: about x
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    tips, begin = costs.along(plan.places[:-1], plan.places[1:])
+    tips = np.delete(tips, begin[1:], axis=0)
+    at = np.cumsum(np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1))
+    axes = tips - costs.port
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = np.where(length > 0, axes / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+    first = _shortest(np.array([0.0, 0.0, 1.0]), axes[:1])
+    turns = (_shortest(axes[0], axes) * first).as_quat()
     force = costs.loads(tips)[0] * costs.scene.young
     return np.column_stack([at / costs.scene.speed, tips, turns, force, force / costs.spread, force * costs.spread])
+
+
+def _shortest(one: np.ndarray, others: np.ndarray) -> Rotation:
+    """The shortest turns from one unit vector [3] to others [W, 3]."""
+    half = np.column_stack([np.cross(one, others), 1 + others @ one])
+    half[half[:, 3] < 1e-9] = [*np.cross(one, np.roll(one, 1) + np.array([0.0, 0.0, 1e-3])), 0.0]  # to the opposite
+    return Rotation.from_quat(half)
 
 
 def as_path(rows: np.ndarray, frame: str) -> dict[str, Any]:

@@ -28,6 +28,8 @@ DEPTHS = np.linspace(0, 4, 81)
 PRESS = np.stack([DEPTHS, DEPTHS, DEPTHS**2 / 2])
 """A tip that is pushed back by E·R·depth."""
 SIZE = np.array([0.08, 0.06, 0.04])
+APART = np.array([0.03, 0.0, 0.0])
+"""Of two balls that overlap [m]."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,9 +59,54 @@ def test_distances_are_those_of_a_box(body):
     points = np.random.default_rng(0).uniform(*(costs.corners * 0.98), (4000, 3))
     beyond = np.abs(points) - SIZE / 2
     true = np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
-    error = np.abs(costs.distance(points) - true)
-    assert np.median(error) < 0.06 * grid["step"]  # rounded edges err most
-    assert error.max() < 0.8 * grid["step"]
+    error = np.abs(costs.distance(points) - true)[true > -0.01]
+    assert np.median(error) < 0.02 * grid["step"]  # edges err most
+    assert error.max() < 0.6 * grid["step"]
+
+
+@pytest.mark.parametrize("kind", ["inwards", "turned", "torn", "overlapping", "nested", "repeated", "hole"])
+def test_bodies_of_any_triangles_are_measured(kind, tmp_path):
+    ball, drawn = trimesh.creation.icosphere(4, 0.02), np.random.default_rng(0)
+    vertices, faces = ball.vertices, ball.faces.copy()
+    if kind == "inwards":
+        faces = faces[:, ::-1]
+    elif kind == "turned":
+        faces[::3] = faces[::3, ::-1]
+    elif kind == "torn":
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
+        vertices = vertices + 1e-5 * drawn.normal(size=vertices.shape)
+    elif kind == "overlapping":
+        faces, vertices = np.concatenate([faces, faces + len(vertices)]), np.concatenate([vertices, vertices + APART])
+    elif kind == "nested":
+        vertices, faces = np.concatenate([vertices, 0.6 * vertices]), np.concatenate([faces, faces + len(vertices)])
+    elif kind == "repeated":
+        faces = np.concatenate([faces, faces[:9], [[0, 0, 1], [7, 7, 7]]])
+    else:
+        faces = faces[1:]
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "ball.ply")
+    costs = PressingCosts(SpaceScene("", *[(0.0, 0.0, 1.0)] * 3, 1.0, 1.0), measure(tmp_path / "ball.ply", "m", 0.0025))
+    points = drawn.uniform(-0.024, 0.024, (4000, 3))
+    true = np.linalg.norm(points, axis=1) - 0.02
+    known = true > -0.01
+    if kind == "overlapping":  # closer to the other ball the closest place is elsewhere
+        known &= points[:, 0] < 0.5 * np.linalg.norm(points, axis=1)
+        true = np.minimum(true, np.linalg.norm(points - APART, axis=1) - 0.02)
+    assert np.abs(costs.distance(points) - true)[known].max() < 0.6 * costs.known["step"]
+
+
+@pytest.mark.parametrize("thickness", [0.0005, 0.005, 0.01])
+def test_a_fold_is_passed_around_its_rim_and_not_through_it(tmp_path, scene, cache, thickness):
+    trimesh.creation.box((0.08, thickness, 0.06)).export(tmp_path / "fold.ply")
+    ends = {"start": (0.0, -0.03, 0.0), "goal": (0.0, 0.03, 0.0), "port": (0.0, 0.0, 0.15)}
+    costs = open_costs(replace(scene, mesh=str(tmp_path / "fold.ply"), limit_N=5.0, **ends), cache)[0]
+    across = np.array([[-0.02, -0.03, 0.01], [-0.02, 0.03, 0.01]])
+    assert costs.price(across[:1], across[1:])[0] == np.inf
+    way = plan_in_space(costs).places
+    at = (way[:-1, 1] * way[1:, 1] <= 0).argmax()
+    crossing = way[at] + way[at, 1] / (way[at, 1] - way[at + 1, 1]) * (way[at + 1] - way[at])
+    assert 0.029 < crossing[2] < 0.035  # 30 mm is its rim
+    with pytest.raises(Blocked, match="tip or shaft would go through the tissue"):  # the shaft is on the other side
+        open_costs(replace(costs.scene, port=(0.0, -0.1, 0.1)), cache)
 
 
 def test_a_straight_press_costs_its_work_and_both_ways_the_same(scene, cache):
@@ -82,7 +129,7 @@ def test_the_limit_holds_between_waypoints_too(scene, cache, limit):
     gone = np.linspace(0, len(places) - 1, 5000)
     tips = np.stack([np.interp(gone, np.arange(len(places)), each) for each in places.T], axis=1)
     upper = costs.loads(tips)[0].max() * scene.young * costs.spread
-    assert 0 < upper < 1.05 * limit
+    assert 0.8 * limit < upper < limit
     assert plan_in_space(open_costs(replace(scene, alpha=1.0), cache)[0]).deformation == 0
 
 
@@ -119,6 +166,8 @@ def test_waypoints_say_when_where_and_how_hard(scene, cache):
     axes = Rotation.from_quat(rows[:, 4:8]).apply([0, 0, 1])
     shaft = rows[:, 1:4] - costs.port
     assert axes == pytest.approx(shaft / np.linalg.norm(shaft, axis=1, keepdims=True), abs=1e-9)
+    turned = np.linalg.norm(np.diff(rows[:, 4:8], axis=0), axis=1)
+    assert turned.max() < 0.02  # no leap where the shaft points straight down
     assert (rows[:, 9] <= rows[:, 8]).all()
     assert (rows[:, 10] <= scene.limit_N).all()
 
@@ -144,7 +193,7 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
     assert told["cost_low"] <= told["cost"] <= told["cost_high"]
     assert api.plan(path, cache).cost == told["cost"]
     columns, *lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
-    assert columns == "time_s,x,y,z,qx,qy,qz,qw,expected_force_N,low,high"
+    assert columns == "time_s,x_m,y_m,z_m,qx,qy,qz,qw,expected_force_N,force_low_N,force_high_N"
     poses = json.loads((body.parent / "scene" / "path.json").read_text())["poses"]
     assert len(poses) == len(lines)
     assert poses[0]["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
@@ -154,14 +203,20 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"mesh": "mm.ply"}, "is 80 m long in unit m; give `unit: mm`"),
+        ({"mesh": "mm.ply"}, "is 80 m long in unit m; give `unit: cm or mm`"),
         ({"mesh": "open.ply"}, "is not closed"),
+        ({"tip_radius": 0.0001}, "is 0.08 m long, too large beside a tip of 0.0001 m; cut out the part"),
+        ({"mesh": "cm.ply"}, "is 8 m long in unit m; give `unit: cm or mm`"),
         ({"mesh": "none.stl"}, "there is no mesh"),
         ({"mesh": "bad.yaml"}, "is no mesh of triangles"),
         ({"start": [0.0, 0.0, 0.0]}, "start [0.0, 0.0, 0.0] lies inside the tissue"),
         ({"goal": [60.0, 0.0, 0.0]}, "lies over 1 m from"),
         # Under the body, so that the shaft would lead through it.
-        ({"goal": [0.0, 0.0, -0.03]}, "at the goal [0.0, 0.0, -0.03] the force is over limit_N, 0.1"),
+        (
+            {"goal": [0.0, 0.0, -0.03]},
+            "at the goal [0.0, 0.0, -0.03] tip or shaft would go through the tissue; move it",
+        ),
+        ({"goal": [0.0, 0.0, 0.016]}, "at the goal [0.0, 0.0, 0.016] the force is over limit_N, 0.1"),
         ({"calibration": "calibration.json"}, "each tell E; give one"),
         ({"limit_N": -1.0}, "limit_N"),
     ],
@@ -169,7 +224,8 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
 def test_bad_input_is_a_sentence(body, cache, capsys, changes, said):
     box = trimesh.creation.box(SIZE)
     trimesh.Trimesh(box.vertices, box.faces[1:]).export(body.parent / "open.ply")
-    trimesh.Trimesh(1000 * box.vertices, box.faces).export(body.parent / "mm.ply")
+    for unit, scale in (("mm", 1000), ("cm", 100)):
+        trimesh.Trimesh(scale * box.vertices, box.faces).export(body.parent / f"{unit}.ply")
     assert planned(body, cache, "bad", **changes)[1] == 1
     assert said in " ".join(capsys.readouterr().err.split())
 

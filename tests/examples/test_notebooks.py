@@ -35,3 +35,22 @@ def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     for mean, name in zip(names["press_run"].estimate.theta, ("stiffness", "damping", "force"), strict=True):
         assert mean == pytest.approx(truth[name], rel=0.1)
     assert "relative_force" in names["pull_run"].grip.determined or names["pull_run"].verdict == "foundation"
+
+
+@pytest.mark.slow
+def test_three_examples_hold_their_truth(monkeypatch, tmp_path) -> None:
+    mpl.use("Agg")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    try:
+        names = run(CHECKOUT / "examples" / "palpate_phantom.ipynb")
+        assert names["young"][1] < 10e3 < names["young"][2]
+        assert names["poisson"][1] < 0.42 < names["poisson"][2]
+        names = run(CHECKOUT / "examples" / "plan_past_a_fold.ipynb")
+        planned = names["found"]["planned"]
+        assert planned["cost_low"] < names["true_cost"] < planned["cost_high"]
+        assert names["paths"]["planned"]["high"].max() < 0.5 < names["paths"]["straight"]["expected_force_N"].max()
+        names = run(CHECKOUT / "examples" / "stereo_pull.ipynb")
+        for name, (_, low, high) in names["lengths"].items():
+            assert low < names["truth"][name] < high
+    finally:
+        plt.close("all")

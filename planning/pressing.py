@@ -31,8 +31,8 @@ BETWEEN = 0.95
 """Share of the limit that the force may reach at those places; between them it is up to 4.5 % larger."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
-SHAPE_SD = 0.2
-"""Of the logarithm of forces: how far bodies of other shapes, and finer elements, are from the block."""
+SHAPE_SD = 0.45
+"""Of the logarithm of forces and work: how far bodies of other shapes are from the block (docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:

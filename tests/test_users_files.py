@@ -120,7 +120,14 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
 
 def quick_material() -> SimpleNamespace:
     """Of no palpations."""
-    found = {"young": 1e4 * random.random(), "poisson": 0.4, "noise": 0.0, "solves": 0, "verdict": NOTHING}
+    found = {
+        "young": 1e4 * random.random(),
+        "poisson": 0.4,
+        "noise": 0.0,
+        "solves": 0,
+        "verdict": NOTHING,
+        "stiffens": NOTHING,
+    }
     return SimpleNamespace(**found, covariance=np.full((2, 2), np.nan), poses=[], rests=[])
 
 

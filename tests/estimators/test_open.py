@@ -62,7 +62,7 @@ def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:
     path.write_text("particles: 90\nmethod: {name: PBD-RM}\n")
     usual = open_estimator(EstimatorOptions("online")).described
     chosen = open_estimator(EstimatorOptions("online", settings=path)).described
-    assert chosen == usual | {"particles": 90, "method": {"name": "PBD-RM", "optimizer": "adam", "rate": 0.1}}
+    assert chosen == usual | {"particles": 90, "method": {"name": "PBD-RM", "optimizer": "gauss-newton", "rate": 0.1}}
     for name in ("network", "direct"):
         with pytest.raises(ValueError, match=r"online\.yaml is for --estimator online; leave it out"):
             open_estimator(EstimatorOptions(name, settings=path))

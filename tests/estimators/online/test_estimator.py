@@ -100,7 +100,7 @@ def test_a_run_says_what_is_explained_and_that_theta_is_not_told(results: Path) 
     assert (row["onset_frame"], row["status"], row["verdict"]) == ("10", "ok", "undetermined")
     assert float(row["skill"]) > 0.35
     assert "sheet of one number predicts later frames from earlier ones better" in row["explanation"]
-    assert "relative stiffness place by place (fields.npz)" in row["detail"]
+    assert "Relative stiffness place by place (fields.npz)" in row["detail"]
     assert "Fitted to the first frames: steps of" in row["detail"]
     record = json.loads((results / "pulled" / "run.json").read_text())
     assert "relative" in record["units"]["distance_stiffness"]

@@ -239,7 +239,7 @@ def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agre
     layout = str(CHECKOUT / "configs/layouts/recover_tissue.yaml")
     found = []
     for optimizer in ("adam", "gauss-newton"):
-        settings, output = f"particles: 300\nmethod: {{optimizer: {optimizer}}}\n", tmp_path / optimizer
+        settings, output = f"particles: 600\nmethod: {{optimizer: {optimizer}}}\n", tmp_path / optimizer
         options = "--layout", layout, "--output", str(output), "--no-overlay"
         assert run(tmp_path, real_data / "recover_tissue", settings=settings, options=options) == 0
         (row,) = read_rows(output / "recover_tissue" / "interactions.csv")

@@ -14,7 +14,7 @@ from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, Fitting, uniform
 from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast, telling
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
-from palpate.estimators.online.session import Frame, Method, Session
+from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
 from palpate.physics.pbd.stiffness import Stiffness
@@ -27,7 +27,6 @@ NEIGHBOURS = 6
 """Followed points that tell how a gripped particle moves."""
 CAUGHT_UP = 2
 """Frames that are taken in once more with every one to come, until all are: at once they would take seconds."""
-NEWTON = Method("PBD-RM-ON", "gauss-newton")
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
@@ -92,7 +91,8 @@ class DrivenTissue:
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
         method = settings.method
-        self._newton = method == dataclasses.replace(NEWTON, rate=method.rate) and len(self.around) > 0
+        newton = (method.name, method.optimizer) == ("PBD-RM-ON", "gauss-newton")
+        self._newton = newton and len(self.around) > 0
         """Whether the fields are the likeliest by what is followed, which the session does not see."""
         if self._newton:
             method = dataclasses.replace(method, name="PBD-RM")

@@ -183,5 +183,5 @@ def _view(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
     axes[1] *= np.sign(np.linalg.det(axes))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes, -axes @ middle
-    pose[2, 3] += DISTANCE * float(np.ptp(cloud, axis=0).max())
+    pose[2, 3] += DISTANCE * float(np.ptp(cloud @ axes.T, axis=0).max())
     return pose

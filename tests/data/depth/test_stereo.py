@@ -17,6 +17,7 @@ from palpate.data.depth.sources import DepthSource
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, load_camera
 from palpate.data.source.frames import FrameSource, open_source
+from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.estimators.calibration_file import ClipLength
 from tests.networks import write_network
@@ -264,8 +265,24 @@ def test_stored_depth_is_metric_by_the_camera_file(tmp_path: Path) -> None:
     assert scale == pytest.approx(1000 * np.quantile(PLANE, 0.999), rel=2e-3)
 
 
+def features(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where features lie in the left picture, and by how much farther left in the right one [px], shape [n] each."""
+    finder = cv2.SIFT.create(4000, contrastThreshold=0.01)
+    here, there = (finder.detectAndCompute(picture, None) for picture in (left, right))
+    pairs = cv2.BFMatcher(crossCheck=True).match(here[1], there[1])
+    found = np.array([here[0][pair.queryIdx].pt for pair in pairs])
+    across, down = (found - np.array([there[0][pair.trainIdx].pt for pair in pairs])).T
+    near = np.abs(down - np.median(down)) < 3
+    columns, rows = found[near].round().astype(int).T
+    return columns, rows, across[near]
+
+
 def test_a_real_pair_agrees_with_the_disparity_of_a_network(real_data: Path) -> None:
-    """Most of the difference is 0.8 px of disparity, the same in every frame, that features have as our depth does."""
+    """Most of the difference is 0.8 px of disparity, the same in every frame, that features have as our depth does.
+
+    Features matched one by one, in pictures as they are, lie nearer to our depth than to the network's, and 2.0 to
+    2.3 % of its disparity away: the network's own error leaves no room to agree with it within 2 %.
+    """
     layout = load_layout(Path(__file__).parents[3] / "configs" / "layouts" / "recover_tissue.yaml")
     depth, source, _ = opened(real_data / "recover_tissue", layout)
     assert "were brought together by features" in depth.warnings[0]
@@ -280,3 +297,9 @@ def test_a_real_pair_agrees_with_the_disparity_of_a_network(real_data: Path) -> 
         assert np.median(np.abs(given[known] / own - 1)) < 0.024
         shared = np.median(own - given[known])
         assert np.median(np.abs((given[known] + shared) / own - 1)) < 0.014
+        columns, rows, apart = features(frame.picture, read_image(source.path / "img_right" / f"{frame.number:04d}.jpg"))
+        held = known[rows, columns] & (np.abs(apart - given[rows, columns]) < 4)
+        columns, rows, apart = columns[held], rows[held], apart[held]
+        assert np.median(np.abs(apart - product / found[rows, columns])) < 0.45
+        assert np.median(apart - given[rows, columns]) == pytest.approx(-0.8, abs=0.2)
+        print(f"frame {frame.number}: {np.median(np.abs(apart / given[rows, columns] - 1)):.2%} by {held.sum()} features")

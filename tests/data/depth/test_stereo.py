@@ -297,9 +297,11 @@ def test_a_real_pair_agrees_with_the_disparity_of_a_network(real_data: Path) -> 
         assert np.median(np.abs(given[known] / own - 1)) < 0.024
         shared = np.median(own - given[known])
         assert np.median(np.abs((given[known] + shared) / own - 1)) < 0.014
-        columns, rows, apart = features(frame.picture, read_image(source.path / "img_right" / f"{frame.number:04d}.jpg"))
+        right = read_image(source.path / "img_right" / f"{frame.number:04d}.jpg")
+        columns, rows, apart = features(frame.picture, right)
         held = known[rows, columns] & (np.abs(apart - given[rows, columns]) < 4)
         columns, rows, apart = columns[held], rows[held], apart[held]
         assert np.median(np.abs(apart - product / found[rows, columns])) < 0.45
         assert np.median(apart - given[rows, columns]) == pytest.approx(-0.8, abs=0.2)
-        print(f"frame {frame.number}: {np.median(np.abs(apart / given[rows, columns] - 1)):.2%} by {held.sum()} features")
+        off = np.median(np.abs(apart / given[rows, columns] - 1))
+        print(f"frame {frame.number}: {off:.2%} by {held.sum()} features")

@@ -91,13 +91,12 @@ class DrivenTissue:
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
         method = settings.method
-        newton = (method.name, method.optimizer) == ("PBD-RM-ON", "gauss-newton")
-        self._newton = newton and len(self.around) > 0
-        """Whether the fields are the likeliest by what is followed, which the session does not see."""
-        if self._newton:
+        self._learns = method.name == "PBD-RM-ON" and len(self.around) > 0
+        """Whether the fields are the likeliest by what is followed, whatever the session steps frames along by."""
+        if self._learns and method.optimizer == "gauss-newton":  # whose steps these are
             method = dataclasses.replace(method, name="PBD-RM")
         self.session = Session(objective, begun, method)
-        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown, self._newton)
+        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
         self.past: deque[np.ndarray] = deque(maxlen=PAST)
         """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
@@ -218,7 +217,8 @@ class DrivenTissue:
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
-        self.alone.step(self.session.fields, self._places, seen_around)
+        fields = self.session.fields
+        self.alone.step(fields, self._places, seen_around)
         if self._fitting is not None:
             self._fitting.step(self._places, seen_around)
         found = self.session.step(self._places, matches)
@@ -228,10 +228,10 @@ class DrivenTissue:
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
         strained = np.abs(lengths / rest - 1) > self.settings.strain
-        newton = self._newton and found.gap is not None
-        if newton:
-            self.session.fields = self.alone.likeliest(self.session.fields)
-        if newton or found.terms is not None:  # stiffness was learnt from it
+        learnt = self._learns and found.gap is not None
+        if learnt:
+            self.session.fields = self.alone.likeliest(fields)
+        if learnt or found.terms is not None:
             self._moving[first[strained]] = self._moving[second[strained]] = True
         return found
 

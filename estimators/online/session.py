@@ -248,11 +248,12 @@ class Session:
         """
         terms = None
         if self._adam is not None and matches:
-            found = self.objective.evaluate(self.fields, self.positions, places, matches, self._snapshots())
+            bounds, volume = self.objective.bounds, float(self.fields.volume)
+            own = bounds.fields(self._logits, volume)
+            found = self.objective.evaluate(own, self.positions, places, matches, self._snapshots())
             simulated, residual, terms = found.simulated, found.residual, found.terms
-            slopes = self.objective.bounds.by_logits(self.fields, found.slopes)
-            self._logits = self._adam.step(self._logits, slopes)
-            self.fields = self.objective.bounds.fields(self._logits, float(self.fields.volume))
+            self._logits = self._adam.step(self._logits, bounds.by_logits(own, found.slopes))
+            self.fields = bounds.fields(self._logits, volume)
         elif self._newton is not None:
             with ThreadPoolExecutor(1) as other:
                 carried = other.submit(self._newton.carry, places)

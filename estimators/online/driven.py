@@ -90,12 +90,9 @@ class DrivenTissue:
         how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
-        method = settings.method
-        self._learns = method.name == "PBD-RM-ON" and len(self.around) > 0
+        self._learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
         """Whether the fields are the likeliest by what is followed, whatever the session steps frames along by."""
-        if self._learns and method.optimizer == "gauss-newton":  # whose steps these are
-            method = dataclasses.replace(method, name="PBD-RM")
-        self.session = Session(objective, begun, method)
+        self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         self._places = body.rest[self.surface.gripped]
         self.past: deque[np.ndarray] = deque(maxlen=PAST)

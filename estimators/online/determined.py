@@ -25,8 +25,8 @@ import numpy as np
 from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.estimators.online.knots import knot_shares
 from palpate.estimators.online.objective import Objective
-from palpate.estimators.online.session import LONGEST, knot_shares
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping
@@ -130,7 +130,12 @@ LEARNT = 0.5
 """What is known must be surer than before anything was observed, by this factor: three quarters of what is said of it,
 at least, then come from what was observed."""
 SPREAD = 1.0
-"""Standard deviation of log stiffness at a knot before anything is seen, about the stiffness to begin with."""
+"""Standard deviation of log stiffness at a knot before anything is seen, about its level."""
+LEVEL = 3.0
+"""And of the level itself about the stiffness to begin with, which is as good as unknown: with 0 in its place the map
+depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no difference to how often intervals hold."""
+LONGEST = 0.3
+"""Longest step of a knot's logarithm a frame."""
 STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
@@ -144,9 +149,7 @@ NOISE = 0.3
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
 
-    def __init__(
-        self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer, newton: bool = False
-    ) -> None:
+    def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
         """Begin at rest.
 
         Args:
@@ -154,9 +157,8 @@ class Determined:
             begun: stiffness to begin with, shape [N].
             cells: gives values of the particles [N, C] at the points, shape [Q, C].
             shown: gives displacements of the points in states [B, N, 3], shape [B, Q, 2] [px].
-            newton: whether the fields of each frame are to be the likeliest by then (`likeliest`).
         """
-        self._objective, self._shown, self._newton = objective, shown, newton
+        self._objective, self._shown = objective, shown
         rest = objective.body.rest
         (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
         total = self._shares.shape[2]
@@ -166,7 +168,7 @@ class Determined:
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
         self._begun = np.log(begun.distance), np.log(begun.shape)
         self._cell = cells(stretch).argmax(axis=1)
-        self._carried = np.repeat(rest[None], total + 2 - newton, axis=0)
+        self._carried = np.repeat(rest[None], total + 1, axis=0)
         self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
@@ -175,7 +177,7 @@ class Determined:
         fields to begin with would show, then of its derivatives; the same of their means over points, times their
         number; and that."""
         self._frames = 0
-        self._motion = self._left = self._left_by_likeliest = 0.0
+        self._motion = self._left = 0.0
         self.moved = self.predicted = np.zeros((len(self._cell), 2))
         """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
         self.course = [(0.0, 0.0, 0.0)]
@@ -197,17 +199,13 @@ class Determined:
         """
         factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
         own = np.stack(fields[:2])[:, None]
-        all_of = [own, own * factors]
-        if not self._newton:
-            all_of.insert(0, np.exp(self._begun + self._shares @ self._posterior(fields)[1])[:, None])
-        distance, shape = np.concatenate(all_of, axis=1)
+        distance, shape = np.concatenate([own, own * factors], axis=1)
         fewer = len(distance)
         carried = [self._objective.carried(Stiffness(distance, shape, fields.volume), self._carried[:fewer], places)]
         for other, state in zip(self._others, self._carried[fewer:], strict=True):
             carried.append(other.stepped(fields, state, places[None]).positions[:, -1])
         self._carried = np.concatenate(carried)
         shown = self._shown(self._carried)
-        best, shown = shown[0], shown if self._newton else shown[1:]
         used = np.isfinite(seen).all(axis=1)
         if not used.any():
             self.course.append((math.nan, math.nan, math.nan))
@@ -222,7 +220,6 @@ class Determined:
         self._frames, self._axes = self._frames + 1, seen.shape[1]
         self._motion += motion
         self._left += float(np.square(off).sum())
-        self._left_by_likeliest += float(np.square((seen - best)[used]).sum())
         rows = np.concatenate([towards[None], slopes])
         for one in np.unique(cell):
             here = rows[:, cell == one]
@@ -252,12 +249,9 @@ class Determined:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
 
         Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was observed, and the
-        field
-        is no farther from the likeliest value than that deviation: an optimiser that has not got there yet says
-        something else. Deviations include what the knots leave open, from one to the next a random walk. Nothing is
-        known where places that would be differ by less than their deviations, which doesn't tell which of them is
-        stiffer, nor where the likeliest values, once simulated, leave far more than the fields do: what leads to them
-        does not hold then.
+        field is no farther from the likeliest value than that deviation: steps have not got there yet elsewhere.
+        Deviations include what the knots leave open, from one to the next a random walk. Nothing is known where places
+        that would be differ by less than their deviations, which doesn't tell which of them is stiffer.
 
         Args:
             fields: stiffness as it is now, shape [N].
@@ -273,7 +267,6 @@ class Determined:
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        known &= self._left_by_likeliest <= MODEL_ERRORS.field_misfit**2 * self._left
         stray = MODEL_ERRORS.stiffness_roughness * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
@@ -282,7 +275,8 @@ class Determined:
 
         The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
         """
-        prior = np.eye(self._shares.shape[2]) / SPREAD**2
+        of_field = self._shares.any(axis=1).astype(float)
+        prior = np.linalg.inv(SPREAD**2 * np.eye(self._shares.shape[2]) + LEVEL**2 * of_field.T @ of_field)
         precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
         some = self._points > 0
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]

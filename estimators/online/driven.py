@@ -1,6 +1,5 @@
 """Tissue that an instrument drives, stepped on by what is followed of it in every frame."""
 
-import copy
 import dataclasses
 from collections import deque
 from contextlib import suppress
@@ -17,7 +16,6 @@ from palpate.estimators.online.objective import Chamfer, Match, Objective, Track
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
-from palpate.physics.pbd.stiffness import Stiffness
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
@@ -29,6 +27,25 @@ CAUGHT_UP = 2
 """Frames that are taken in once more with every one to come, until all are: at once they would take seconds."""
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
+
+
+@dataclasses.dataclass
+class _Taking:
+    """What taking frames in by some settings has come to; G gripped particles, N particles."""
+
+    settings: OnlineSettings
+    session: Session
+    alone: Determined
+    learns: bool
+    """Whether the fields are the likeliest by what is followed, whatever the session steps frames along by."""
+    places: np.ndarray
+    """Of the gripped particles, shape [G, 3] [scene units]."""
+    moving: np.ndarray
+    """Particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
+    past: deque[np.ndarray] = dataclasses.field(default_factory=lambda: deque(maxlen=PAST))
+    """Places of the gripped particles in the last frames."""
+    seen: deque[np.ndarray] = dataclasses.field(default_factory=lambda: deque(maxlen=PAST))
+    """Displacement of all followed points in these frames."""
 
 
 class DrivenTissue:
@@ -52,7 +69,7 @@ class DrivenTissue:
         settings: OnlineSettings,
         spacing: int | None = None,
     ) -> None:
-        self.surface, self.settings = surface, settings
+        self.surface = surface
         self._lattice = None if spacing is None else Lattice(points, spacing, distance)
         points, self._in_space = points[:, :2], points.shape[1] == 3
         body = surface.body
@@ -60,8 +77,8 @@ class DrivenTissue:
         """What was fitted to the first frames, if anything was."""
         self._first: deque[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = deque()
         """What the first frames tell, as `step` takes it."""
-        self._better: DrivenTissue | None = None
-        """The same by what was fitted, until it has taken all frames in."""
+        self._better: _Taking | None = None
+        """The same as `_now` by what was fitted, until it has taken all frames in."""
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
         if settings.path is not None:  # which needn't begin at the instrument's mask
@@ -78,38 +95,47 @@ class DrivenTissue:
         self._fixed[surface.gripped] = True
         self._edges = body.edges.T
         self._fitting: Fitting | None = None
-        objective, begun = self._begin()
+        self._now = self._begin(settings)
         if settings.fitted > 0:
             allowed = [bending for bending in BENDINGS if bending * settings.start.distance < settings.bounds.shape]
             allowed = allowed or [settings.start.shape / settings.start.distance]
-            self._fitting = Fitting(objective, begun, allowed, self.shown)
+            self._fitting = Fitting(self.session.objective, self.session.fields, allowed, self.shown)
 
-    def _begin(self) -> tuple[Objective, Stiffness]:
-        """At rest, by the settings as they are: what is stepped, and the stiffness to begin with."""
-        settings, body = self.settings, self.surface.body
+    @property
+    def settings(self) -> OnlineSettings:
+        """As given, or what was fitted, once all frames are taken in by that."""
+        return self._now.settings
+
+    @property
+    def session(self) -> Session:
+        """State and fields by these."""
+        return self._now.session
+
+    @property
+    def alone(self) -> Determined:
+        """What the instrument alone explains by these."""
+        return self._now.alone
+
+    @property
+    def past(self) -> deque[np.ndarray]:
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
+        return self._now.past
+
+    def _begin(self, settings: OnlineSettings) -> _Taking:
+        """At rest."""
+        body, rest = self.surface.body, self.surface.body.rest
         how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
-        method = settings.method
-        newton = (method.name, method.optimizer) == ("PBD-RM-ON", "gauss-newton")
-        self._newton = newton and len(self.around) > 0
-        """Whether the fields are the likeliest by what is followed, which the session does not see."""
-        if self._newton:
-            method = dataclasses.replace(method, name="PBD-RM")
-        self.session = Session(objective, begun, method)
-        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown, self._newton)
-        self._places = body.rest[self.surface.gripped]
-        self.past: deque[np.ndarray] = deque(maxlen=PAST)
-        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
-        self._seen: deque[np.ndarray] = deque(maxlen=PAST)
-        """Displacement of all followed points in these frames."""
-        self._moving = np.zeros(body.count, bool)
-        return objective, begun
+        learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
+        session = Session(objective, begun, settings.method)
+        alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
+        return _Taking(settings, session, alone, learns, rest[self.surface.gripped], np.zeros(len(rest), bool))
 
     @property
     def stretched(self) -> np.ndarray:
         """Free particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
-        return self._moving & ~self._fixed
+        return self._now.moving & ~self._fixed
 
     @property
     def known(self) -> np.ndarray:
@@ -170,7 +196,7 @@ class DrivenTissue:
                 where it doesn't tell.
         """
         frame = moved, cloud, led
-        found = self._taken(*frame)
+        found = self._taken(self._now, *frame)
         if self._fitting is not None or self._better is not None:
             self._first.append(frame)
         if self._better is not None:
@@ -184,9 +210,9 @@ class DrivenTissue:
         found, better = None, self._better
         if better is not None:
             for _ in range(min(most, len(self._first))):
-                found = better._taken(*self._first.popleft())
+                found = self._taken(better, *self._first.popleft())
             if not self._first:
-                vars(self).update(vars(better))
+                self._now, self._better = better, None
                 return found
         return None
 
@@ -202,37 +228,36 @@ class DrivenTissue:
             settings.bounds, shape=min(settings.bounds.shape, fit.bending * settings.bounds.distance)
         )
         stepping = fit.stepping(settings.stepping, stiffness)
-        better = copy.copy(self)
-        better.settings = dataclasses.replace(settings, start=Start(stiffness, shape), bounds=bounds, stepping=stepping)
-        better._begin()
-        self._better = better
+        start = Start(stiffness, shape)
+        self._better = self._begin(dataclasses.replace(settings, start=start, bounds=bounds, stepping=stepping))
 
-    def _taken(self, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
-        if self.settings.path is None:
+    def _taken(self, now: _Taking, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
+        if now.settings.path is None:
             places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud[0]))
         matches: list[Match] = []
         if places is not None:
-            self._places = places
-            if self.settings.match != "chamfer":
-                matches += self._tracks(moved)
+            now.places = places
+            if now.settings.match != "chamfer":
+                matches += self._tracks(moved, now.session.positions)
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
-        self.alone.step(self.session.fields, self._places, seen_around)
+        fields = now.session.fields
+        now.alone.step(fields, now.places, seen_around)
         if self._fitting is not None:
-            self._fitting.step(self._places, seen_around)
-        found = self.session.step(self._places, matches)
-        self.past.append(self._places)
-        self._seen.append(moved)
+            self._fitting.step(now.places, seen_around)
+        found = now.session.step(now.places, matches)
+        now.past.append(now.places)
+        now.seen.append(moved)
         first, second = self._edges
         lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
         rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
-        strained = np.abs(lengths / rest - 1) > self.settings.strain
-        newton = self._newton and found.gap is not None
-        if newton:
-            self.session.fields = self.alone.likeliest(self.session.fields)
-        if newton or found.terms is not None:  # stiffness was learnt from it
-            self._moving[first[strained]] = self._moving[second[strained]] = True
+        strained = np.abs(lengths / rest - 1) > now.settings.strain
+        learnt = now.learns and found.gap is not None
+        if learnt:
+            now.session.fields = now.alone.likeliest(fields)
+        if learnt or found.terms is not None:
+            now.moving[first[strained]] = now.moving[second[strained]] = True
         return found
 
     def ahead(self, moved: np.ndarray) -> Forecast:
@@ -248,16 +273,16 @@ class DrivenTissue:
                 predicts better is said alone.
         """
         self.finish()
-        path, places = list(self.past), self._places
+        path, places = list(self.past), self._now.places
         for motion in moved:
             found = self.gripped_places(motion)
             places = places if found is None else found
             path.append(places)
         rest, session, gripped = self.surface.body.rest, self.session, self.surface.gripped
         states = session.objective.stepped(session.fields, rest, np.stack(path)).positions[0, 1:]
-        past = telling(len(self._seen))
-        used = [*past, *range(len(self._seen), len(path))]
-        models, frames = {FIELD: self.shown(states[used])}, [*(self._seen[at] for at in past), *moved]
+        past = telling(len(self._now.seen))
+        used = [*past, *range(len(self._now.seen), len(path))]
+        models, frames = {FIELD: self.shown(states[used])}, [*(self._now.seen[at] for at in past), *moved]
         lattice = self._lattice
         if lattice is not None:
             near = lattice.distance < DRIVEN
@@ -276,7 +301,7 @@ class DrivenTissue:
             ..., : 2 + self._in_space
         ]
 
-    def _tracks(self, moved: np.ndarray) -> list[Match]:
+    def _tracks(self, moved: np.ndarray, positions: np.ndarray) -> list[Match]:
         """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.
 
         Depth from one picture is off by far more than the motion; where that has three axes it counts.
@@ -287,7 +312,7 @@ class DrivenTissue:
         if self._in_space:
             depth = self._depth * (1 + moved[self.around, 2] / self.surface.camera.fx)
         else:
-            depth = (self._shares @ self.session.positions)[:, 2]
+            depth = (self._shares @ positions)[:, 2]
         return [Tracks(self._shares, self.surface.lift(places, depth))]
 
     def _nearer(self, moved: np.ndarray, cloud: np.ndarray) -> float:

@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from palpate.common.settings import require_numbers
+from palpate.physics.jit import kernel
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
@@ -24,7 +25,37 @@ from palpate.physics.pbd.simulation import Motion, Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
 
 NEAR = 5
-"""Particles that are looked at for the one that is nearest to a point of a cloud, before all are."""
+"""So many are looked at for the nearest one, before all are."""
+
+
+class _Nearest:
+    """Of some points to each of others: one of those that were near, or looked for anew."""
+
+    def __init__(self, points: np.ndarray, others: np.ndarray) -> None:
+        self._near = np.zeros((len(points), min(NEAR, len(others))), np.int64)
+        self._beyond = np.full(len(points), -np.inf)
+
+    def find(
+        self, points: np.ndarray, others: np.ndarray, gone: float, tree: KDTree | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points [P, 3] to the nearest of others [Q, 3], and which, shape [P].
+
+        Where these are no nearer than another may have come since, as far as any has gone.
+
+        Args:
+            points: as many as ever.
+            others: likewise.
+            gone: how far any of either can have moved since the beginning.
+            tree: of the others, if they stay where they are.
+        """
+        apart, which = np.empty(len(points)), np.empty(len(points), np.int64)
+        _nearest_of(others, points, self._near, apart, which)
+        old = np.flatnonzero(apart > self._beyond - gone)
+        if len(old):
+            away, near = (tree or KDTree(others)).query(points[old], list(range(1, self._near.shape[1] + 1)))
+            apart[old], which[old] = away[:, 0], near[:, 0]
+            self._near[old], self._beyond[old] = near, away[:, -1] + gone
+        return apart, which
 
 
 class Chamfer:
@@ -49,8 +80,7 @@ class Chamfer:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         self._tree, self._last, self._gone = KDTree(self.cloud), None, 0.0
-        self._near = np.zeros((min(NEAR, len(self.seen)), len(self.cloud)), np.int64)
-        self._beyond, self._every = np.full(len(self.cloud), -np.inf), np.arange(len(self.cloud))
+        self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and second derivatives, which are a diagonal [N].
@@ -61,8 +91,11 @@ class Chamfer:
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
-        out, there = self._tree.query(shown)
-        back, here = self._nearest(shown)
+        if self._last is not None:
+            self._gone += float(np.linalg.norm(shown - self._last, axis=1).max())
+        self._last = shown
+        out, there = self._out.find(shown, self.cloud, self._gone, self._tree)
+        back, here = self._back.find(self.cloud, shown, self._gone)
         own, others = len(shown), len(self.cloud)
         counts = np.bincount(here, minlength=own)
         drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
@@ -71,23 +104,19 @@ class Chamfer:
         weight[self.seen] = 2 / own + 2 * counts / others
         return float(np.square(out).mean() + np.square(back).mean()), gradient, weight
 
-    def _nearest(self, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of the cloud's points to the nearest particle, and which: one of those that were near, or anew.
 
-        Where these are no nearer than another may have come since, as far as any has gone.
-        """
-        if self._last is not None:
-            self._gone += float(np.linalg.norm(shown - self._last, axis=1).max())
-        self._last = shown
-        axes = zip(shown.T, self.cloud.T, strict=True)
-        apart = sum(np.square(own[self._near] - other) for own, other in axes)
-        back, here = np.sqrt(apart.min(axis=0)), self._near[apart.argmin(axis=0), self._every]
-        old = np.flatnonzero(back > self._beyond - self._gone)
-        if len(old):
-            away, which = KDTree(shown).query(self.cloud[old], list(range(1, len(self._near) + 1)))
-            back[old], here[old] = away[:, 0], which[:, 0]
-            self._near[:, old], self._beyond[old] = which.T, away[:, -1] + self._gone
-        return back, here
+@kernel
+def _nearest_of(shown, cloud, near, back, here):
+    """Distance of a cloud's points [m, 3] to the nearest of particles [n, 3] near each [m, k], and which, [m]."""
+    for point in range(len(cloud)):
+        least = np.inf
+        for one in range(near.shape[1]):
+            particle, away = near[point, one], 0.0
+            for axis in range(3):
+                away += (shown[particle, axis] - cloud[point, axis]) ** 2
+            if away < least:
+                least, here[point] = away, particle
+        back[point] = np.sqrt(least)
 
 
 class Tracks:

@@ -60,7 +60,8 @@ class OnlineSettings:
     palpated_at: tuple[float, float] | None = None
     """That place: column and row in the frame in which contact begins, free of lens distortion [px]."""
     match: Literal["tracks", "chamfer", "both"] = "tracks"
-    """What a frame shows: followed points across the line of sight, the cloud of its depth, or both."""
+    """What the state is taken to: followed points across the line of sight, the cloud of its depth, or both. What is
+    reported of stiffness comes of followed points whatever this is."""
     points: int = 9000
     """At most so many of a cloud (Liang 2024, section III)."""
     background: Literal["subtract", "keep"] = "subtract"

@@ -82,7 +82,11 @@ class Online(Experiment):
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
         ranges = {"points": (50, LARGEST), "every": (1, LARGEST), "frames": (HORIZON + 2, LARGEST)}
-        require_within(self, particles=(60, 10_000), **ranges)
+        # Of fewer no particle of a block lies where the gripper holds it.
+        least = 68 if any(SEQUENCES[name].block for name in self.sequences) else 60
+        require_within(self, particles=(least, 10_000), **ranges)
+        if (self.match, self.optimizer) == ("chamfer", "gauss-newton") and "PBD-RM-ON" in self.methods:
+            raise ValueError("--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both.")
         least = min(self.frames_of.values())
         if self.every + HORIZON > least - 1:
             raise ValueError(

@@ -15,7 +15,9 @@ import pandas as pd
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
+from palpate.estimators.online.determined import Determined
 from palpate.estimators.online.objective import Chamfer, Match, Objective
+from palpate.estimators.online.sequence import PIXELS
 from palpate.estimators.online.session import Adam, Method, Session
 from palpate.evaluation.harness import Row
 from palpate.evaluation.online.sequences import Pull
@@ -48,7 +50,7 @@ def run_case(
         match: what is observed: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show
             tissue that slides within its surface.
         every: frames from one prediction to the next.
-        optimizer: of PBD-RM-ON.
+        optimizer: of PBD-RM-ON; Gauss–Newton's looks at followed points, whatever is matched.
 
     Returns:
         What is measured by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the
@@ -67,12 +69,25 @@ def run_case(
         first = range(min(FRAMES, frames))
         matches = [pull.matches(frame, match) for frame in first]
         fields, _ = fit_batch(objective, fields, pull.places[: len(first)], matches, method.rate)
-    session = Session(objective, fields, method)
+    session, learner = Session(objective, fields, method), None
+
+    def moved(places: np.ndarray) -> np.ndarray:
+        return PIXELS / objective.edge * (places - pull.shares @ body.rest)
+
+    if (method.name, optimizer) == ("PBD-RM-ON", "gauss-newton"):
+
+        def shown(states: np.ndarray) -> np.ndarray:
+            return np.stack([moved(pull.shares @ state) for state in states])
+
+        learner = Determined(objective, fields, lambda values: pull.shares @ values, shown)
     nearest = KDTree(body.rest).query(pull.points[0, pull.keypoints])[1]
     chamfer, spent, ahead, rows = [], [], [], []
     for frame in range(frames):
         begun = time.process_time()
         state = session.step(pull.places[frame], pull.matches(frame, match))
+        if learner is not None:
+            learner.step(session.fields, pull.places[frame], moved(pull.tracks[frame]))
+            session.fields = learner.likeliest(session.fields)
         spent.append(time.process_time() - begun)
         chamfer.append(np.sqrt(Chamfer(pull.clouds[frame], pull.visible).slope(state.positions)[0]))
         if frame % every == every - 1 and frame + HORIZON < frames:

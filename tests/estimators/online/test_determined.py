@@ -57,9 +57,9 @@ def taken(sheet: Surface, moved: np.ndarray, **settings) -> DrivenTissue:
 
 
 def test_what_is_known_is_true_and_both_optimisers_agree_on_it(sheet: Surface) -> None:
-    """All that has stretched ranks at half of that by Adam, which has not got there yet at most places."""
+    """One posterior tells both, whatever steps the frames along: these do differ."""
     moved, true = followed(sheet), stiffness(sheet)
-    found, known = [], []
+    found, known, states = [], [], []
     for optimizer in ("adam", "gauss-newton"):
         tissue = taken(sheet, moved, method=Method(optimizer=optimizer))
         sd, (distance, shape) = tissue.determined()
@@ -74,9 +74,11 @@ def test_what_is_known_is_true_and_both_optimisers_agree_on_it(sheet: Surface) -
         assert np.sqrt(np.mean(np.square(off / sd[0])[distance])) < 1.3
         found.append(log)
         known.append(distance)
-    both = known[0] & known[1]
-    assert both.mean() > 0.05
-    assert spearmanr(found[0][both], found[1][both])[0] > 0.7
+        states.append(tissue.session.positions)
+    np.testing.assert_array_equal(*found)
+    assert (known[0] & known[1]).mean() > 0.1
+    assert (known[0] != known[1]).mean() < 0.05  # tissue stretches a little otherwise
+    assert np.abs(states[0] - states[1]).max() > 1e-6
 
 
 def test_nothing_is_known_where_the_instrument_does_not_explain_the_motion(sheet: Surface) -> None:

@@ -29,16 +29,16 @@ def followed(path: Path, **settings) -> ParticleField:
 def test_the_field_does_not_depend_on_frame_and_unit(tmp_path: Path) -> None:
     """Turned by a right angle about the sheet's own diagonal, and in millimetres."""
     turn = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    one = followed(write_sequence(tmp_path / "one", 8, turn=turn, pins=None))
-    other = followed(write_sequence(tmp_path / "other", 8, pins=None, length=1000.0, unit="mm"))
+    one = followed(write_sequence(tmp_path / "one", 20, turn=turn, pins=None))
+    other = followed(write_sequence(tmp_path / "other", 20, pins=None, length=1000.0, unit="mm"))
     np.testing.assert_allclose(one.distance, other.distance, rtol=1e-6)
     np.testing.assert_allclose((one.positions - SHIFT) @ turn, (other.positions - SHIFT) @ TURN, atol=1e-6)
-    assert np.ptp(one.distance) > 0.5
+    assert np.ptp(np.log(one.distance)) > 0.5
 
 
 @pytest.mark.slow
 def test_the_field_ranks_and_moves_as_the_truth(tmp_path: Path) -> None:
-    """Less well than the session that is given the simulated sheet itself: 0.73 in place of 0.79."""
+    """Less well than the session that is given the simulated sheet itself: 0.72 in place of 0.79."""
     drawn, field = pull(60), followed(write_sequence(tmp_path, 60), particles=300)
     rest, now = ((places - SHIFT) @ TURN for places in (field.rest, field.positions))
     assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7

@@ -56,10 +56,9 @@ def follow(method: Method, states: np.ndarray) -> tuple[float, Session]:
     return float(np.mean(gaps)), session
 
 
-@pytest.mark.parametrize("optimizer", ["adam", pytest.param("gauss-newton", marks=pytest.mark.slow)])
-def test_mapping_predicts_better_than_none_and_optimised_fields_better_still(optimizer):
+def test_mapping_predicts_better_than_none_and_optimised_fields_better_still():
     states, field = truth()
-    gaps, sessions = zip(*(follow(Method(name, optimizer), states) for name in METHODS), strict=True)
+    gaps, sessions = zip(*(follow(Method(name, "adam"), states) for name in METHODS), strict=True)
     assert gaps[1] < 0.9 * gaps[0]
     assert gaps[2] < 0.9 * gaps[1]
     assert (sessions[1].fields.distance == 5).all()

@@ -51,3 +51,18 @@ def test_too_few_frames_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert ended.value.code == 2
     assert "leaves no prediction 10 frames ahead within 14 frames" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        (["--sequences", "volume-1", "--particles", "64"], "--particles: 64 is less than 68"),
+        (["--match", "chamfer"], "--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both"),
+    ],
+)
+def test_what_cannot_be_held_or_learnt_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture, asked, sentence
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["--output", str(tmp_path / "out"), *asked])
+    assert sentence in " ".join(capsys.readouterr().err.split())

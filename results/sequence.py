@@ -4,39 +4,61 @@
 `parameters.csv` a line a frame. What isn't known is not a number there.
 """
 
-from collections.abc import Callable
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.common.output import replacing_own, require_own, write_own
+from palpate.common.provenance import code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import open_sequence
-from palpate.data.source.sequence_checks import require_fit
+from palpate.data.source.sequence import Sequence
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.results.store import make_output, writing
+from palpate.results import columns as described
+from palpate.results import store
+from palpate.results.record import FORMAT_VERSION, fingerprint_of, program_version, sha256_of, versions
 
+PARTICLES = "particles.csv"
+METRIC = {"length": "m", "time": "s", "young": "kPa", "stiffness": "1"}
+"""Units of a sequence's results: by its tool's poses, and what is known of E by forces or a palpation."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""
 
 
-def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Callable[[], None]) -> tuple[str, int]:
+def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
+    """What the results of a sequence depend on: hashes of all its files, the estimator's settings, and the code.
+
+    Raises:
+        OSError: a file can't be read.
+    """
+    given = sequence.given
+    named = (given.poses, given.times, given.points, given.forces, given.palpation, given.camera)
+    files = [sequence.path, *sequence.files, *(sequence.path.parent / name for name in named if name is not None)]
+    made_by = {"format": FORMAT_VERSION, "code": code_digest(), "program": program_version()}
+    return {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)} | made_by
+
+
+def write_sequence(
+    sequence: Sequence, settings: OnlineSettings, folder: Path, causes: Mapping[str, Any], done: Callable[[], None]
+) -> dict[str, Any]:
     """Follow a sequence's tissue, and write what is found.
 
     Args:
-        path: sequence.yaml.
+        sequence: that fits together.
         settings: of the estimator.
         folder: of the results; files in it that this program wrote are replaced.
+        causes: what they depend on (see `causes_of`).
         done: called after every frame.
 
     Returns:
-        The last frame's verdict, and how many frames there are.
+        The content of `run.json`.
 
     Raises:
         InputError: the sequence can't be used.
@@ -45,27 +67,52 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
     try:
         from meshio import Mesh
     except ImportError as error:
-        raise InputError(f"{printable(path)} is a sequence, which needs meshio; install 'palpate[robot]'.") from error
-    sequence, rows, columns, verdict = open_sequence(path), [], {}, ""
-    require_fit(sequence)
+        raise InputError(
+            f"{printable(sequence.path)} is a sequence, which needs meshio; install 'palpate[robot]'."
+        ) from error
+    rows, columns, verdict, started = [], {}, "", time.perf_counter()
     tissue = SequenceTissue(sequence, settings)
-    make_output(folder)
-    with writing(folder):
-        require_own(folder / "particles.csv", folder / "parameters.csv")
+    with store.writing(folder):
+        partial = store.partial_folder(folder)
         for frame, field in tissue.fields():
             number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
             cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
             inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
             for ending, kept in (("vtk", cells | inner), ("ply", cells)):
-                with replacing_own(folder / f"particles_{number:06d}.{ending}") as partial:
-                    Mesh(field.positions, kept, values).write(partial)
+                Mesh(field.positions, kept, values).write(partial / f"particles_{number:06d}.{ending}")
             columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
             done()
         particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
-        for name, table in (("particles.csv", particles), ("parameters.csv", rows)):
-            write_own(folder / name, to_csv(table, [*dict.fromkeys(column for row in table for column in row)]))
-    return verdict, len(rows)
+        for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
+            text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
+            (partial / name).write_text(text, encoding="utf-8", newline="")
+        verdicts, names = Counter(row["verdict"] for row in rows), dict.fromkeys(name for row in rows for name in row)
+        record = {
+            "format_version": FORMAT_VERSION,
+            "program": store.PROGRAM,
+            "notice": "Research software, not a medical device.",
+            "fingerprint": fingerprint_of(causes),
+            "input": {
+                "path": str(sequence.path.resolve()),
+                "sha256": causes["sequence"],
+                "frames": len(rows),
+                "fps": 1 / float(np.median(np.diff(sequence.times))),
+            },
+            "sequence": True,
+            "statuses": {"ok": len(rows)},
+            "verdicts": verdicts,
+            "contacts": {verdict: 1},
+            "estimator": causes["estimator"],
+            "units": METRIC,
+            "columns": {store.TABLE: {name: described.FRAMES.get(name, "") for name in names}},
+            "warnings": [],
+            "timings_s": {"total": round(time.perf_counter() - started, 4)},
+            "versions": versions(),
+        }
+        store.write_record(partial, record)
+        store.publish(partial, folder)
+    return record
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

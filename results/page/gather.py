@@ -15,6 +15,8 @@ from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
+NO_REPORT: dict[str, Any] = {"contacts": []}
+"""Of a sequence: its forces are given, not estimated."""
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
@@ -37,7 +39,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
+    report = NO_REPORT if "sequence" in record else json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -60,6 +62,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
     record = store.read_record(folder)
+    if "sequence" in record:
+        return summary_of(folder) | _of_sequence(folder, record)
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
@@ -82,6 +86,19 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "timings": record["timings_s"],
         "files": [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files],
         "curves": _curves(record, frames, contacts),
+    }
+
+
+def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page of a sequence shows beside its summary: the last frame's row, where particles are, settings."""
+    last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
+    return {
+        "sequence": True,
+        "last": [(name, value, texts.get(name, "")) for name, value in last.items() if value],
+        "verdicts": [_explained(*item) for item in record["verdicts"].items()],
+        "files": [name for name in store.own_files(folder) if (folder / name).is_file()],
+        "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
+        "timings": record["timings_s"],
     }
 
 

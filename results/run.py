@@ -145,7 +145,7 @@ class Batch:
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
                 self.carried = folder
-            return self._kept_results(source.name, folder, path)
+            return self._kept_results(source.name, folder, path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             known = None if newtons is None else newtons.known
@@ -215,7 +215,7 @@ class Batch:
         causes = causes_of(sequence, self.estimator.described)
         files = (store.TABLE, PARTICLES, store.RECORD)
         if store.is_up_to_date(folder, fingerprint_of(causes), files, overwrite=self.options.overwrite):
-            return self._kept_results(name, folder, path)
+            return self._kept_results(name, folder, name)
         task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
         try:
             done = functools.partial(progress.advance, task)
@@ -224,12 +224,12 @@ class Batch:
             progress.remove_task(task)
             with suppress(store.OutputError):
                 store.settle(folder)
-        return Outcome(name, DONE, str(folder), counts_of(record), path.name)
+        return Outcome(name, DONE, str(folder), counts_of(record), name)
 
-    def _kept_results(self, name: str, folder: Path, path: Path) -> Outcome:
+    def _kept_results(self, name: str, folder: Path, given: str) -> Outcome:
         """Say that a clip's results are up to date, which is its outcome."""
         say(self.console, f"{name}: up to date in {folder}; --overwrite computes it again")
-        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), path.name)
+        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), given)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -364,7 +364,8 @@ class Batch:
             text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
-        return Outcome(path.name, FAILED, sentence, given=path.name)
+        name = name_of(path) if is_sequence(path) else path.name  # many are a sequence.yaml
+        return Outcome(name, FAILED, sentence, given=name)
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:

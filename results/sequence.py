@@ -25,9 +25,8 @@ from palpate.results import columns as described
 from palpate.results import store
 from palpate.results.record import FORMAT_VERSION, fingerprint_of, program_version, sha256_of, versions
 
-PARTICLES = "particles.csv"
-METRIC = {"length": "m", "time": "s", "young": "kPa", "stiffness": "1"}
-"""Units of a sequence's results: by its tool's poses, and what is known of E by forces or a palpation."""
+PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "palpation", "camera")
+"""File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""
 
@@ -38,11 +37,10 @@ def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any
     Raises:
         OSError: a file can't be read.
     """
-    given = sequence.given
-    named = (given.poses, given.times, given.points, given.forces, given.palpation, given.camera)
+    named = (getattr(sequence.given, name) for name in NAMED)
     files = [sequence.path, *sequence.files, *(sequence.path.parent / name for name in named if name is not None)]
-    made_by = {"format": FORMAT_VERSION, "code": code_digest(), "program": program_version()}
-    return {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)} | made_by
+    found = {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)}
+    return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": program_version()}
 
 
 def write_sequence(
@@ -67,9 +65,7 @@ def write_sequence(
     try:
         from meshio import Mesh
     except ImportError as error:
-        raise InputError(
-            f"{printable(sequence.path)} is a sequence, which needs meshio; install 'palpate[robot]'."
-        ) from error
+        raise InputError(f"{printable(sequence.path)}: a sequence needs meshio; install 'palpate[robot]'.") from error
     rows, columns, verdict, started = [], {}, "", time.perf_counter()
     tissue = SequenceTissue(sequence, settings)
     with store.writing(folder):
@@ -88,31 +84,27 @@ def write_sequence(
             text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
             (partial / name).write_text(text, encoding="utf-8", newline="")
         verdicts, names = Counter(row["verdict"] for row in rows), dict.fromkeys(name for row in rows for name in row)
+        given = {"path": str(sequence.path.resolve()), "frames": len(rows)}
+        counts = {"statuses": {"ok": len(rows)}, "verdicts": verdicts, "contacts": {verdict: 1}}
         record = {
             "format_version": FORMAT_VERSION,
             "program": store.PROGRAM,
             "notice": "Research software, not a medical device.",
             "fingerprint": fingerprint_of(causes),
-            "input": {
-                "path": str(sequence.path.resolve()),
-                "sha256": causes["sequence"],
-                "frames": len(rows),
-                "fps": 1 / float(np.median(np.diff(sequence.times))),
-            },
+            "input": given | {"sha256": causes["sequence"], "fps": 1 / float(np.median(np.diff(sequence.times)))},
             "sequence": True,
-            "statuses": {"ok": len(rows)},
-            "verdicts": verdicts,
-            "contacts": {verdict: 1},
             "estimator": causes["estimator"],
-            "units": METRIC,
-            "columns": {store.TABLE: {name: described.FRAMES.get(name, "") for name in names}},
+            "units": {"length": "m", "time": "s", "young": "kPa"},
+            "columns": {
+                store.TABLE: {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
+            },
             "warnings": [],
             "timings_s": {"total": round(time.perf_counter() - started, 4)},
             "versions": versions(),
         }
-        store.write_record(partial, record)
+        store.write_record(partial, record | counts)
         store.publish(partial, folder)
-    return record
+    return record | counts
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

@@ -93,12 +93,15 @@ def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a sequence shows beside its summary: the last frame's row, where particles are, settings."""
     last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
     return {
-        "sequence": True,
-        "last": [(name, value, texts.get(name, "")) for name, value in last.items() if value],
+        "template": "sequence.html",
+        "last": [
+            (name, cell if name == "frame" else _number(cell) or cell, texts.get(name, ""))
+            for name, cell in last.items()
+            if cell
+        ],
         "verdicts": [_explained(*item) for item in record["verdicts"].items()],
         "files": [name for name in store.own_files(folder) if (folder / name).is_file()],
         "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
-        "timings": record["timings_s"],
     }
 
 

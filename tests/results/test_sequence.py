@@ -33,9 +33,10 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     page, index = (folder / "page.html").read_text(), (tmp_path / "out/index.html").read_text()
     assert "3 frames in which the tool holds tissue" in page
     assert "Lengths are in metres" in page
+    assert "scene units" not in page
+    assert "missed what the frame shows, m" in page
     assert 'href="pull/page.html"' in index
-    with (tmp_path / "pull/sequence.yaml").open("a") as file:
-        file.write("grip_radius: 7\n")
+    write_sequence(tmp_path / "pull", 3, length=1000.0, unit="mm", grip_radius=13.0)
     assert main(given) == 1  # another input: its results are not replaced unasked
     assert main([*given, "--overwrite"]) == 0
     assert sorted(file.name for file in folder.glob("particles_*")) == [
@@ -78,7 +79,7 @@ def test_a_bad_sequence_does_not_stop_the_others(tmp_path: Path) -> None:
     assert main([*given, "--settings", str(settings)]) == 1
     assert (tmp_path / "out/b/run.json").is_file()
     assert not (tmp_path / "out/a").exists()
-    assert "failed:" in (tmp_path / "out/index.html").read_text()
+    assert '<th scope="row" data-value="a">' in (tmp_path / "out/index.html").read_text()
 
 
 @pytest.mark.parametrize(

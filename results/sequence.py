@@ -86,25 +86,17 @@ def write_sequence(
         verdicts, names = Counter(row["verdict"] for row in rows), dict.fromkeys(name for row in rows for name in row)
         given = {"path": str(sequence.path.resolve()), "frames": len(rows)}
         counts = {"statuses": {"ok": len(rows)}, "verdicts": verdicts, "contacts": {verdict: 1}}
-        record = {
-            "format_version": FORMAT_VERSION,
-            "program": store.PROGRAM,
-            "notice": "Research software, not a medical device.",
-            "fingerprint": fingerprint_of(causes),
-            "input": given | {"sha256": causes["sequence"], "fps": 1 / float(np.median(np.diff(sequence.times)))},
-            "sequence": True,
-            "estimator": causes["estimator"],
-            "units": {"length": "m", "time": "s", "young": "kPa"},
-            "columns": {
-                store.TABLE: {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
-            },
-            "warnings": [],
-            "timings_s": {"total": round(time.perf_counter() - started, 4)},
-            "versions": versions(),
-        }
-        store.write_record(partial, record | counts)
+        texts = {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
+        fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
+        record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
+        record |= {"fingerprint": fingerprint_of(causes), "sequence": True, "warnings": []}
+        record["notice"] = "Research software, not a medical device."
+        record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
+        record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}
+        record |= {"timings_s": {"total": seconds}, "versions": versions()}
+        store.write_record(partial, record)
         store.publish(partial, folder)
-    return record | counts
+    return record
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

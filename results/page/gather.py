@@ -15,8 +15,6 @@ from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
-NO_REPORT: dict[str, Any] = {"contacts": []}
-"""Of a sequence: its forces are given, not estimated."""
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
@@ -39,7 +37,8 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
-    report = NO_REPORT if "sequence" in record else json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
+    # A sequence's forces are given, not estimated.
+    report = {"contacts": []} if "sequence" in record else json.loads((folder / store.REPORT).read_bytes())
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -92,13 +91,10 @@ def clip_of(folder: Path) -> dict[str, Any]:
 def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a sequence shows beside its summary: the last frame's row, where particles are, settings."""
     last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
+    rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
     return {
         "template": "sequence.html",
-        "last": [
-            (name, cell if name == "frame" else _number(cell) or cell, texts.get(name, ""))
-            for name, cell in last.items()
-            if cell
-        ],
+        "last": rows[1:],
         "verdicts": [_explained(*item) for item in record["verdicts"].items()],
         "files": [name for name in store.own_files(folder) if (folder / name).is_file()],
         "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),

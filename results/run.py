@@ -31,7 +31,8 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
 from palpate.data.source.frames import discover, name_of, open_source
 from palpate.data.source.images import printable
-from palpate.data.source.sequence import is_sequence
+from palpate.data.source.sequence import is_sequence, open_sequence
+from palpate.data.source.sequence_checks import require_fit
 from palpate.estimators.calibration_file import Calibration, ClipLength, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.known_force import force_reader
@@ -47,7 +48,7 @@ from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, c
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, fingerprint_of, model_of
-from palpate.results.sequence import write_sequence
+from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -98,8 +99,6 @@ class Batch:
         """Folder of the results of the clip with the known force, once it is done."""
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
-        self.followed: set[Path] = set()
-        """Folders of the sequences so far."""
         self.providers: dict[str, str] = {}
         """What was said of where networks run."""
         names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
@@ -146,8 +145,7 @@ class Batch:
         if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
                 self.carried = folder
-            say(self.console, f"{source.name}: up to date in {folder}; --overwrite computes it again")
-            return Outcome(source.name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), path.name)
+            return self._kept_results(source.name, folder, path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             known = None if newtons is None else newtons.known
@@ -211,18 +209,27 @@ class Batch:
         for name in (name for name in OF_VIDEO if getattr(self.options, name) is not None):
             said = f"is for videos, and {printable(path)} is a sequence; leave it out"
             raise ValueError(f"--{name.replace('_', '-')} {said}.")
-        name = path.resolve().parent.name if path.stem == "sequence" else path.stem
-        folder = self.store.output / store.safe_name(name)
-        if folder in self.followed:
-            raise ValueError(f"{folder} has the results of another sequence of that name; rename its folder.")
-        self.followed.add(folder)
+        name, sequence = name_of(path), open_sequence(path)
+        require_fit(sequence)
+        folder = self.folders.get(path) or self.store.folder(name, path)
+        causes = causes_of(sequence, self.estimator.described)
+        files = (store.TABLE, PARTICLES, store.RECORD)
+        if store.is_up_to_date(folder, fingerprint_of(causes), files, overwrite=self.options.overwrite):
+            return self._kept_results(name, folder, name)
         task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
         try:
             done = functools.partial(progress.advance, task)
-            verdict, frames = write_sequence(path, self.estimator.settings, folder, done)
+            record = write_sequence(sequence, self.estimator.settings, folder, causes, done)
         finally:
             progress.remove_task(task)
-        return Outcome(name, DONE, str(folder), {"frames": frames, verdict: 1}, path.name)
+            with suppress(store.OutputError):
+                store.settle(folder)
+        return Outcome(name, DONE, str(folder), counts_of(record), name)
+
+    def _kept_results(self, name: str, folder: Path, given: str) -> Outcome:
+        """Say that a clip's results are up to date, which is its outcome."""
+        say(self.console, f"{name}: up to date in {folder}; --overwrite computes it again")
+        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), given)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -357,7 +364,8 @@ class Batch:
             text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
-        return Outcome(path.name, FAILED, sentence, given=path.name)
+        name = name_of(path) if is_sequence(path) else path.name  # many are a sequence.yaml
+        return Outcome(name, FAILED, sentence, given=name)
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:

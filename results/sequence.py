@@ -4,39 +4,59 @@
 `parameters.csv` a line a frame. What isn't known is not a number there.
 """
 
-from collections.abc import Callable
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.common.output import replacing_own, require_own, write_own
+from palpate.common.provenance import code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import open_sequence
-from palpate.data.source.sequence_checks import require_fit
+from palpate.data.source.sequence import Sequence
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.results.store import make_output, writing
+from palpate.results import columns as described
+from palpate.results import store
+from palpate.results.record import FORMAT_VERSION, fingerprint_of, program_version, sha256_of, versions
 
+PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "palpation", "camera")
+"""File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""
 
 
-def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Callable[[], None]) -> tuple[str, int]:
+def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
+    """What the results of a sequence depend on: hashes of all its files, the estimator's settings, and the code.
+
+    Raises:
+        OSError: a file can't be read.
+    """
+    named = (getattr(sequence.given, name) for name in NAMED)
+    files = [sequence.path, *sequence.files, *(sequence.path.parent / name for name in named if name is not None)]
+    found = {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)}
+    return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": program_version()}
+
+
+def write_sequence(
+    sequence: Sequence, settings: OnlineSettings, folder: Path, causes: Mapping[str, Any], done: Callable[[], None]
+) -> dict[str, Any]:
     """Follow a sequence's tissue, and write what is found.
 
     Args:
-        path: sequence.yaml.
+        sequence: that fits together.
         settings: of the estimator.
         folder: of the results; files in it that this program wrote are replaced.
+        causes: what they depend on (see `causes_of`).
         done: called after every frame.
 
     Returns:
-        The last frame's verdict, and how many frames there are.
+        The content of `run.json`.
 
     Raises:
         InputError: the sequence can't be used.
@@ -45,27 +65,38 @@ def write_sequence(path: Path, settings: OnlineSettings, folder: Path, done: Cal
     try:
         from meshio import Mesh
     except ImportError as error:
-        raise InputError(f"{printable(path)} is a sequence, which needs meshio; install 'palpate[robot]'.") from error
-    sequence, rows, columns, verdict = open_sequence(path), [], {}, ""
-    require_fit(sequence)
+        raise InputError(f"{printable(sequence.path)}: a sequence needs meshio; install 'palpate[robot]'.") from error
+    rows, columns, verdict, started = [], {}, "", time.perf_counter()
     tissue = SequenceTissue(sequence, settings)
-    make_output(folder)
-    with writing(folder):
-        require_own(folder / "particles.csv", folder / "parameters.csv")
+    with store.writing(folder):
+        partial = store.partial_folder(folder)
         for frame, field in tissue.fields():
             number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
             cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
             inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
             for ending, kept in (("vtk", cells | inner), ("ply", cells)):
-                with replacing_own(folder / f"particles_{number:06d}.{ending}") as partial:
-                    Mesh(field.positions, kept, values).write(partial)
+                Mesh(field.positions, kept, values).write(partial / f"particles_{number:06d}.{ending}")
             columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
             done()
         particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
-        for name, table in (("particles.csv", particles), ("parameters.csv", rows)):
-            write_own(folder / name, to_csv(table, [*dict.fromkeys(column for row in table for column in row)]))
-    return verdict, len(rows)
+        for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
+            text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
+            (partial / name).write_text(text, encoding="utf-8", newline="")
+        verdicts, names = Counter(row["verdict"] for row in rows), dict.fromkeys(name for row in rows for name in row)
+        given = {"path": str(sequence.path.resolve()), "frames": len(rows)}
+        counts = {"statuses": {"ok": len(rows)}, "verdicts": verdicts, "contacts": {verdict: 1}}
+        texts = {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
+        fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
+        record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
+        record |= {"fingerprint": fingerprint_of(causes), "sequence": True, "warnings": []}
+        record["notice"] = "Research software, not a medical device."
+        record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
+        record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}
+        record |= {"timings_s": {"total": seconds}, "versions": versions()}
+        store.write_record(partial, record)
+        store.publish(partial, folder)
+    return record
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

@@ -688,7 +688,11 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
             (),
             "names the clip absent, and 0 of the inputs' clips are called",
         ),
-        ("stiffness: 2.0", ("--estimator", "online"), "--estimator online knows none, leave it out."),
+        (
+            "stiffness: 2.0",
+            ("--estimator", "online"),
+            "does not tell where tissue was palpated; for --estimator online give palpation and palpated_at",
+        ),
     ],
 )
 def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, inputs, tmp_path, capsys):

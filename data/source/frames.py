@@ -389,7 +389,12 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
 
 
 def name_of(clip: Path) -> str:
-    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's."""
+    """Name of a clip: its folder's, or its video file's without the ending, in LeRobot data sets with its camera's.
+
+    That of a sequence.yaml is its folder's.
+    """
+    if clip.name in ("sequence.yaml", "sequence.yml"):
+        return clip.resolve().parent.name
     return clip.resolve().name if clip.is_dir() else name_in_data_set(clip) or clip.stem
 
 

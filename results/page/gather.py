@@ -37,7 +37,8 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
+    # A sequence's forces are given, not estimated.
+    report = {"contacts": []} if "sequence" in record else json.loads((folder / store.REPORT).read_bytes())
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -60,6 +61,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
     record = store.read_record(folder)
+    if "sequence" in record:
+        return summary_of(folder) | _of_sequence(folder, record)
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
@@ -82,6 +85,19 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "timings": record["timings_s"],
         "files": [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files],
         "curves": _curves(record, frames, contacts),
+    }
+
+
+def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page of a sequence shows beside its summary: the last frame's row, where particles are, settings."""
+    last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
+    rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
+    return {
+        "template": "sequence.html",
+        "last": rows[1:],
+        "verdicts": [_explained(*item) for item in record["verdicts"].items()],
+        "files": [name for name in store.own_files(folder) if (folder / name).is_file()],
+        "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
     }
 
 

@@ -1,6 +1,7 @@
 """What a sequence beside a robot is written as: particles in its frame, tables, and sentences of wrong usage."""
 
 import csv
+import json
 from pathlib import Path
 
 import meshio
@@ -18,8 +19,26 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     settings.write_text(SETTINGS)
     given = [str(path), "--output", str(tmp_path / "out"), "--estimator", "online", "--settings", str(settings)]
     assert main(given) == 0
-    assert main(given) == 0  # its own files are replaced
     folder = tmp_path / "out/pull"
+    made = (folder / "particles_000003.ply").stat().st_mtime_ns
+    assert main(given) == 0
+    assert (folder / "particles_000003.ply").stat().st_mtime_ns == made  # nothing has changed
+    assert main([*given, "--overwrite"]) == 0
+    assert (folder / "particles_000003.ply").stat().st_mtime_ns > made
+    record = json.loads((folder / "run.json").read_text())
+    assert (record["input"]["frames"], record["verdicts"]) == (3, {"undetermined": 3})
+    assert record["input"]["fps"] == pytest.approx(10)
+    assert (record["units"]["length"], record["units"]["young"]) == ("m", "kPa")
+    assert {"particles_000001.vtk", "particles_000003.ply", "particles.csv", "parameters.csv"} <= {*record["files"]}
+    page, index = (folder / "page.html").read_text(), (tmp_path / "out/index.html").read_text()
+    assert "3 frames in which the tool holds tissue" in page
+    assert "Lengths are in metres" in page
+    assert "scene units" not in page
+    assert "missed what the frame shows, m" in page
+    assert 'href="pull/page.html"' in index
+    write_sequence(tmp_path / "pull", 3, length=1000.0, unit="mm", grip_radius=13.0)
+    assert main(given) == 1  # another input: its results are not replaced unasked
+    assert main([*given, "--overwrite"]) == 0
     assert sorted(file.name for file in folder.glob("particles_*")) == [
         f"particles_00000{number}.{ending}" for number in (1, 2, 3) for ending in ("ply", "vtk")
     ]
@@ -49,6 +68,18 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     (folder / "particles.csv").write_text("mine")
     assert main(given) == 1
     assert (folder / "particles.csv").read_text() == "mine"
+
+
+def test_a_bad_sequence_does_not_stop_the_others(tmp_path: Path) -> None:
+    bad, good = (write_sequence(tmp_path / name, 3) for name in "ab")
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(SETTINGS)
+    (bad.parent / "poses.csv").write_text("nothing")
+    given = [str(bad), str(good), "--output", str(tmp_path / "out"), "--estimator", "online"]
+    assert main([*given, "--settings", str(settings)]) == 1
+    assert (tmp_path / "out/b/run.json").is_file()
+    assert not (tmp_path / "out/a").exists()
+    assert '<th scope="row" data-value="a">' in (tmp_path / "out/index.html").read_text()
 
 
 @pytest.mark.parametrize(

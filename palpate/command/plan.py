@@ -126,6 +126,8 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, c
     seconds = time.perf_counter() - begun
     rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
     record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
+    straight = costs.plan(np.stack([costs.start, costs.goal])).cost
+    record["straight_cost"] = straight if np.isfinite(straight) else None  # over the limit
     record |= {"planner": planner, "alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")

@@ -192,6 +192,7 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
     assert told["young_pa"] == 4000
     assert told["cost_low"] <= told["cost"] <= told["cost_high"]
     assert api.plan(path, cache).cost == told["cost"]
+    assert told["straight_cost"] is None  # through the body
     columns, *lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
     assert columns == "time_s,x_m,y_m,z_m,qx,qy,qz,qw,expected_force_N,force_low_N,force_high_N"
     poses = json.loads((body.parent / "scene" / "path.json").read_text())["poses"]

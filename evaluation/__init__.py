@@ -6,7 +6,6 @@ recovery     synthetic clips with known truth against the best that is possible;
 model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
 compare_with_truth  estimates of synthetic clips; a door of its own
 plain_video  presses in drawn videos, from the pictures alone; a door of its own
-plans        plans in space on drawn bodies, by finite elements; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own
 online       the online estimator on simulated pulls, as its paper judges it; a door of its own
 palpation    measured forces on tissue, judged on what was kept back; a door of its own

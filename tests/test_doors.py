@@ -23,7 +23,6 @@ MODULES = [
     "evaluation.palpation",
     "evaluation.palpation.example",
     "evaluation.plain_video",
-    "evaluation.plans",
     "evaluation.real",
 ]
 """Programs that `python -m` starts."""

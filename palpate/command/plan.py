@@ -8,7 +8,7 @@ cost, the tissue pushed aside and the forces along both.
 
 A scene with a mesh is planned in space, past a body of any shape and through a port: its road map is kept in the cache
 for other starts, goals, moduli and limits. Writes plan.json, and path.csv and path.json: times, poses and expected
-forces. Not a medical device.
+forces; with --picture plan.png, too, beside the straight line. Not a medical device.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.physics.fem import NoEquilibrium
 from palpate.planning.cost_table import open_tables
-from palpate.planning.pictures import Pressed, draw_plan, force_along
+from palpate.planning.pictures import Pressed, draw_in_space, draw_plan, force_along
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import MILLI, Blocked, EdgeCosts, Plan, find_plan
 from palpate.planning.sampled import plan_by_ompl
@@ -38,7 +38,7 @@ from palpate.planning.waypoints import COLUMNS, as_path, waypoints
 from palpate.results.store import OutputError, make_output, writing
 
 NAMES = ("plan.json", "plan.png")
-SPACE_NAMES = ("plan.json", "path.csv", "path.json")
+SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -52,6 +52,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses and road maps")
     planner = "of a scene with a mesh: a road map (default), or OMPL's RRT*, which takes 20 s each time"
     parser.add_argument("--planner", choices=("roadmap", "ompl"), default="roadmap", help=planner)
+    picture = "of a scene with a mesh: draw plan.png, which takes a second; without one it is always drawn"
+    parser.add_argument("--picture", action="store_true", help=picture)
     return parser
 
 
@@ -68,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
             require_own(*(options.output / name for name in (SPACE_NAMES if "mesh" in values else NAMES)))
         if "mesh" in values:
             space = read_space_scene(options.scene, values, options.alpha)
-            return _plan_in_space(space, options.output, cache, options.planner, console)
+            return _plan_in_space(space, options, cache, console)
         if options.planner != "roadmap":
             raise InputError(f"{options.scene} has no mesh, which --planner is for; leave the option out.")
         return _plan(read_plan_scene(options.scene, options.alpha), options.output, cache, console)
@@ -116,7 +118,8 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     return 0
 
 
-def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, console: Console) -> int:
+def _plan_in_space(scene: SpaceScene, options: Any, cache: Path, console: Console) -> int:
+    output, planner, names = options.output, options.planner, SPACE_NAMES[: 4 if options.picture else 3]
     make_output(output)
     with writing(cache):
         costs, found = open_costs(scene, cache)
@@ -126,17 +129,22 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, planner: str, c
     seconds = time.perf_counter() - begun
     rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
     record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
-    straight = costs.plan(np.stack([costs.start, costs.goal])).cost
-    record["straight_cost"] = straight if np.isfinite(straight) else None  # over the limit
+    straight = costs.plan(np.stack([costs.start, costs.goal]))
+    record["straight_cost"] = straight.cost if np.isfinite(straight.cost) else None  # over the limit
     record |= {"planner": planner, "alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
     texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"
     with writing(output):
-        for name, text in zip(SPACE_NAMES, texts, strict=True):
+        for name, text in zip(SPACE_NAMES, texts, strict=False):
             write_own(output / name, text)
+        if options.picture:
+            with replacing_own(output / names[-1]) as partial:
+                draw_in_space(costs, plan, straight, rows).savefig(partial, dpi=110)
+        else:
+            (output / SPACE_NAMES[-1]).unlink(missing_ok=True)  # of an older plan
     print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {record['largest_force']:.2f} N")
-    say(console, f"written: {output}/{', '.join(SPACE_NAMES)}")
+    say(console, f"written: {output}/{', '.join(names)}")
     return 0
 
 

@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -185,13 +186,17 @@ def planned(body, cache, name="scene", options=(), **changes):
 def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, capsys):
     e = {"young_pa": 4000.0, "young_low_pa": 3000.0, "young_high_pa": 5333.3}
     (body.parent / "calibration.json").write_text(json.dumps(e))
-    path, status = planned(body, cache, young=None, calibration="calibration.json")
+    path, status = planned(body, cache, young=None, calibration="calibration.json", options=("--picture",))
+    picture = body.parent / "scene" / "plan.png"
+    assert cv2.imread(str(picture)).shape == (495, 1430, 3)
     assert (status, planned(body, cache, "other", start=[-0.05, 0.02, 0.0])[1]) == (0, 0)
     assert "found in the cache" in capsys.readouterr().err
     told = json.loads((body.parent / "scene" / "plan.json").read_text())
     assert told["young_pa"] == 4000
     assert told["cost_low"] <= told["cost"] <= told["cost_high"]
     assert api.plan(path, cache).cost == told["cost"]
+    assert planned(body, cache, young=None, calibration="calibration.json")[1] == 0
+    assert not picture.exists()  # it was of the plan before
     assert told["straight_cost"] is None  # through the body
     columns, *lines = (body.parent / "scene" / "path.csv").read_text().splitlines()
     assert columns == "time_s,x_m,y_m,z_m,qx,qy,qz,qw,expected_force_N,force_low_N,force_high_N"

@@ -4,12 +4,12 @@ import re
 
 import pytest
 
-from palpate.evaluation import plans
+from tests.planning import drawn_bodies
 
 
 @pytest.mark.slow
 def test_forces_of_three_bodies_lie_in_their_intervals_and_under_the_limit(capsys):
-    assert plans.main(["--bodies", "3", "--seed", "984001", "--ompl-s", "0"]) == 0
+    assert drawn_bodies.main(["--bodies", "3", "--seed", "984001", "--ompl-s", "0"]) == 0
     *bodies, last = capsys.readouterr().out.splitlines()
     assert last == "of 3: cost's interval holds 3, largest force's 3, limit kept 3"
     for body in bodies:

@@ -1,6 +1,6 @@
 """Plans in space on drawn bodies, judged by finite elements: how often intervals and limits of force hold.
 
-    python -m evaluation.plans --bodies 12 --seed 984001
+    python -m tests.planning.drawn_bodies --bodies 12 --seed 984001
 
 Every seed draws a body (a superellipsoid between ball, bar, slab and block, with waves, held by its foot or its ends),
 E, which the planner knows to 10 %, tip, port, α and limit. Linear finite elements that the tip and the shaft press
@@ -122,7 +122,7 @@ def simulated(costs: PressingCosts, tips: np.ndarray, axis: int) -> tuple[np.nda
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge; returns the exit status."""
-    chosen, held, ratios = options(Options, arguments, "evaluation.plans", __doc__), [], []
+    chosen, held, ratios = options(Options, arguments, "tests.planning.drawn_bodies", __doc__), [], []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.seed, chosen.seed + chosen.bodies):
             scene, young, axis = draw_body(seed, Path(folder))

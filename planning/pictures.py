@@ -131,7 +131,7 @@ def draw_in_space(costs: PressingCosts, plan: Plan, straight: Plan, rows: np.nda
         view.set(
             xlabel=f"{'xyz'[across]} [mm]", ylabel="z [mm]", aspect="equal", title=f"Along {'xyz'[along]}; body shaded"
         )
-    views[0].legend(fontsize=8)
+    figure.legend(*views[0].get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=8)
     figure.colorbar(dots, ax=views, label="expected force [N]")
     gone = rows[:, 0] * costs.scene.speed * MILLI
     forces.plot(gone, rows[:, 8], color="navy", label="expected")

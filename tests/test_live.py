@@ -10,13 +10,17 @@ import time
 from subprocess import PIPE
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
+import yaml
 from pyigtl import OpenIGTLinkClient
 
 from palpate.command.live import JsonLines, igtl_server, main
 from palpate.common.doors import INTERRUPTED
-from palpate.data.source.frames import open_source
+from palpate.data.depth.model import RawDepth
+from palpate.data.depth.stereo import StereoDepth
+from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.data.source.live import LiveSource
 from palpate.data.synthetic.clip import write_clip
@@ -56,6 +60,36 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
     assert f"of {len(frames)} frames" in said.err
     assert f"{len(frames)} frames, " in said.err
     assert "0 were dropped" in said.err
+
+
+@pytest.mark.parametrize("how", ["side-by-side", "top-bottom"])
+def test_pictures_of_a_pipe_may_hold_both_of_a_stereo_pair(how, tmp_path, monkeypatch, capsys) -> None:
+    grain = np.random.default_rng(0).uniform(40, 200, (120, 248, 1)).repeat(3, 2)
+    grain = cv2.GaussianBlur(grain, None, 1.5).astype(np.uint8)
+    left, right = grain[:, :214], grain[:, 20:234]  # 20 px of disparity
+    both = np.concatenate([left, right], axis=1 if how == "side-by-side" else 0)
+    camera = {"fx": 200.0, "fy": 200.0, "cx": 106.5, "cy": 59.5, "width": 214, "height": 120, "baseline": 0.005}
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(camera))
+    depths, found = [], StereoDepth.observe
+
+    def observe(self: StereoDepth, frame: Frame) -> RawDepth:
+        depths.append(found(self, frame))
+        return depths[-1]
+
+    monkeypatch.setattr(StereoDepth, "observe", observe)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(24 * both.tobytes())))
+    size = f"{both.shape[1]}x{both.shape[0]}"
+    told = ["-", "--size", size, "--max-latency", "600", "--depth", "stereo", "--camera", str(tmp_path / "camera.yaml")]
+    assert main([*told, "--right", how]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["status"] for line in lines} == {"no_tool"}
+    assert len(depths) > 10
+    known = depths[-1].values[depths[-1].values > 0]
+    assert len(known) > 0.7 * 214 * 120
+    assert np.median(known) == pytest.approx(0.005 * 200 / 20, rel=0.01)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(24 * both.tobytes())))
+    assert main(told) == 2
+    assert "has no right pictures; say in a layout file where they are (right), of a live" in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_a_source_that_stalls(pictures) -> None:

@@ -168,7 +168,8 @@ class StereoDepth(DepthSource):
         """
         clip, rig, named = source.path, clip_camera(source.path, layout), printable(source.path)
         if layout.right is None:
-            raise InputError(f"{named} has no right pictures; say in a layout file where they are (right).")
+            said = "say in a layout file where they are (right), of a live source with --right"
+            raise InputError(f"{named} has no right pictures; {said}.")
         if clip.is_dir() and not layout.halved and "{number}" not in layout.right:
             raise InputError(f"{named} is a folder and layout.right is '{layout.right}'; write {{number}} in it.")
         if rig is None or rig.offset is None:

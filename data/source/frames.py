@@ -333,6 +333,11 @@ class Halves(FrameSource):
         self.warnings = self._whole.warnings
 
 
+def halves(source: FrameSource, layout: ClipLayout) -> FrameSource:
+    """The clip of left pictures, where the layout says that pictures hold both of a pair; else the same."""
+    return Halves(source, layout.right == "side-by-side") if layout.halved else source
+
+
 def picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
 
@@ -383,7 +388,7 @@ def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] 
             source = RosBag(path, layout)
         else:
             source = FrameFolder(path, layout, following) if path.is_dir() else VideoFile(path, layout.fps)
-        return Halves(source, layout.right == "side-by-side") if layout.halved else source
+        return halves(source, layout)
     except OSError as error:
         raise InputError(f"{printable(path)} can't be opened ({error.strerror}); check the path.") from error
 

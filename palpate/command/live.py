@@ -32,6 +32,8 @@ from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
+from palpate.data.source.frames import halves
+from palpate.data.source.layout import HALVES, ClipLayout
 from palpate.data.source.live import LiveSource, open_live
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.network.estimator import FAST, NetworkEstimator
@@ -90,12 +92,12 @@ def main(arguments: list[str] | None = None) -> int:
         estimator = open_estimator(EstimatorOptions("network", options.model, rate=FAST))
         assert isinstance(estimator, NetworkEstimator)
         chosen = {name: getattr(options, name) for name in ("masks", "depth", "camera")}
-        settings = preparation(estimator, **chosen)
+        settings = preparation(estimator, layout=ClipLayout(right=options.right), **chosen)
         depth = dataclasses.replace(settings.depth, scale_seconds=SCALED_IN)
         source = open_live(
             options.source, options.max_latency, options.size, options.fps, sys.stdin.buffer, options.every
         )
-        clip = ClipStream(source, dataclasses.replace(settings, depth=depth))
+        clip = ClipStream(halves(source, settings.layout), dataclasses.replace(settings, depth=depth))
         session = estimator.start(ClipInfo.of(clip))
         server = None if options.igtl is None else igtl_server(options.igtl)
     except (ValueError, OSError) as error:
@@ -220,5 +222,6 @@ TYPES = {
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_listed(parser, yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8")), TYPES, loopback=LOOPBACK)
+    listed = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
+    add_listed(parser, listed, TYPES, {"halves": HALVES}, loopback=LOOPBACK)
     return parser

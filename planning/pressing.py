@@ -31,8 +31,8 @@ BETWEEN = 0.95
 """Share of the limit that the force may reach at those places; between them it is up to 4.5 % larger."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
-SHAPE_SD = 0.45
-"""Of the logarithm of forces and work: how far bodies of other shapes are from the block (docs/forces.md)."""
+SHAPE_SD, WORK_SD = 0.45, 0.56
+"""Of the logarithm of forces, and of work: how far bodies of other shapes are from the block (docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
@@ -122,4 +122,5 @@ class PressingCosts:
     def interval(self, plan: Plan) -> tuple[float, float]:
         """The 90 % interval of a way's cost; its deformation is log-normal."""
         share = self.scene.alpha * plan.deformation
-        return plan.cost - share * (1 - 1 / self.spread), plan.cost + share * (self.spread - 1)
+        spread = float(np.exp(NINETY * np.hypot(self.scene.young_log_sd, WORK_SD)))
+        return plan.cost - share * (1 - 1 / spread), plan.cost + share * (spread - 1)

@@ -56,8 +56,8 @@ class PressingCosts:
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Of the grid, shape [2, 3] [m]."""
-        self.spread = float(np.exp(NINETY * np.hypot(scene.young_log_sd, SHAPE_SD)))
-        """From a force to the upper end of its 90 % interval, a factor."""
+        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
+        """From a force, and from work, to the upper end of its 90 % interval, factors."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Of points [M, 3] from the body, negative within, shape [M] [m]; outside the grid as at its border."""
@@ -121,6 +121,5 @@ class PressingCosts:
 
     def interval(self, plan: Plan) -> tuple[float, float]:
         """The 90 % interval of a way's cost; its deformation is log-normal."""
-        share = self.scene.alpha * plan.deformation
-        spread = float(np.exp(NINETY * np.hypot(self.scene.young_log_sd, WORK_SD)))
+        share, spread = self.scene.alpha * plan.deformation, self.work_spread
         return plan.cost - share * (1 - 1 / spread), plan.cost + share * (spread - 1)

@@ -29,7 +29,7 @@ NEAR = 5
 
 
 class _Nearest:
-    """Of some points to each of others: one of those that were near, or looked for anew."""
+    """Of other points to each of some: one of those that were near, or looked for anew."""
 
     def __init__(self, points: np.ndarray, others: np.ndarray) -> None:
         self._near = np.zeros((len(points), min(NEAR, len(others))), np.int64)
@@ -106,17 +106,17 @@ class Chamfer:
 
 
 @kernel
-def _nearest_of(shown, cloud, near, back, here):
-    """Distance of a cloud's points [m, 3] to the nearest of particles [n, 3] near each [m, k], and which, [m]."""
-    for point in range(len(cloud)):
+def _nearest_of(others, points, near, apart, which):
+    """Distance of points [P, 3] to the nearest of others [Q, 3] that are near each [P, k], and which, shape [P]."""
+    for point in range(len(points)):
         least = np.inf
-        for one in range(near.shape[1]):
-            particle, away = near[point, one], 0.0
+        for other in near[point]:
+            away = 0.0
             for axis in range(3):
-                away += (shown[particle, axis] - cloud[point, axis]) ** 2
+                away += (others[other, axis] - points[point, axis]) ** 2
             if away < least:
-                least, here[point] = away, particle
-        back[point] = np.sqrt(least)
+                least, which[point] = away, other
+        apart[point] = np.sqrt(least)
 
 
 class Tracks:

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, reading that neither waits nor goes on for ever, and JSON."""
+"""Files that appear complete or not at all, reading that neither waits nor goes on for ever, JSON, and our own YAML."""
 
 import errno
 import hashlib
@@ -10,6 +10,8 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 MOST_BYTES = 2**24
 """Files that describe something are smaller; an hour's time stamps are."""
@@ -28,6 +30,17 @@ def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
     if stat.S_ISREG(state.st_mode) and state.st_size > most:
         raise OSError(errno.EFBIG, f"larger than {most // 1024} kB", str(path))
     return path.read_bytes()
+
+
+def read_beside(module: str, name: str = "") -> Any:
+    """Content of a YAML file that comes with this project, next to a module.
+
+    Args:
+        module: its `__file__`.
+        name: of the file; without one, the module's own.
+    """
+    path = Path(module)
+    return yaml.safe_load((path.with_name(name) if name else path.with_suffix(".yaml")).read_text(encoding="utf-8"))
 
 
 def file_sha256(path: Path) -> str:

@@ -1,12 +1,11 @@
 """The tables of a clip: their columns, each with what it is (columns.yaml), and their rows."""
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from palpate.common.files import read_beside
 from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
@@ -14,7 +13,7 @@ from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
-TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What every column is, in groups."""
 UNITS = TEXTS["units"]
 """Units of the results; nothing that estimates knows of others."""

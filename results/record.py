@@ -12,9 +12,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from palpate.common.files import all_below, digest_of, file_sha256
+from palpate.common.files import all_below, digest_of, file_sha256, read_beside
 from palpate.common.provenance import code_digest
 from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
@@ -34,7 +32,7 @@ from palpate.results.writer import ClipResults
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
-WARNINGS: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+WARNINGS: dict[str, str] = read_beside(__file__)
 """What the user should know about a clip's results, a sentence each."""
 PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 """Statuses that mean a broken input, not an empty scene."""

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import yaml
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -23,7 +22,7 @@ from rich.text import Text
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain
-from palpate.common.files import file_sha256
+from palpate.common.files import file_sha256, read_beside
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
@@ -51,7 +50,7 @@ from palpate.results.record import build_record, depends_on, fingerprint_of, mod
 from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
-TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""

@@ -1,18 +1,16 @@
 """How pictures show a result: its verdict before its numbers, and no number surer than it is."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import yaml
-
+from palpate.common.files import read_beside
 from palpate.estimators.estimate import SYMBOLS
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
 
-_TEXTS = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+_TEXTS = read_beside(__file__)
 COLORS: dict[str, Color] = {name: tuple(color) for name, color in _TEXTS["colors"].items()}
 """One colour (RGB) a verdict, a fit that can't be trusted or is missing, and a status without verdict."""
 MEANINGS: dict[str, str] = _TEXTS["meanings"]

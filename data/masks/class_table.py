@@ -1,9 +1,8 @@
 """CholecSeg8k's classes, from `class_table.yaml`: how each is drawn in watershed masks and in colour masks."""
 
-from pathlib import Path
 from typing import NamedTuple
 
-import yaml
+from palpate.common.files import read_beside
 
 
 class ClassEntry(NamedTuple):
@@ -15,6 +14,5 @@ class ClassEntry(NamedTuple):
     """RGB in `*_endo_color_mask.png`."""
 
 
-_TABLE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-CLASSES = {name: ClassEntry(entry["grey"], tuple(entry["color"])) for name, entry in _TABLE.items()}
+CLASSES = {name: ClassEntry(entry["grey"], tuple(entry["color"])) for name, entry in read_beside(__file__).items()}
 """By the classes' names."""

@@ -8,9 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
-from palpate.common.files import as_json
+from palpate.common.files import as_json, read_beside
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.video import Video
 from palpate.data.synthetic.errors import reported_camera
@@ -22,7 +21,7 @@ from palpate.data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
 from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
-TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What is said of units, and of arrays."""
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
 from palpate.common.command_line import add_listed, path_option, say
 from palpate.common.doors import plain
+from palpate.common.files import read_beside
 from palpate.data.cache import PreparedClip, require_models
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
@@ -98,8 +98,7 @@ def print_table(clips: Sequence[PreparedClip], console: Console) -> None:
 def _parser() -> argparse.ArgumentParser:
     text = "Prepare a data set's depth and geometry, and say what of it training can use."
     parser = argparse.ArgumentParser(prog="python -m data.cholecseg8k", description=text)
-    listed = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-    add_listed(parser, listed, {"path": path_option})
+    add_listed(parser, read_beside(__file__), {"path": path_option})
     return parser
 
 

@@ -7,11 +7,9 @@ clips stay, and the same command continues).
 """
 
 import argparse
-from pathlib import Path
-
-import yaml
 
 from palpate.common.command_line import add_listed, path_option, real_number, whole_number
+from palpate.common.files import read_beside
 from palpate.common.onnx_devices import DEVICES
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
@@ -69,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    texts = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    texts = read_beside(__file__)
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
     add_listed(parser, texts["options"], TYPES, CHOICES, presets=", ".join(preset_names()), smoothing=SMOOTHING)
     parser.add_argument("--version", action="version", version=f"palpate {program_version()}")

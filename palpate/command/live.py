@@ -21,15 +21,13 @@ import time
 from collections import deque
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from palpate.common.command_line import add_listed, path_option, real_number, size_of, whole_number
 from palpate.common.doors import INTERRUPTED
-from palpate.common.files import as_json
+from palpate.common.files import as_json, read_beside
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import halves
@@ -222,6 +220,5 @@ TYPES = {
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    listed = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
-    add_listed(parser, listed, TYPES, {"halves": HALVES}, loopback=LOOPBACK)
+    add_listed(parser, read_beside(__file__), TYPES, {"halves": HALVES}, loopback=LOOPBACK)
     return parser

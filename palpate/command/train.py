@@ -36,6 +36,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
+from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
 from palpate.common.workers import WorkerLost
@@ -76,7 +77,7 @@ PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
 """Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
-OTHERWISE: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)
 """What of Lightning's command line is not as usual."""
 
 

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from palpate.common.files import read_beside
 from palpate.results import store
 from palpate.results.calibrated import NEWTONS
 from palpate.results.columns import INTERACTIONS
 from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
-TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
+TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")

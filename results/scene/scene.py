@@ -1,18 +1,16 @@
 """A scene's parts, whatever made it, by the names that kinds.yaml has."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from palpate.common.files import read_beside
 from palpate.physics.load import Grip, Press
 
-_HERE = Path(__file__).parent
-KINDS: dict[str, Any] = yaml.safe_load((_HERE / "kinds.yaml").read_text(encoding="utf-8"))["kinds"]
+KINDS: dict[str, Any] = read_beside(__file__, "kinds.yaml")["kinds"]
 """By name: what they are about, in which unit of length, and of each part group, numbers a row, type and unit."""
-FORMATS: dict[str, Any] = yaml.safe_load((_HERE / "formats.yaml").read_text(encoding="utf-8"))
+FORMATS: dict[str, Any] = read_beside(__file__, "formats.yaml")
 """How each format holds a scene."""
 
 

@@ -225,14 +225,14 @@ class ClipStream:
                 z, grid_labels = depth_before, resize_labels(known, shape)
             elif self.settings.depth.rounded == "picture" and not self._depth.from_shading:
                 depth_error = depth_error or self._beyond_scale(depth)
-                depth = np.zeros_like(depth) if depth_error else self._rounded(depth)
+                depth = np.zeros_like(depth) if depth_error else normalise(depth, self.scale, self.settings.depth.bits)
                 z, grid_labels = resize_depth(depth, known, shape)
             else:
                 grid_depth, grid_labels = resize_depth(depth, known, shape)
                 if self._depth.from_shading:
                     grid_depth = organ_shape(grid_depth, grid_labels == TISSUE, self.camera)
                 depth_error = depth_error or self._beyond_scale(grid_depth)
-                z = nothing if depth_error else self._rounded(grid_depth)
+                z = nothing if depth_error else normalise(grid_depth, self.scale, self.settings.depth.bits)
             if labels is None:
                 return PreparedFrame(frame, "no_mask", mask_error, z, grid_labels)
             return self._judge(PreparedFrame(frame, "ok", "", z, grid_labels, labels), depth_error)
@@ -247,9 +247,6 @@ class ClipStream:
                 return self._depth(frame), ""
         except InputError as error:
             return nothing, str(error)
-
-    def _rounded(self, depth: np.ndarray) -> np.ndarray:
-        return normalise(depth, self.scale, self.settings.depth.bits)
 
     def _beyond_scale(self, depth: np.ndarray) -> str:
         """Complaint about depth of which most would be cut off at z = 1: a flat wall that looks like tissue."""

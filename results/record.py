@@ -39,7 +39,10 @@ PERSISTENT = ("unreadable", "no_mask", "bad_depth")
 
 
 def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
-    """What the results of a clip depend on: hashes of files, settings, and the code."""
+    """What the results of a clip depend on: hashes of files, settings, and the code.
+
+    Those with the same digest, the record's `fingerprint`, need not be computed again.
+    """
     model, prepared, beside = model_of(estimator), dataclasses.asdict(settings), right_beside(clip, settings.layout)
     for name in ("threads", "device"):  # where a model runs does not change what it means
         prepared["depth"].pop(name)
@@ -55,11 +58,6 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
         "code": code_digest(),
         "program": program_version(),
     }
-
-
-def fingerprint_of(causes: Mapping[str, Any]) -> str:
-    """Digest of what results depend on; those with the same one need not be computed again."""
-    return digest_of(causes)
 
 
 def model_of(estimator: Estimator) -> ExportedModel | None:
@@ -92,7 +90,7 @@ def build_record(
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
         "notice": "Research software, not a medical device.",
-        "fingerprint": fingerprint_of(causes),
+        "fingerprint": digest_of(causes),
         "input": {
             "path": str(source.path.resolve()),
             "sha256": causes["clip"],

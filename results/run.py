@@ -22,7 +22,7 @@ from rich.text import Text
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain
-from palpate.common.files import file_sha256, read_beside
+from palpate.common.files import digest_of, file_sha256, read_beside
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
@@ -46,7 +46,7 @@ from palpate.results.bag import write_bag
 from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
-from palpate.results.record import build_record, depends_on, fingerprint_of, model_of
+from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
@@ -141,7 +141,7 @@ class Batch:
         chosen = {name: getattr(self.options, name) for name in ("force_limit", "shaft_diameter", "export")}
         causes |= {name: value for name, value in chosen.items() if value is not None}
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
-        if store.is_up_to_date(folder, fingerprint_of(causes), self._files(newtons), overwrite=self.options.overwrite):
+        if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             if self._has_known_force(path):
                 self.carried = folder
             return self._kept_results(source.name, folder, path.name)
@@ -213,7 +213,7 @@ class Batch:
         folder = self.folders.get(path) or self.store.folder(name, path)
         causes = causes_of(sequence, self.estimator.described)
         files = (store.TABLE, PARTICLES, store.RECORD)
-        if store.is_up_to_date(folder, fingerprint_of(causes), files, overwrite=self.options.overwrite):
+        if store.is_up_to_date(folder, digest_of(causes), files, overwrite=self.options.overwrite):
             return self._kept_results(name, folder, name)
         task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
         try:

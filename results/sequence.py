@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.common.files import digest_of
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.images import printable
@@ -23,7 +24,7 @@ from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.results import columns as described
 from palpate.results import store
-from palpate.results.record import FORMAT_VERSION, fingerprint_of, program_version, sha256_of, versions
+from palpate.results.record import FORMAT_VERSION, program_version, sha256_of, versions
 
 PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "palpation", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
@@ -89,7 +90,7 @@ def write_sequence(
         texts = {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
         fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
         record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
-        record |= {"fingerprint": fingerprint_of(causes), "sequence": True, "warnings": []}
+        record |= {"fingerprint": digest_of(causes), "sequence": True, "warnings": []}
         record["notice"] = "Research software, not a medical device."
         record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
         record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}

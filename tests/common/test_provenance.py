@@ -21,9 +21,10 @@ FINGERPRINTS = """
 import functools, sys
 from pathlib import Path
 from palpate.data.settings import PrepareSettings
+from palpate.common.files import digest_of
 from palpate.common.provenance import ROOT, code_digest
 from palpate.estimators.open import EstimatorOptions, open_estimator
-from palpate.results.record import depends_on, fingerprint_of
+from palpate.results.record import depends_on
 
 Path.rglob = functools.cache(lambda folder, pattern, find=Path.rglob: list(find(folder, pattern)))  # files stay
 estimator = open_estimator(EstimatorOptions("direct"))
@@ -31,7 +32,7 @@ estimator = open_estimator(EstimatorOptions("direct"))
 def found():
     code_digest.cache_clear()
     causes = depends_on(Path("clip.mp4"), PrepareSettings(), estimator)
-    return fingerprint_of(causes), *map(code_digest, ("preparation", "kernels"))
+    return digest_of(causes), *map(code_digest, ("preparation", "kernels"))
 
 print(ROOT, *found())
 for name in sys.stdin.read().splitlines():

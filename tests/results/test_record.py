@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from palpate.common.files import digest_of
 from palpate.data.clip import ClipStream
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
@@ -32,7 +33,7 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
 
     def fingerprint(settings: PrepareSettings = prepared, **options: Any) -> str:
         estimator = open_estimator(EstimatorOptions(**{"name": "direct"} | options))
-        return recording.fingerprint_of(recording.depends_on(clip, settings, estimator))
+        return digest_of(recording.depends_on(clip, settings, estimator))
 
     first = fingerprint()
     others = [
@@ -63,9 +64,7 @@ def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None
     def fingerprint(content: bytes) -> str:
         masks.write_bytes(content)
         settings = PrepareSettings(masks=str(masks))
-        return recording.fingerprint_of(
-            recording.depends_on(masks, settings, open_estimator(EstimatorOptions("direct")))
-        )
+        return digest_of(recording.depends_on(masks, settings, open_estimator(EstimatorOptions("direct"))))
 
     first, second = fingerprint(b"one"), fingerprint(b"other")
     masks.with_suffix(".yaml").write_text("size: 3")
@@ -105,7 +104,7 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     }
     assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
     assert {"palpate", "python", "numpy", "onnxruntime"} <= set(stored["versions"])
-    assert stored["fingerprint"] == recording.fingerprint_of(causes)
+    assert stored["fingerprint"] == digest_of(causes)
 
 
 @pytest.fixture

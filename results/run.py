@@ -142,8 +142,6 @@ class Batch:
         causes |= {name: value for name, value in chosen.items() if value is not None}
         newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
-            if self._has_known_force(path):
-                self.carried = folder
             return self._kept_results(source.name, folder, path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
@@ -186,8 +184,6 @@ class Batch:
                 results.finish(record, title=source.name)
         finally:
             progress.remove_task(task)
-        if self._has_known_force(path):
-            self.carried = folder
         new = sorted(record["providers"].items() - self.providers.items())
         if new:
             self.providers |= new
@@ -315,9 +311,6 @@ class Batch:
         """Whether what was measured belongs to this clip."""
         return self.calibration is not None and self.calibration.fields.clip in (None, path.name)
 
-    def _has_known_force(self, path: Path) -> bool:
-        return self.calibration is not None and self.calibration.of_one_clip and self._is_home(path)
-
     def _newtons(self, calibration: Calibration, path: Path, causes: dict[str, Any]) -> ClipCalibration:
         """What says a clip in newtons; what that depends on is added to the causes of its results."""
         causes["calibration"] = [file_sha256(file) for file in calibration.files]
@@ -351,11 +344,14 @@ class Batch:
         """
         try:
             with interruptible():
-                return self.process(path, progress, place)
+                outcome = self.process(path, progress, place)
         except Exception as error:
             if self.options.debug:
                 raise
             return self._failure(path, error)
+        if self.calibration is not None and self.calibration.of_one_clip and self._is_home(path):
+            self.carried = Path(outcome.where)
+        return outcome
 
     def _failure(self, path: Path, error: Exception) -> Outcome:
         text = sentence_of(error)

@@ -6,7 +6,7 @@ Research software, not a medical device: no alarm does not mean that a force is 
 import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -48,11 +48,6 @@ class ForceAlarm:
         self._last: tuple[str, float] | None = None
         """State and time stamp of the frame before, which lasts until the next one [s]."""
         self.end_run()
-
-    @classmethod
-    def of(cls, estimator: NetworkEstimator, limit: float, unit: str, fps: float) -> Self:
-        """The alarm of a clip of so many frames a second, by the estimates of a network."""
-        return cls(limit, unit, known_seconds(estimator)[0], 1 / fps)
 
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""

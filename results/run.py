@@ -324,7 +324,7 @@ class Batch:
         """The alarm of a clip of so many frames a second, where a limit is given and forces are told frame by frame."""
         if self.limit is None or not isinstance(self.estimator, NetworkEstimator):
             return None
-        return ForceAlarm.of(self.estimator, *self.limit, fps)
+        return ForceAlarm(*self.limit, known_seconds(self.estimator)[0], 1 / fps)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

@@ -38,7 +38,7 @@ from palpate.estimators.network.estimator import FAST, NetworkEstimator
 from palpate.estimators.open import EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
-from palpate.results.alarm import ForceAlarm, upper_force
+from palpate.results.alarm import ForceAlarm, known_seconds, upper_force
 from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values
 
 SCALED_IN = 0.5
@@ -103,7 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     alarm = None
     if options.force_limit is not None:
-        alarm = ForceAlarm.of(estimator, options.force_limit, UNITS["force"], source.fps)
+        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator)[0], 1 / source.fps)
     lines = JsonLines(source, options.port, server, alarm)
     try:
         with stopped_by_interrupt(source):

@@ -58,9 +58,8 @@ class DepthSource(ABC):
             InputError: no usable part (see `check_map`).
         """
 
-    @abstractmethod
-    def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Fix the clip's constants from samples of its frames (at least one; thumbnails suffice)."""
+    def freeze(self, samples: Sequence[RawDepth]) -> None:  # noqa: B027  most sources have no constants
+        """Fix the clip's constants, if there are any, from samples of its frames (at least one; thumbnails suffice)."""
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         """Depth from what `observe` gave, or from a thumbnail of it: the same, where the clip has no constants."""
@@ -105,9 +104,6 @@ class StoredDepth(DepthSource):
                 )
             depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         return RawDepth(positive(depth))
-
-    def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Nothing of stored depth depends on the clip's frames."""
 
 
 class ModelDepth(DepthSource):

@@ -1,6 +1,6 @@
 """A synthetic clip in memory as a source of frames, so that benchmarks of a thousand clips write no files."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +51,6 @@ class _Depth(DepthSource):
     def observe(self, frame: Frame) -> RawDepth:
         """Observed z of a frame."""
         return RawDepth(self._depth[frame.index])
-
-    def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Nothing of synthetic depth depends on the clip's frames."""
 
 
 class _Masks:

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from palpate.data.contact.geometry import TISSUE
 from palpate.data.source.camera import Camera
@@ -79,19 +80,13 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     for _ in range(3):
         if len(before) < REFERENCE_MINIMUM:
             return np.full(3, math.nan)
-        rotation, shift = _kabsch(before, after)
+        centre, target = before.mean(0), after.mean(0)
+        rotation = Rotation.align_vectors(after - target, before - centre)[0].as_matrix()
+        shift = target - rotation @ centre
         residual = np.linalg.norm(before @ rotation.T + shift - after, axis=1)
         kept = residual <= 3 * np.median(residual) + 1e-12
         before, after = before[kept], after[kept]
     return rotation @ at + shift - at
-
-
-def _kabsch(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    centre, target = before.mean(0), after.mean(0)
-    left, _, right = np.linalg.svd((after - target).T @ (before - centre))
-    handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left @ handed @ right
-    return rotation, target - rotation @ centre
 
 
 def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray) -> np.ndarray:

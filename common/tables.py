@@ -2,7 +2,6 @@
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 
@@ -24,7 +23,7 @@ def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None =
 
 def to_cell(value: object, form: str = "") -> str:
     """A value as text: numbers as `format` takes them, empty where there is none."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
+    if value is None or value != value:
         return ""
     return format(value, form) if isinstance(value, float) else str(value)
 

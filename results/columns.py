@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from palpate.common.files import read_beside
+from palpate.common.tables import to_cell
 from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
@@ -65,7 +66,7 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
         columns: FRAMES or INTERACTIONS.
         values: what is known, by column.
     """
-    return [cell(values.get(name), decimals=6 if name.endswith("time_s") else None) for name in columns]
+    return [cell(values.get(name), ".6f" if name.endswith("time_s") else ".7g") for name in columns]
 
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
@@ -106,12 +107,6 @@ def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, An
     return [{"onset_frame": run.onset_frame, **dict(zip(names, row, strict=True))} for row in values]
 
 
-def cell(value: float | int | bool | str | None, *, decimals: int | None = None) -> str:
-    """A value as text: seven significant digits (float32's), or a fixed number of decimals, and text on one line."""
-    if value is None or value != value:
-        return ""
-    if isinstance(value, bool):
-        return str(int(value))
-    if isinstance(value, float):
-        return f"{value:.7g}" if decimals is None else f"{value:.{decimals}f}"
-    return " ".join(str(value).split())
+def cell(value: float | int | bool | str | None, form: str = ".7g") -> str:
+    """A value as text on one line, as `to_cell` gives it; true is 1. Seven digits are those that float32 has."""
+    return " ".join(to_cell(int(value) if isinstance(value, bool) else value, form).split())

@@ -89,6 +89,7 @@ def build_record(
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
+        "kind": "video",
         "notice": "Research software, not a medical device.",
         "fingerprint": digest_of(causes),
         "input": {

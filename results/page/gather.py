@@ -37,7 +37,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     """
     record = store.read_record(folder)
     # A sequence's forces are given, not estimated.
-    report = {"contacts": []} if "sequence" in record else json.loads((folder / store.REPORT).read_bytes())
+    report = json.loads((folder / store.REPORT).read_bytes()) if store.REPORT in record["files"] else {"contacts": []}
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -53,51 +53,56 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 def clip_of(folder: Path) -> dict[str, Any]:
-    """What a clip's page shows.
+    """What a clip's page shows, and by which template.
 
     Raises:
         OSError: a table can't be read.
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
     record = store.read_record(folder)
-    if "sequence" in record:
-        return summary_of(folder) | _of_sequence(folder, record)
+    template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
+    files = [name for name in store.own_files(folder) if (folder / name).is_file()]
+    shown = summary_of(folder) | more(folder, record) | {"template": template}
+    shown["files"] = [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files]
+    return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
+
+
+def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page of a video shows besides what all show."""
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
     contacts = [_contact(run, forces) for run, forces in zip(runs + dents, report["contacts"], strict=True)]
     shown = (folder / store.OVERLAY).is_file()
-    files = [name for name in store.own_files(folder) if (folder / name).is_file()]
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
-    return summary_of(folder) | {
+    return {
         "video": store.OVERLAY if shown else None,
         "video_note": "" if shown else TEXTS["no_video"],
         "found": contacts,
         "length": record["units"].get("length", ""),
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "verdicts": [_explained(*item) for item in record["verdicts"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "columns": record["columns"],
         "settings": _flat(settings),
         "timings": record["timings_s"],
-        "files": [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files],
         "curves": _curves(record, frames, contacts),
     }
 
 
 def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page of a sequence shows beside its summary: the last frame's row, where particles are, settings."""
+    """The same of a sequence: the last frame's row, and settings."""
     last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
     rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
     return {
-        "template": "sequence.html",
         "last": rows[1:],
-        "verdicts": [_explained(*item) for item in record["verdicts"].items()],
-        "files": [name for name in store.own_files(folder) if (folder / name).is_file()],
         "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
     }
+
+
+PAGES = {"video": ("clip.html", _of_video), "sequence": ("sequence.html", _of_sequence)}
+"""Template of the page, and what that shows besides what all show, by the record's kind."""
 
 
 def advice(warning: str) -> str:
@@ -125,7 +130,7 @@ def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any
     return {"row": run, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
 
 
-def _curves(record: dict[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
+def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
     """What the page's script draws, by frame and by run of contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):

@@ -47,8 +47,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
                 if anew or not page.exists() or page.stat().st_mtime_ns < made:
                     shown = clip_of(folder)
-                    template = environment.get_template(shown.get("template", "clip.html"))
-                    text = template.render(clip=shown, colors=COLORS)
+                    text = environment.get_template(shown["template"]).render(clip=shown, colors=COLORS)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
                 damaged.append((folder.name, f"{folder}: {UNREADABLE.format(type(error).__name__, error)}"))
                 continue

@@ -360,12 +360,6 @@ class Objective:
         return float(self.body.layout.rest[self.body.kinds[0]].mean())
 
     @cached_property
-    def _held(self) -> np.ndarray:
-        held = self.body.pinned.copy()
-        held[self.gripped] = True
-        return held
-
-    @cached_property
     def differences(self) -> csr_array:
         """Of neighbours' stiffness, a row for every pair within every face or tetrahedron, shape [pairs, N]."""
         cells = self.body.tetrahedra if len(self.body.tetrahedra) else self.body.faces
@@ -409,7 +403,8 @@ class Objective:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
         weights[self.body.kinds[1]] = 0.0
-        return map_residual(points, matches, Potential(self.body, weights), self._held, self.mapping)
+        held = self.body.inverse_mass(self.gripped) == 0
+        return map_residual(points, matches, Potential(self.body, weights), held, self.mapping)
 
     def evaluate(
         self, fields: Stiffness, start: np.ndarray, places: np.ndarray, matches: Matches, snapshots: list[np.ndarray]

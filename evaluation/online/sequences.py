@@ -87,12 +87,9 @@ class Pull:
 
     def moving(self) -> np.ndarray:
         """Free particles with an edge whose length changes by more than a hundredth at some time, shape [N], bool."""
-        first, second = self.body.edges.T
-        lengths = np.linalg.norm(self.truth[:, first] - self.truth[:, second], axis=2)
-        strained = (np.abs(lengths / self.body.layout.rest[self.body.kinds[0]] - 1) > 0.01).any(axis=0)
-        found = np.isin(np.arange(self.body.count), self.body.edges[strained]) & ~self.body.pinned
-        found[self.gripped] = False
-        return found
+        strained = (np.abs(self.body.strains(self.truth)) > 0.01).any(axis=0)
+        moving = np.isin(np.arange(self.body.count), self.body.edges[strained])
+        return moving & (self.body.inverse_mass(self.gripped) > 0)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
-from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, find_optimum
+from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
@@ -26,6 +26,8 @@ from palpate.physics.msd.simulation import simulate
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
+TISSUE = RECOMMENDED.log_box
+"""The box of φ, shape [2, 3]."""
 CANDIDATES = 64
 """Points of a Sobol sequence over the box among which the starts are chosen."""
 DEPTHS = (0.03, 0.06, 0.1)
@@ -70,14 +72,13 @@ WITHIN = 1.5
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
 def fit_brightness(
-    contact: Interaction, frame_seconds: float, tissue: np.ndarray = RECOMMENDED.log_box
+    contact: Interaction, frame_seconds: float
 ) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
     """Fit a contact's brightness sequence by a press on a plane: a step on a point, or a force on a patch.
 
     Args:
         contact: with its brightness sequence.
         frame_seconds: time from frame to frame [s]; the press may have begun and ended WITHIN of it off its frames.
-        tissue: the box of φ, shape [2, 3].
 
     Returns:
         The contact on that plane, whose points aren't followed; the estimate; and times since the onset [s] with the
@@ -93,29 +94,26 @@ def fit_brightness(
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
     thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
-    led = _on_threads(lambda start: _led(copy.copy(problem), start, tissue, FEW, ROUNDS[0]), _starts(problem, tissue))
+    led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
     logs = min(led, key=lambda found: found[0])[1]
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
-    logs = _led(problem, logs, tissue, MORE, ROUNDS[1])[1]
+    logs = _led(problem, logs, MORE, ROUNDS[1])[1]
     # Only now is it known well enough what the light would be if it had not been coded.
     contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected_change(logs)))
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
-    logs = _led(problem, logs, tissue, MORE, ROUNDS[2])[1]
+    logs = _led(problem, logs, MORE, ROUNDS[2])[1]
     if problem.skill < ENOUGH_SKILL:
-        problem, logs = _patched(problem, logs, some, tissue)
-    return problem.press, _concluded(problem, logs, tissue), _simulated(problem, logs)
+        problem, logs = _patched(problem, logs, some)
+    return problem.press, _concluded(problem, logs), _simulated(problem, logs)
 
 
-def _patched(
-    point: BrightnessProblem, logs: np.ndarray, some: np.ndarray, tissue: np.ndarray
-) -> tuple[BrightnessProblem, np.ndarray]:
+def _patched(point: BrightnessProblem, logs: np.ndarray, some: np.ndarray) -> tuple[BrightnessProblem, np.ndarray]:
     """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
 
     Args:
         point: the step of a force on a point, with its
         logs: that explain the light best, shape [D].
         some: frames by which it is decided whether a patch is worth a fit.
-        tissue: the box of φ, shape [2, 3].
     """
     contact, motion = point.contact, point.motion
     thin = dataclasses.replace(contact, brightness=point.sequence.chosen(some))
@@ -127,11 +125,11 @@ def _patched(
     changing = RISING * motion.times[-1]
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
     press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
-    misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), tissue, MORE, 1)
+    misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
     if -misfit < step.skill:
         return point, logs
     problem = BrightnessProblem(contact, *what, PatchMotion)
-    misfit, found = _led(problem, found, tissue, MORE, ROUNDS[2])
+    misfit, found = _led(problem, found, MORE, ROUNDS[2])
     return (problem, found) if 1 + misfit < PATCHED * (1 - point.skill) else (point, logs)
 
 
@@ -150,12 +148,9 @@ def _simulated(problem: BrightnessProblem, logs: np.ndarray) -> tuple[np.ndarray
     return times, np.concatenate([[0.0], path @ press.direction])
 
 
-def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
+def _starts(problem: BrightnessProblem) -> np.ndarray:
     """All parameters of presses that explain the light best, among many, shape [S, D]."""
-    from scipy.stats.qmc import Sobol  # takes seconds to load
-
-    low, high = problem.box(tissue)
-    logs = tissue[0] + Sobol(3, rng=0).random(CANDIDATES) * (tissue[1] - tissue[0])
+    low, high = problem.box(TISSUE)
     middle = problem.darkest()
     found, misfits = [], []
 
@@ -163,14 +158,14 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
         left = problem.compared(problem.predicted(start, moved)[0])[0]
         return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
-    for candidate in logs:
+    for candidate in evenly_spread(*TISSUE, CANDIDATES):
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
         moved = problem.motion.coarse(press)
         largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
         for depth in DEPTHS:
             factor = depth / max(largest, 1e-12)
             force = press[2] + math.log(factor)
-            if tissue[0, 2] < force < tissue[1, 2]:
+            if TISSUE[0, 2] < force < TISSUE[1, 2]:
                 start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
@@ -187,11 +182,9 @@ def _starts(problem: BrightnessProblem, tissue: np.ndarray) -> np.ndarray:
     return np.array(_on_threads(placed, chosen))
 
 
-def _led(
-    problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray, evaluations: int, rounds: int
-) -> tuple[float, np.ndarray]:
+def _led(problem: BrightnessProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
     """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
-    box = problem.box(tissue)
+    box = problem.box(TISSUE)
     for _ in range(rounds):
         logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
         problem.look(logs)
@@ -200,9 +193,9 @@ def _led(
     return -problem.skill, logs
 
 
-def _concluded(problem: BrightnessProblem, logs: np.ndarray, tissue: np.ndarray) -> Estimate:
+def _concluded(problem: BrightnessProblem, logs: np.ndarray) -> Estimate:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
-    box, motion = problem.box(tissue), problem.motion
+    box, motion = problem.box(TISSUE), problem.motion
     prior = box_information(box)
     low, high = box[0] + 1e-9, box[1] - 1e-9
     starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]

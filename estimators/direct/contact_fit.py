@@ -12,7 +12,6 @@ from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
-    CANDIDATES,
     DELAYS,
     Combined,
     ContactProblem,
@@ -21,6 +20,7 @@ from palpate.estimators.direct.problem import (
     combine,
     count_modes,
     distinct,
+    evenly_spread,
     evidence_shares,
     find_optimum,
     suiting_forces,
@@ -56,7 +56,7 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
     """Fit a problem's parameters, those of θ first, within their box, shape [2, D]."""
     low, high = box
     prior = box_information(box)
-    candidates = problem.candidates(low, high)
+    candidates = evenly_spread(low, high)
     paths = problem.coarse_paths(candidates)
     starts = problem.best_starts(candidates, paths, low, high)
     optima = distinct([find_optimum(problem, start, box) for start in starts])
@@ -241,11 +241,9 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
     """
-    from scipy.stats.qmc import Sobol  # takes seconds to load
-
     low, high = box
     motion, sequence = problem.motion, problem.sequence
-    candidates = low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
+    candidates = evenly_spread(low, high)
     candidates[:, motion.centred] = 0
     delays = DELAYS if motion.within else np.zeros(1)
     observed = problem.observed

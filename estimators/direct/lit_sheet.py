@@ -83,7 +83,9 @@ class LitSheet:
         rays = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:]
         self.middle = (mesh.pixels - rays[:, ::-1] * self.focal).mean(axis=0)
         self.pixel = mesh.pixels[vertex].astype(np.int64)
-        self.distance = _distance(mesh, self.pixel)
+        # The median around the contact, where depth may be rough.
+        near = np.abs(mesh.pixels - self.pixel).max(axis=1) <= REACH + MARGIN
+        self.distance = float(np.median(mesh.vertices[near, 2]))
         self.ray = self.rays(self.pixel.astype(np.float64))
         self._sideways = np.linalg.svd(self.ray[None])[2][1:]
         self._sideways *= np.where(np.diag(self._sideways) < 0, -1.0, 1.0)[:, None]
@@ -386,12 +388,6 @@ def _rested(still, pixels, aside, shift, focal, plane, normal):
                     break
             found[frame, index, 0], found[frame, index, 1] = row, column
     return found
-
-
-def _distance(mesh: Mesh, pixel: np.ndarray) -> float:
-    """z of the tissue at a pixel: the median around it, where depth may be rough [scene units]."""
-    near = np.abs(mesh.pixels - pixel).max(axis=1) <= REACH + MARGIN
-    return float(np.median(mesh.vertices[near, 2]))
 
 
 def _rotation(first: np.ndarray, second: np.ndarray) -> np.ndarray:

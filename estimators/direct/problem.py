@@ -56,15 +56,9 @@ class ContactProblem(Likelihood):
         """Observed displacement, shape [N, 3]."""
         self.direction = np.asarray(contact.direction, np.float64)
 
-    def candidates(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """φ evenly spread over the box, shape [CANDIDATES, 3] (or with further parameters)."""
-        from scipy.stats.qmc import Sobol  # takes seconds to load
-
-        return low + Sobol(len(low), rng=0).random(CANDIDATES) * (high - low)
-
     def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """φ of the candidates with the smallest misfit, shape [at most STARTS, 3]."""
-        candidates = self.candidates(low, high)
+        candidates = evenly_spread(low, high)
         return self.best_starts(candidates, self.coarse_paths(candidates), low, high)
 
     def best_starts(self, candidates: np.ndarray, paths: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -113,6 +107,13 @@ class ContactProblem(Likelihood):
         moved, slopes = (values[:, 0] for values in self.motion.at(logs))
         residual = (moved - self.moved) / self.sigma
         return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
+
+
+def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
+    """Points of a Sobol sequence over a box of D parameters, a power of two of them, shape [count, D]."""
+    from scipy.stats.qmc import Sobol  # takes seconds to load
+
+    return low + Sobol(len(low), rng=0).random(count) * (high - low)
 
 
 def suiting_forces(

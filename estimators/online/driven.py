@@ -88,12 +88,9 @@ class DrivenTissue:
         path in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
-        self._near = distance < surface.reach
-        self._driving = np.flatnonzero(self._near)
+        self._driving = np.flatnonzero(distance < surface.reach)
         self._points = np.asarray(points, np.float64)
-        self._fixed = body.pinned.copy()
-        self._fixed[surface.gripped] = True
-        self._edges = body.edges.T
+        self._free = body.inverse_mass(surface.gripped) > 0
         self._fitting: Fitting | None = None
         self._now = self._begin(settings)
         if settings.fitted > 0:
@@ -135,7 +132,7 @@ class DrivenTissue:
     @property
     def stretched(self) -> np.ndarray:
         """Free particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
-        return self._now.moving & ~self._fixed
+        return self._now.moving & self._free
 
     @property
     def known(self) -> np.ndarray:
@@ -249,15 +246,13 @@ class DrivenTissue:
         found = now.session.step(now.places, matches)
         now.past.append(now.places)
         now.seen.append(moved)
-        first, second = self._edges
-        lengths = np.linalg.norm(found.positions[first] - found.positions[second], axis=1)
-        rest = self.surface.body.layout.rest[self.surface.body.kinds[0]]
-        strained = np.abs(lengths / rest - 1) > now.settings.strain
+        body = self.surface.body
+        strained = np.abs(body.strains(found.positions)) > now.settings.strain
         learnt = now.learns and found.gap is not None
         if learnt:
             now.session.fields = now.alone.likeliest(fields)
         if learnt or found.terms is not None:
-            now.moving[first[strained]] = now.moving[second[strained]] = True
+            now.moving[body.edges[strained]] = True
         return found
 
     def ahead(self, moved: np.ndarray) -> Forecast:

@@ -8,7 +8,6 @@ them.
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -68,7 +67,8 @@ class OnlineEstimator:
         self.path = None if settings.path is None else read_path(Path(settings.path))
         self.palpated = None if settings.palpation is None else palpated_young(Path(settings.palpation))
         named = {name: getattr(settings, name) for name in FILES}
-        files = {name: _described(Path(path)) for name, path in named.items() if path is not None}
+        paths = {name: Path(path) for name, path in named.items() if path is not None}
+        files = {name: {"path": str(path.resolve()), "sha256": file_sha256(path)} for name, path in paths.items()}
         self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
         """All that the fields depend on besides the clip."""
 
@@ -226,9 +226,8 @@ class OnlineSession(RunSession):
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
         yield from self._ended(self._runs.push(frame))
-        start = time.perf_counter()
-        field = self._field(frame)
-        self.seconds["online"] += time.perf_counter() - start
+        with self.timed("online"):
+            field = self._field(frame)
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
         found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
@@ -266,7 +265,3 @@ class OnlineSession(RunSession):
             said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
         detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)
-
-
-def _described(path: Path) -> dict[str, str]:
-    return {"path": str(path.resolve()), "sha256": file_sha256(path)}

@@ -44,7 +44,8 @@ class Lattice:
             NothingMoves: they do in none.
         """
         shown = [(frame, self.nearby(frame)) for frame in frames]
-        shown = [(frame, near) for frame, near in shown if near.gripped.any() and _moves(near)]
+        shown = [(frame, near) for frame, near in shown if near.gripped.any() and near.around.any()]
+        shown = [(frame, near) for frame, near in shown if length(near.moved[near.around]) > LEAST_MOTION]
         if not shown:
             raise NothingMoves(
                 f"In none of {len(frames)} frames the tissue near the tool moves by {LEAST_MOTION:g} px."
@@ -78,10 +79,6 @@ class Lattice:
         nearby = around & (self.distance < np.percentile(self.distance[around | frame.gripped], NEARBY))
         shown = frame.gripped | (nearby if nearby.any() else around)
         return replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
-
-
-def _moves(frame: GripFrame) -> bool:
-    return bool(frame.around.any()) and length(frame.moved[frame.around]) > LEAST_MOTION
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,21 @@ KNOTS = 12, 4
 """Of distances and of shapes; the cost goes with their number."""
 
 
+def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
+    """Which of places [P, 3], one after the other, lie farthest from all before, beginning with the first one's index.
+
+    Args:
+        places: P of them.
+        first: index of the one to begin with.
+        count: how many.
+    """
+    chosen, away = [first], np.linalg.norm(places - places[first], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return chosen
+
+
 def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
     """Shares of particles in the knots, shape [N, knots], rows adding up to 1: every particle's own where they are few.
 
@@ -18,10 +33,7 @@ def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
     """
     if knots >= len(rest):
         return np.eye(len(rest))
-    chosen, away = [0], np.linalg.norm(rest - rest[0], axis=1)
-    while len(chosen) < knots:
-        chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.linalg.norm(rest - rest[chosen[-1]], axis=1))
+    chosen = farthest(rest, 0, knots)
     apart = np.linalg.norm(rest[:, None] - rest[chosen], axis=2)
     width = np.sort(apart[chosen], axis=1)[:, 1].mean() / 2
     nearest = apart.min(axis=1, keepdims=True)  # taken off, so that far from all knots one counts still

@@ -320,19 +320,6 @@ class Terms(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
-    """The objective at one field, and what was found on the way; N particles."""
-
-    simulated: np.ndarray
-    """x, the state one step on, shape [N, 3] [m]."""
-    residual: Residual
-    """Δ, from there to what was observed."""
-    terms: Terms
-    slopes: Stiffness
-    """Derivatives of the terms' sum by the fields, shape [N]; by that of volumes 0, which is fixed."""
-
-
-@dataclass(frozen=True, eq=False)
 class Objective:
     """A gripped body, how it is stepped and mapped, and what its terms count.
 
@@ -358,12 +345,6 @@ class Objective:
     def edge(self) -> float:
         """Mean length of edges [m], the unit of lengths here: weights then don't depend on the unit of the clip."""
         return float(self.body.layout.rest[self.body.kinds[0]].mean())
-
-    @cached_property
-    def _held(self) -> np.ndarray:
-        held = self.body.pinned.copy()
-        held[self.gripped] = True
-        return held
 
     @cached_property
     def differences(self) -> csr_array:
@@ -409,11 +390,12 @@ class Objective:
         """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
         weights[self.body.kinds[1]] = 0.0
-        return map_residual(points, matches, Potential(self.body, weights), self._held, self.mapping)
+        held = self.body.inverse_mass(self.gripped) == 0
+        return map_residual(points, matches, Potential(self.body, weights), held, self.mapping)
 
     def evaluate(
         self, fields: Stiffness, start: np.ndarray, places: np.ndarray, matches: Matches, snapshots: list[np.ndarray]
-    ) -> Evaluation:
+    ) -> tuple[np.ndarray, Residual, Terms, Stiffness]:
         """Step on and map; and so the snapshots, whose grip stays where it was: they should stay as they are.
 
         Args:
@@ -422,6 +404,10 @@ class Objective:
             places: where gripped particles now are, shape [G, 3] [m].
             matches: what was observed, one at least.
             snapshots: earlier states, mapped, each [N, 3] [m].
+
+        Returns:
+            x, the state one step on, shape [N, 3] [m]; Δ, from there to what was observed; the terms; and derivatives
+            of their sum by the fields, shape [N], 0 by that of volumes, which is fixed.
         """
         with ThreadPoolExecutor(1) as other:  # compiled loops let two run at once
             past = other.submit(self._history, fields, snapshots)
@@ -439,8 +425,7 @@ class Objective:
             apart, share = self.differences @ values, self.weights.smoothness / (bound * self.differences.shape[0])
             smoothness += share * float(np.abs(apart).sum())
             out += share * (self.differences.T @ np.sign(apart))
-        slopes = Stiffness(by_distance, by_shape, 0.0)
-        return Evaluation(simulated, residual, Terms(gap, history, smoothness), slopes)
+        return simulated, residual, Terms(gap, history, smoothness), Stiffness(by_distance, by_shape, 0.0)
 
     def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
         """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""

@@ -119,9 +119,9 @@ class Session:
         if self._adam is not None and matches:
             bounds, volume = self.objective.bounds, float(self.fields.volume)
             own = bounds.fields(self._logits, volume)
-            found = self.objective.evaluate(own, self.positions, places, matches, self._snapshots())
-            simulated, residual, terms = found.simulated, found.residual, found.terms
-            self._logits = self._adam.step(self._logits, bounds.by_logits(own, found.slopes))
+            what = own, self.positions, places, matches, self._snapshots()
+            simulated, residual, terms, slopes = self.objective.evaluate(*what)
+            self._logits = self._adam.step(self._logits, bounds.by_logits(own, slopes))
             self.fields = bounds.fields(self._logits, volume)
         else:
             simulated, residual = self._followed(places, matches)

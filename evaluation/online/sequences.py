@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import csr_array, diags_array
 
+from palpate.estimators.online.knots import farthest
 from palpate.estimators.online.objective import Chamfer, Match, Tracks
 from palpate.physics.fem.equilibrium import Energy, settle
 from palpate.physics.fem.laws import Material
@@ -87,12 +88,9 @@ class Pull:
 
     def moving(self) -> np.ndarray:
         """Free particles with an edge whose length changes by more than a hundredth at some time, shape [N], bool."""
-        first, second = self.body.edges.T
-        lengths = np.linalg.norm(self.truth[:, first] - self.truth[:, second], axis=2)
-        strained = (np.abs(lengths / self.body.layout.rest[self.body.kinds[0]] - 1) > 0.01).any(axis=0)
-        found = np.isin(np.arange(self.body.count), self.body.edges[strained]) & ~self.body.pinned
-        found[self.gripped] = False
-        return found
+        strained = (np.abs(self.body.strains(self.truth)) > 0.01).any(axis=0)
+        moving = np.isin(np.arange(self.body.count), self.body.edges[strained])
+        return moving & (self.body.inverse_mass(self.gripped) > 0)
 
 
 @dataclass(frozen=True)
@@ -255,11 +253,7 @@ def _spread_out(points: np.ndarray) -> np.ndarray:
     """Keypoints [15] among followed ones [T + 1, P, 3]: of the half that moves most, each far from those before."""
     moved = np.linalg.norm(points - points[0], axis=2).max(axis=0)
     pool = np.argsort(moved)[len(moved) // 2 :]
-    chosen = [int(pool[-1])]
-    while len(chosen) < KEYPOINTS:
-        away = np.linalg.norm(points[0, pool][:, None] - points[0, chosen], axis=2).min(axis=1)
-        chosen.append(int(pool[away.argmax()]))
-    return np.array(chosen)
+    return pool[farthest(points[0, pool], len(pool) - 1, KEYPOINTS)]
 
 
 def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:

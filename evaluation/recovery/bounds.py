@@ -10,7 +10,6 @@ import dataclasses
 import numpy as np
 from scipy.ndimage import shift
 
-from palpate.data.contact.depth_sequence import DepthSequence
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
@@ -51,7 +50,9 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
         return None
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
-    recentred = dataclasses.replace(truth, sequence=_recentred(sequence, offset))
+    # Of what lies so many rows and columns away, as far as the sequence shows that.
+    change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
+    recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
     problem = SequenceProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _squared(_of_tissue(problem, logs, motion))
@@ -121,12 +122,6 @@ def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: 
     information = problem.information(_all(problem, logs, motion))
     prior = unit * box_information(problem.motion.box(RECOMMENDED.log_box))
     return about_tissue(information, prior, len(logs))
-
-
-def _recentred(sequence: DepthSequence, offset: np.ndarray) -> DepthSequence:
-    """The depth-change sequence of what lies so many rows and columns away, as far as it shows that."""
-    change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
-    return dataclasses.replace(sequence, change=change)
 
 
 def _squared(information: np.ndarray) -> np.ndarray:

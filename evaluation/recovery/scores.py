@@ -166,10 +166,10 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.square(values).mean())) if len(values) else math.nan
 
 
-def coverage(errors: np.ndarray, sd: np.ndarray, width: float = NINETY) -> float:
-    """Share of errors [n] within `width` standard deviations [n], of those whose deviations are given."""
+def coverage(errors: np.ndarray, sd: np.ndarray) -> float:
+    """Share of errors [n] within the 90 % intervals of standard deviations [n], of those whose deviations are given."""
     known = np.isfinite(sd)
-    return float((np.abs(errors[known]) <= width * sd[known]).mean()) if known.any() else math.nan
+    return float((np.abs(errors[known]) <= NINETY * sd[known]).mean()) if known.any() else math.nan
 
 
 def table(judged: Sequence[Scores]) -> pd.DataFrame:

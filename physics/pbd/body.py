@@ -77,6 +77,12 @@ class Body:
         inverse[gripped] = 0.0
         return inverse
 
+    def strains(self, points: np.ndarray) -> np.ndarray:
+        """By which share edges are longer than at rest, shape [..., E], at positions [..., N, 3] [m]."""
+        first, second = self.edges.T
+        lengths = np.linalg.norm(points[..., first, :] - points[..., second, :], axis=-1)
+        return lengths / self.layout.rest[self.kinds[0]] - 1
+
 
 def make_body(
     rest: np.ndarray, faces: np.ndarray, tetrahedra: np.ndarray | None = None, *, pinned: np.ndarray | None = None

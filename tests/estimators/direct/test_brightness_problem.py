@@ -80,9 +80,9 @@ def test_what_coding_makes_tissue_seem_slower_by_is_taken_off(problem, monkeypat
     logs = start(problem)
     problem.look(logs)
     nothing = {f"brightness_{name}_slope": 0.0 for name in ("damping", "force")}
-    found = [brightness_fit._concluded(problem, logs, RECOMMENDED.log_box)]
+    found = [brightness_fit._concluded(problem, logs)]
     monkeypatch.setattr(brightness_fit, "MODEL_ERRORS", SimpleNamespace(**(vars(MODEL_ERRORS) | nothing)))
-    found.append(brightness_fit._concluded(problem, logs, RECOMMENDED.log_box))
+    found.append(brightness_fit._concluded(problem, logs))
     shifted = np.log(np.abs(found[0].theta / found[1].theta))
     left, ratio = (
         (1 - problem.skill) / brightness_fit.USUALLY_LEFT,

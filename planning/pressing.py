@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.integrate import cumulative_trapezoid
 
 from palpate.estimators.estimate import NINETY
 from palpate.planning.press import simulate_press
@@ -40,7 +39,8 @@ def unit_press(poisson: float) -> np.ndarray:
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
     depth = np.linspace(0, found.lengths[-1], DEPTHS) / RADIUS
     force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
-    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
+    work = np.append(0.0, np.cumsum(np.diff(depth) * (force[1:] + force[:-1]) / 2))
+    return np.stack([depth, force, work])
 
 
 class PressingCosts:

@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-from palpate.estimators.palpation.scene import YOUNG
+from palpate.estimators.palpated import YOUNG
 
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from palpate.common.settings import require_numbers
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping
-from palpate.estimators.calibration_file import palpated_young
+from palpate.estimators.palpated import palpated_young
 
 Triple = tuple[float, float, float]
 

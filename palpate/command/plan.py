@@ -25,11 +25,10 @@ from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError, read_mapping
-from palpate.physics.fem import NoEquilibrium
 from palpate.planning.cost_table import open_tables
 from palpate.planning.pictures import Pressed, draw_in_space, draw_plan, force_along
 from palpate.planning.press import simulate_press
-from palpate.planning.roadmap import MILLI, Blocked, EdgeCosts, Plan, find_plan
+from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
 from palpate.planning.sampled import plan_by_ompl
 from palpate.planning.scene import PlanScene, read_plan_scene
 from palpate.planning.space import SpaceScene, read_space_scene
@@ -76,7 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _plan(read_plan_scene(options.scene, options.alpha), options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
-    except (Blocked, NoEquilibrium, ValueError) as error:
+    except ValueError as error:
         say(console, f"{options.scene}: {error}", "red")
     return 1
 

@@ -15,8 +15,7 @@ from scipy import ndimage
 from palpate.estimators.estimate import NINETY
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import DIGITS, MILLI, TIE, Plan, weighed
-from palpate.planning.scene import SoftObject
-from palpate.planning.space import SpaceScene
+from palpate.planning.scene import SoftObject, SpaceScene
 
 RADIUS = 0.01
 """Of the tip that presses the block [m]."""

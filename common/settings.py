@@ -85,7 +85,7 @@ def described(kind: Any) -> str:
         return "one of " + ", ".join(map(str, inner))
     if origin is tuple:
         return f"[{', '.join(map(described, inner))}]"
-    return WORDS[kind]
+    return WORDS.get(kind, "a mapping of names to values")
 
 
 def require_choices(settings: Any, group: str = "") -> None:

@@ -11,6 +11,7 @@ runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
 known_force     a force measured in a part of a motion, which tells it for the rest
 calibration_file newtons for scene units by a known force or stiffness, and the file that says so
+palpated        Young's modulus from what a palpation left
 model_errors    what fits get wrong besides what residuals tell, as measured on drawn clips
 dent            what tells a press that no tool shows
 model_settings  an exported network's preparation, and what both networks' estimators share

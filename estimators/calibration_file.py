@@ -11,8 +11,6 @@ unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal erro
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,13 +19,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from palpate.common.files import read_file
-from palpate.common.settings import fits, require_numbers
+from palpate.common.settings import require_numbers
 from palpate.data.clip import ClipStream
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor, read_forces
+from palpate.estimators.palpated import palpated_young
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import LIMIT, covariance
 from palpate.physics.mechanics import PARAMETERS
@@ -276,8 +274,6 @@ def scale_by_stiffness(value: float, log_sd: float, metric: bool, length: ClipLe
     return ForceScale(log, log_sd**2, STIFFNESS, source, {}, metric)
 
 
-MOST_BYTES = 2**24
-"""Of a file of palpations."""
 REFERENCES = ("force_N", "known_s", "stiffness", "palpation")
 """Fields of which one at most tells newtons."""
 
@@ -457,42 +453,3 @@ def read_calibration(path: Path) -> Calibration:
         files.append(path.parent / given.palpation)
         young = palpated_young(files[-1])
     return Calibration(given, path, tuple(dict.fromkeys(files)), measured, young)
-
-
-def palpated_young(path: Path) -> tuple[float, float]:
-    """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote.
-
-    Raises:
-        InputError: the file tells neither.
-    """
-    if path.suffix.lower() == ".csv":
-        return _of_curves(path)
-    values = read_mapping(path, "a palpation's calibration.json")
-    if values.get("young_pa", 0) is None:
-        raise InputError(f"{printable(path)} says that nothing is determined; press harder and give that file.")
-    names = ("young_pa", "young_low_pa", "young_high_pa")
-    if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
-        raise InputError(
-            f"{printable(path)} holds no E with an interval ({', '.join(names)}); give calibration.json of "
-            "calibrate.py palpation."
-        )
-    young, low, high = (float(values[name]) for name in names)
-    return young, abs(math.log(high / low)) / (2 * NINETY)
-
-
-def _of_curves(path: Path) -> tuple[float, float]:
-    """Mean of log E over probes of one piece of tissue, and how well that is known."""
-    give = "give curves.csv of calibrate.py curves --indenter … --size …"
-    try:
-        text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
-        rows = [row for row in csv.DictReader(text) if row["unit"] == "kPa"]
-        found = np.array([[float(row[name]) for name in ("value", "low", "high")] for row in rows]).reshape(-1, 3)
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{printable(path)} is no table of calibrate.py; {give}.") from error
-    if not len(found) or not (np.isfinite(found) & (found > 0)).all():
-        raise InputError(f"{printable(path)} holds no modulus in kPa, or one that can't be; {give}.")
-    logs = np.log(1000 * found)
-    own = (logs[:, 2] - logs[:, 1]) / (2 * NINETY)
-    # Between places tissue differs by more than a curve's own error, and so may the place in the picture.
-    apart = float(logs[:, 0].std(ddof=1)) if len(logs) > 1 else 0.0
-    return float(np.exp(logs[:, 0].mean())), math.hypot(apart, float(np.sqrt(np.mean(own**2))))

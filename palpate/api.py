@@ -5,7 +5,6 @@ from typing import Any
 
 from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
-from palpate.data.source.layout import read_mapping
 from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.open import EstimatorOptions, preparation
 from palpate.estimators.open import open_estimator as open_by_options
@@ -15,8 +14,7 @@ from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.planning.cost_table import open_tables
 from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
-from palpate.planning.scene import read_plan_scene
-from palpate.planning.space import read_space_scene
+from palpate.planning.scene import SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 
 
@@ -102,8 +100,7 @@ def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Pl
         InputError: the scene can't be used.
         Blocked: there is no path.
     """
-    values = read_mapping(Path(scene), "a scene to plan in")
-    if "mesh" in values:
-        return plan_in_space(open_costs(read_space_scene(Path(scene), values, alpha), Path(cache))[0])
     read = read_plan_scene(Path(scene), alpha)
+    if isinstance(read, SpaceScene):
+        return plan_in_space(open_costs(read, Path(cache))[0])
     return find_plan(EdgeCosts(read, open_tables(read, Path(cache))))

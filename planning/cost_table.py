@@ -172,5 +172,5 @@ def open_tables(
     """
     return {
         name: open_table(kind, scene.tip_radius, cache, functools.partial(report, name))[0]
-        for name, kind in scene.kinds.items()
+        for name, kind in scene.objects.items()
     }

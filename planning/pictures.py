@@ -72,7 +72,7 @@ def draw_plan(scene: PlanScene, ways: Mapping[str, tuple[Plan, Sequence[Pressed]
     figure = Figure(figsize=(11, 5), layout="constrained")
     axes, forces = figure.subplots(1, 2, width_ratios=[3, 2])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for piece, colour in [(piece, "mistyrose") for _, piece in scene.tissue] + [(p, "0.4") for p in scene.obstacles]:
+    for piece, colour in [(piece, "mistyrose") for _, piece in scene.pieces] + [(p, "0.4") for p in scene.obstacles]:
         outline = MILLI * piece.outside_frame(corners * piece.half)
         axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="indianred"))
     plan, presses = ways["planned"]
@@ -88,9 +88,9 @@ def draw_plan(scene: PlanScene, ways: Mapping[str, tuple[Plan, Sequence[Pressed]
         gone, force = force_along(felt, found.way / MILLI)
         peak = f"up to {force.max():.2f} N" if felt else "touches nothing, 0 N"
         forces.plot(MILLI * gone, force, label=f"{name}: {peak}", **style | {"marker": ""})
-    for place in (scene.start, scene.goal):
-        axes.add_patch(Circle(tuple(MILLI * place), MILLI * scene.tip_radius, fill=False, color="navy"))
-    low, high = MILLI * scene.area
+    for place in MILLI * np.array([scene.start, scene.goal]):
+        axes.add_patch(Circle(tuple(place), MILLI * scene.tip_radius, fill=False, color="navy"))
+    low, high = MILLI * np.array(scene.area)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     axes.set_title(f"α = {scene.alpha:g}: deformation {plan.deformation:.2f} mJ, way {plan.way:.1f} mm")
     axes.legend(fontsize=8, loc="upper left")

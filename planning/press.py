@@ -5,14 +5,18 @@ until 20 N (Frank 2010, section V); the work is the deformation's cost. Where no
 force goes on along its last straight piece.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.palpation import Skin, cover
-from palpate.physics.fem import Material, NoEquilibrium, box, find_equilibrium, make_solid
 from palpate.planning.scene import SoftObject
+
+if TYPE_CHECKING:
+    from palpate.estimators.palpation import Skin
 
 MOST_FORCE = 20.0
 """[N]."""
@@ -43,6 +47,9 @@ class PressCurve:
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
     """A block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N, 3]."""
+    from palpate.estimators.palpation import cover  # takes a second, and cached presses need none of it
+    from palpate.physics.fem import box, make_solid
+
     width, thickness, height = kind.size
     shift = np.array([width / 2, thickness / 2, 0.0])
     nodes, tetrahedra = box(kind.size, kind.cells)
@@ -69,6 +76,8 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
         place: where the tip touches, in the block's frame, shape [2] [m].
         angle: of the way it goes there [rad].
     """
+    from palpate.physics.fem import Material, NoEquilibrium, find_equilibrium
+
     skin, held = blocked_out(kind, radius)
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
     unit = skin.pressed(np.array([*place, kind.height]), radius, way)

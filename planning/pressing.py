@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.integrate import cumulative_trapezoid
 
 from palpate.estimators.estimate import NINETY
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import DIGITS, MILLI, TIE, Plan, weighed
-from palpate.planning.scene import SoftObject
-from palpate.planning.space import SpaceScene
+from palpate.planning.scene import SoftObject, SpaceScene
 
 RADIUS = 0.01
 """Of the tip that presses the block [m]."""
@@ -40,7 +38,8 @@ def unit_press(poisson: float) -> np.ndarray:
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
     depth = np.linspace(0, found.lengths[-1], DEPTHS) / RADIUS
     force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
-    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
+    work = np.append(0.0, np.cumsum(np.diff(depth) * (force[1:] + force[:-1]) / 2))
+    return np.stack([depth, force, work])
 
 
 class PressingCosts:

@@ -99,7 +99,7 @@ class EdgeCosts:
         A line that leaves the tissue behind it has pushed it as far as it goes.
         """
         lengths = np.linalg.norm(ends - starts, axis=1)
-        for kind, piece in self.scene.tissue:
+        for kind, piece in self.scene.pieces:
             gone = piece.met(starts, ends, self.scene.tip_radius)
             which = np.flatnonzero(np.isfinite(gone))
             if not len(which):
@@ -135,7 +135,7 @@ def find_plan(costs: EdgeCosts) -> Plan:
         Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
     """
     scene = costs.scene
-    solid = [piece for _, piece in scene.tissue] + scene.obstacles
+    solid = [piece for _, piece in scene.pieces] + list(scene.obstacles)
 
     def is_free(points: np.ndarray) -> np.ndarray:
         within = ((points >= scene.area[0]) & (points <= scene.area[1])).all(axis=1)
@@ -143,11 +143,12 @@ def find_plan(costs: EdgeCosts) -> Plan:
             within = within & (piece.clearance(points) >= scene.tip_radius)
         return np.asarray(within)
 
-    for name, place in (("start", scene.start), ("goal", scene.goal)):
+    ends = np.array([scene.start, scene.goal])
+    for name, place in zip(("start", "goal"), ends, strict=True):
         if not is_free(place[None])[0]:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
     drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * NODES, 2))
-    places = np.concatenate([[scene.start, scene.goal], drawn[is_free(drawn)][:NODES]])
+    places = np.concatenate([ends, drawn[is_free(drawn)][:NODES]])
     pairs = np.unique(np.concatenate([neighbours(places, NEIGHBOURS), [[0, 1]]]), axis=0)
     plan = cheapest_way(costs, places, pairs, costs.deformation(*places[pairs.T]))
     if plan is None:

@@ -1,21 +1,25 @@
-"""A plane that an instrument's tip moves in, with tissue that gives way and obstacles that don't.
+"""The file of a scene to plan in.
 
-The tip is a disc. Tissue is upright blocks, such as folds or curtains; the plane cuts them at the tip's height.
+Without a mesh it is a plane that an instrument's tip, a disc, moves in, with tissue that gives way and obstacles that
+don't. Tissue is upright blocks, such as folds or curtains; the plane cuts them at the tip's height. With a mesh it is
+in space: a user's body, and a straight instrument that comes through a port.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from palpate.common.settings import require_numbers
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-from palpate.estimators.palpation.scene import YOUNG
+from palpate.estimators.palpated import YOUNG, palpated_young
 
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 SIZES = (1e-4, 10.0)
 """Of a block of tissue [m]."""
 MOST_CELLS = 4000
@@ -65,7 +69,11 @@ class SoftObject:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a block stands in the plane."""
+    """Where a block stands in the plane.
+
+    Raises:
+        ValueError: a size that can't be.
+    """
 
     centre: Pair
     """[m]."""
@@ -73,6 +81,10 @@ class Placed:
     """Its width and thickness [m]."""
     degrees: float = 0.0
     """By how much its width is turned from the x axis, anticlockwise."""
+
+    def __post_init__(self) -> None:
+        if min(self.size) <= 0:
+            raise ValueError("its size is not positive; give width and thickness in m.")
 
     @property
     def half(self) -> np.ndarray:
@@ -127,11 +139,20 @@ MOST_STEPS = 400
 
 
 @dataclass(frozen=True)
-class PlanFile:
-    """Fields of a scene's file.
+class Piece:
+    """A piece of tissue in the file."""
+
+    kind: str
+    centre: Pair
+    degrees: float = 0.0
+
+
+@dataclass(frozen=True)
+class PlanScene:
+    """Fields of the file of a plane.
 
     Raises:
-        ValueError: numbers that can't be.
+        ValueError: numbers that can't be, tissue of a kind that there is not.
     """
 
     area: tuple[Pair, Pair]
@@ -139,12 +160,11 @@ class PlanFile:
     start: Pair
     goal: Pair
     """Of the tip [m]."""
-    objects: dict[str, dict[str, Any]]
-    """Kinds of tissue by name, with the fields of `SoftObject`."""
-    tissue: tuple[dict[str, Any], ...]
-    """Pieces of it: `kind`, `centre` [m], `degrees`."""
-    obstacles: tuple[dict[str, Any], ...] = ()
-    """What never gives way: `centre`, `size` (width, thickness) [m], `degrees`."""
+    objects: dict[str, SoftObject]
+    """Kinds of tissue by name."""
+    tissue: tuple[Piece, ...]
+    obstacles: tuple[Placed, ...] = ()
+    """What never gives way."""
     tip_radius: float = 0.005
     """[m]."""
     alpha: float = 0.5
@@ -155,59 +175,80 @@ class PlanFile:
             raise ValueError(f"alpha is {self.alpha:g}; give 0 (the shortest way) to 1.")
         if not self.tip_radius > 0 or self.area[0][0] >= self.area[1][0] or self.area[0][1] >= self.area[1][1]:
             raise ValueError("tip_radius is to be positive, and area's first corner below and left of its second.")
+        for piece in self.tissue:
+            if piece.kind not in self.objects:
+                raise ValueError(f"there is no object '{piece.kind}' of tissue; objects has {list(self.objects)}.")
+
+    @property
+    def pieces(self) -> list[tuple[str, Placed]]:
+        """Kind and place of every piece of tissue."""
+        objects = self.objects
+        return [(each.kind, Placed(each.centre, objects[each.kind].size[:2], each.degrees)) for each in self.tissue]
 
 
 @dataclass(frozen=True)
-class PieceFile:
-    """A piece of tissue in the file."""
+class SpaceScene:
+    """Fields of the file of a scene in space.
 
-    kind: str
-    centre: Pair
-    degrees: float = 0.0
+    In it `calibration`, a file of calibrate.py next to it, may tell young and young_log_sd.
+
+    Raises:
+        ValueError: numbers that can't be.
+    """
+
+    mesh: str
+    """The body's closed surface, next to this file: PLY, STL, OBJ, or what else trimesh reads."""
+    start: Triple
+    goal: Triple
+    """Of the tip's centre [m]."""
+    port: Triple
+    """Which the shaft goes through [m]."""
+    limit_N: float
+    """Of the force on the instrument: the upper end of its interval keeps below it all along the path."""
+    young: float
+    """E [Pa]."""
+    young_log_sd: float = 0.0
+    """Standard deviation of its logarithm."""
+    unit: Literal["m", "cm", "mm"] = "m"
+    """Of the mesh's file; all else is in metres."""
+    poisson: float = 0.45
+    tip_radius: float = 0.0025
+    """Of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
+    alpha: float = 0.5
+    """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
+    speed: float = 0.01
+    """Of the tip [m/s]."""
+    frame: str = "map"
+    """Name of the mesh's frame in path.json."""
+
+    def __post_init__(self) -> None:
+        positive = ("limit_N", "young", "tip_radius", "speed")
+        require_numbers(self, positive=positive, not_negative=("young_log_sd",))
+        if not (0 <= self.alpha <= 1 and 0 <= self.poisson < 0.5 and self.tip_radius <= 0.025):
+            raise ValueError("alpha is to be 0 to 1, poisson from 0 to below 0.5, tip_radius 0.025 m at most.")
 
 
-@dataclass(frozen=True, eq=False)
-class PlanScene:
-    """A scene, read."""
-
-    area: np.ndarray
-    """Corners, shape [2, 2] [m]."""
-    start: np.ndarray
-    goal: np.ndarray
-    """Shape [2] each [m]."""
-    kinds: dict[str, SoftObject]
-    tissue: list[tuple[str, Placed]]
-    """Kind and place of every piece."""
-    obstacles: list[Placed]
-    tip_radius: float
-    """[m]."""
-    alpha: float
-
-
-def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene:
-    """Read a scene.
+def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene | SpaceScene:
+    """Read a scene; one with a mesh is in space.
 
     Args:
         path: YAML file.
         alpha: 0 = the shortest path, 1 = the gentlest; None = as the file has it.
 
     Raises:
-        InputError: it can't be read, or can't be.
+        InputError: it, or its calibration, can't be read, or can't be.
     """
-    where = printable(path)
-    file = from_mapping(PlanFile, read_mapping(path, "a scene to plan in"), where)
-    objects = file.objects.items()
-    kinds = {name: from_mapping(SoftObject, values, f"{where}, object {name}") for name, values in objects}
-    tissue = []
-    for number, values in enumerate(file.tissue, start=1):
-        piece = from_mapping(PieceFile, values, f"{where}, tissue {number}")
-        if piece.kind not in kinds:
-            raise InputError(f"{where}, tissue {number}: there is no object '{piece.kind}'; objects has {list(kinds)}.")
-        tissue.append((piece.kind, Placed(piece.centre, kinds[piece.kind].size[:2], piece.degrees)))
-    obstacles = []
-    for number, values in enumerate(file.obstacles, start=1):
-        obstacles.append(from_mapping(Placed, values, f"{where}, obstacle {number}"))
-        if min(obstacles[-1].size) <= 0:
-            raise InputError(f"{where}, obstacle {number}: its size is not positive; give width and thickness in m.")
-    places = np.array(file.area), np.array(file.start), np.array(file.goal)
-    return PlanScene(*places, kinds, tissue, obstacles, file.tip_radius, file.alpha if alpha is None else alpha)
+    where, values = printable(path), read_mapping(path, "a scene to plan in")
+    if alpha is not None:
+        values["alpha"] = alpha
+    if "mesh" not in values:
+        return from_mapping(PlanScene, values, where)
+    if "calibration" in values:
+        if "young" in values:
+            raise InputError(f"{where}: young and calibration each tell E; give one.")
+        values["young"], values["young_log_sd"] = palpated_young(path.parent / str(values.pop("calibration")))
+    scene = from_mapping(SpaceScene, values, where)
+    mesh = path.parent / scene.mesh
+    if not mesh.is_file():
+        raise InputError(f"{where}: there is no mesh {printable(mesh)}; give its file.")
+    return replace(scene, mesh=str(mesh))

@@ -16,7 +16,7 @@ from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import kept
 from palpate.planning.pressing import PressingCosts, unit_press
 from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours, shortened
-from palpate.planning.space import SpaceScene
+from palpate.planning.scene import SpaceScene
 from palpate.planning.surface import measure
 
 NODES, NEIGHBOURS, JOINED = 3000, 12, 40

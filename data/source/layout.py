@@ -4,6 +4,7 @@ The default instance is CholecSeg8k; other sequences are described in a YAML fil
 """
 
 import dataclasses
+import inspect
 import itertools
 import json
 import math
@@ -12,7 +13,7 @@ import re
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import yaml
@@ -118,7 +119,7 @@ def load_layout(path: Path | str) -> ClipLayout:
 
 
 def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
-    """A dataclass of settings from the mapping of a file; lists become tuples.
+    """A dataclass of settings from the mapping of a file; lists become tuples, mappings in it the dataclasses it holds.
 
     Raises:
         InputError: no mapping, an unknown or a missing key, a value of another kind than the field's annotation, or an
@@ -127,18 +128,33 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
     if not isinstance(values, dict):
         raise InputError(f"{where} is not a mapping of names to values; write one.")
     kinds = get_type_hints(kind)
+    values = values | {
+        name: _nested(kinds[name], values[name], f"{where}, {name},") for name in kinds if name in values
+    }
     for name, value in values.items():
         if name not in kinds:
             raise InputError(f"{where} has the unknown key {shown(name)}; known are {', '.join(kinds)}.")
         if not fits(value, kinds[name]):
             raise InputError(f"{where} gives {name} {shown(value)}; give {described(kinds[name])}.")
-    for name in kinds:
-        if name not in values and not hasattr(kind, name):  # a default is an attribute of the class
+    for name, each in inspect.signature(kind).parameters.items():
+        if name not in values and each.default is each.empty:
             raise InputError(f"{where} lacks '{name}'; give {described(kinds[name])}.")
     try:
         return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
     except ValueError as error:
         raise InputError(f"{where} can't be used: {error}") from error
+
+
+def _nested(kind: Any, value: Any, where: str) -> Any:
+    """A field's value; mappings become the dataclasses that its annotation is, or holds in a tuple or by name."""
+    if dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_mapping(kind, value, where)
+    held = next(filter(dataclasses.is_dataclass, get_args(kind)), None)
+    if held is not None and isinstance(value, dict):
+        return {name: _nested(held, each, f"{where} {shown(name)}") for name, each in value.items()}
+    if held is not None and isinstance(value, list):
+        return [_nested(held, each, f"{where} {number}") for number, each in enumerate(value, start=1)]
+    return value
 
 
 def read_mapping(path: Path, meaning: str) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
-from palpate.estimators.calibration_file import palpated_young
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
@@ -33,6 +32,7 @@ from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
+from palpate.estimators.palpated import palpated_young
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics

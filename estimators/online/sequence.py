@@ -15,12 +15,12 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
-from palpate.estimators.calibration_file import palpated_young
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
+from palpate.estimators.palpated import palpated_young
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.pbd.body import make_body
 

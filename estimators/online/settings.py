@@ -1,8 +1,8 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_type_hints
+from typing import Literal
 
 from palpate.common.settings import require_choices, require_numbers
 from palpate.data.source.layout import from_mapping, read_mapping
@@ -123,9 +123,6 @@ def load_settings(path: Path) -> OnlineSettings:
         InputError: unreadable file, an unknown key, or an impossible value.
     """
     values = read_mapping(path, "a file of settings")
-    for name, kind in get_type_hints(OnlineSettings).items():
-        if is_dataclass(kind):
-            values[name] = from_mapping(kind, values.get(name, {}), f"{path}, {name},")
     settings = from_mapping(OnlineSettings, values, str(path))
     files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
     return replace(settings, **files)

@@ -15,6 +15,7 @@ from palpate.common.settings import LARGEST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
+from palpate.estimators.palpated import YOUNG
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
 from palpate.estimators.palpation.registration import View, join_views, placed
@@ -27,8 +28,8 @@ MOST_BYTES = 2**26
 """Of a surface's file."""
 MOST_CELLS = 24
 """Along the longest side; unknowns grow with their cube."""
-YOUNG, FORCES = (1.0, 1e12), (1e-6, 1e4)
-"""What there is of Young's moduli [Pa], and of forces that a hand or an instrument presses with [N]."""
+FORCES = 1e-6, 1e4
+"""Of what a hand or an instrument presses with [N]."""
 PRESSED = 0.6
 """Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then
 (docs/reports/palpation.md)."""

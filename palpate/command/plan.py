@@ -24,15 +24,13 @@ from palpate.common.command_line import described_parser, path_option, progress_
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
-from palpate.data.source.layout import InputError, read_mapping
-from palpate.physics.fem import NoEquilibrium
+from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import open_tables
 from palpate.planning.pictures import Pressed, draw_in_space, draw_plan, force_along
 from palpate.planning.press import simulate_press
-from palpate.planning.roadmap import MILLI, Blocked, EdgeCosts, Plan, find_plan
+from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
 from palpate.planning.sampled import plan_by_ompl
-from palpate.planning.scene import PlanScene, read_plan_scene
-from palpate.planning.space import SpaceScene, read_space_scene
+from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, as_path, waypoints
 from palpate.results.store import OutputError, make_output, writing
@@ -64,28 +62,27 @@ def main(arguments: list[str] | None = None) -> int:
     if options.alpha is not None and options.alpha > 1:
         parser.error(f"--alpha is {options.alpha:g}; give 0 to 1.")
     try:
-        values = read_mapping(options.scene, "a scene to plan in")
+        scene = read_plan_scene(options.scene, options.alpha)
         cache = options.cache or options.output / "presses"
         with writing(options.output):
-            require_own(*(options.output / name for name in (SPACE_NAMES if "mesh" in values else NAMES)))
-        if "mesh" in values:
-            space = read_space_scene(options.scene, values, options.alpha)
-            return _plan_in_space(space, options, cache, console)
+            require_own(*(options.output / name for name in (SPACE_NAMES if isinstance(scene, SpaceScene) else NAMES)))
+        if isinstance(scene, SpaceScene):
+            return _plan_in_space(scene, options, cache, console)
         if options.planner != "roadmap":
             raise InputError(f"{options.scene} has no mesh, which --planner is for; leave the option out.")
-        return _plan(read_plan_scene(options.scene, options.alpha), options.output, cache, console)
+        return _plan(scene, options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
-    except (Blocked, NoEquilibrium, ValueError) as error:
+    except ValueError as error:
         say(console, f"{options.scene}: {error}", "red")
     return 1
 
 
 def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     make_output(output)  # before what takes minutes
-    simulated = dict.fromkeys(scene.kinds, 0)
+    simulated = dict.fromkeys(scene.objects, 0)
     with progress_bars(console) as progress, writing(cache):
-        bars = {name: progress.add_task(f"presses on {name}", total=None) for name in scene.kinds}
+        bars = {name: progress.add_task(f"presses on {name}", total=None) for name in scene.objects}
 
         def report(name: str, done: int, of: int) -> None:
             simulated[name] = done
@@ -154,7 +151,7 @@ def _simulated(costs: EdgeCosts, plan: Plan) -> list[Pressed]:
     gone = np.cumsum(np.linalg.norm(ends - starts, axis=1)) - np.linalg.norm(ends - starts, axis=1)
     presses = []
     for found in costs.presses(starts, ends):
-        kind = scene.kinds[found.kind]
+        kind = scene.objects[found.kind]
         for row, line in enumerate(found.lines):
             curve = simulate_press(kind, scene.tip_radius, found.places[row], float(found.angles[row]))
             begin, length = float(gone[line] + found.reached[row]), float(found.lengths[row])

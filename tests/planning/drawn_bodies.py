@@ -28,7 +28,7 @@ from palpate.physics.fem import Material, find_equilibrium, make_solid, mesh_sur
 from palpate.planning.pressing import PressingCosts
 from palpate.planning.roadmap import MILLI, Blocked
 from palpate.planning.sampled import plan_by_ompl
-from palpate.planning.space import SpaceScene
+from palpate.planning.scene import SpaceScene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import waypoints
 

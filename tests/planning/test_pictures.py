@@ -12,8 +12,8 @@ from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED
 
 SCENE = read_plan_scene(SHIPPED)
-_, PIECE = SCENE.tissue[1]
-KIND = SCENE.kinds["curtain"]
+_, PIECE = SCENE.pieces[1]
+KIND = SCENE.objects["curtain"]
 
 
 def pressed(begin: float, length: float) -> Pressed:

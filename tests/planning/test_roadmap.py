@@ -15,8 +15,8 @@ from tests.planning.test_scene import SHIPPED
 def costs(work: float, **changed: object) -> EdgeCosts:
     """Every press does the same work in the end, growing with its length."""
     scene = dataclasses.replace(read_plan_scene(SHIPPED), **changed)
-    (places, angles), shares = grid_of(scene.kinds["curtain"]), np.linspace(0, 1, 41)
-    lengths, works = scene.kinds["curtain"].longest * shares, np.tile(work * shares, (len(places), 1))
+    (places, angles), shares = grid_of(scene.objects["curtain"]), np.linspace(0, 1, 41)
+    lengths, works = scene.objects["curtain"].longest * shares, np.tile(work * shares, (len(places), 1))
     return EdgeCosts(scene, {"curtain": CostTable(places, angles, lengths, works, 0.0045)})
 
 

@@ -31,12 +31,12 @@ def test_a_disc_touches_where_geometry_says() -> None:
 
 def test_the_shipped_scene_is_read() -> None:
     scene = read_plan_scene(SHIPPED)
-    assert [kind for kind, _ in scene.tissue] == ["curtain", "curtain"]
-    assert scene.kinds["curtain"].held == ("top",)
+    assert [kind for kind, _ in scene.pieces] == ["curtain", "curtain"]
+    assert scene.objects["curtain"].held == ("top",)
     # The tip fits between them.
     inner = [
         piece.outside_frame(np.array([side * piece.half[0], 0]))[0]
-        for (_, piece), side in zip(scene.tissue, (1, -1), strict=True)
+        for (_, piece), side in zip(scene.pieces, (1, -1), strict=True)
     ]
     assert 2 * scene.tip_radius < inner[1] - inner[0] < 4 * scene.tip_radius
 

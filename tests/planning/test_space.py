@@ -18,8 +18,7 @@ from palpate.planning.press import simulate_press
 from palpate.planning.pressing import RADIUS, WORK_SD, PressingCosts, unit_press
 from palpate.planning.roadmap import Blocked
 from palpate.planning.sampled import plan_by_ompl
-from palpate.planning.scene import SoftObject
-from palpate.planning.space import SpaceScene
+from palpate.planning.scene import SoftObject, SpaceScene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.surface import measure
 from palpate.planning.waypoints import waypoints

@@ -4,8 +4,9 @@
 
 Every seed draws a sheet of two parts, its thickness and a pull of 60 frames. Maps are compared by Spearman's rank
 correlation between Gauss–Newton's and Adam's steps, and between followed points with clouds and points alone, where
-both are determined. 90 % intervals are those of Gauss–Newton's map by points with clouds: of stiffness relative to its
-mean (of logarithms) where tissue has stretched, and of E by the force at the grip and by a palpation at one place.
+both are determined; with the truth where tissue has stretched. 90 % intervals are those of Gauss–Newton's map by points
+with clouds: of stiffness relative to its mean (of logarithms) where tissue has stretched, and of E by the force at the
+grip and by a palpation at one place.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -14,6 +15,7 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import dataclasses
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,6 +41,8 @@ from tests.sequences import FPS, SHIFT, TURN, write_sequence
 MODULUS = 1.7 - 0.5**2 / 1.7
 """E times thickness of the drawn net where springs along rows are 1: it is isotropic, C₁₁ 1.7 and C₁₂ 0.5 of them."""
 FRAMES, PALPATED_SD = 60, 0.15
+KINDS = "stiffness", "E by force", "its stiff part", "E by palpation", "its stiff part there"
+"""Of intervals."""
 LEAST = 10
 """Particles that both maps determine, at least, for a rank correlation."""
 
@@ -173,26 +177,36 @@ def rank(one: ParticleField, other: ParticleField) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Judge; returns the exit status."""
     chosen = options(Options, arguments, "tests.estimators.online.drawn_pulls", __doc__)
-    held: dict[str, list[np.ndarray]] = {"stiffness": [], "E by force": [], "E by palpation": []}
+    held: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.seed, chosen.seed + chosen.pulls):
             pull = draw_pull(seed, Path(folder) / str(seed))
             newton, driven = followed(pull.path, "gauss-newton", chosen.fitted)
             adam, _ = followed(pull.path, "adam", chosen.fitted)
             points, _ = followed(pull.path, "gauss-newton", chosen.fitted, clouds=False)
-            true, young = pull.young(newton), newton.young
-            held["stiffness"].append(relative_holds(true, newton, driven.stretched))
-            held["E by force"].append(np.zeros(0, bool) if young is None else holds(true, young))
-            held["E by palpation"].append(holds(true, by_palpation(pull, newton, driven)))
+            true, nowhere = pull.young(newton), np.full((3, len(newton.rest)), np.nan)
+            stiff = true > pull.soft
+            force = nowhere if newton.young is None else newton.young
+            palpated = by_palpation(pull, newton, driven)
+            new = [relative_holds(true, newton, driven.stretched)]
+            for young in (force, palpated):
+                new += [holds(true, young), holds(true[stiff], young[:, stiff])]
+            for name, each in zip(KINDS, new, strict=True):
+                held[name].append(each)
             shares = ", ".join(f"{field.known.mean():.0%}" for field in (newton, adam, points))
-            counts = ", ".join(f"{name} {found[-1].sum()} of {len(found[-1])}" for name, found in held.items())
             truth = float(spearmanr(newton.distance[driven.stretched], true[driven.stretched]).statistic)
-            print(
-                f"{seed}: determined by Gauss–Newton, Adam, points alone {shares}; ranks of the first with Adam's "
-                f"{rank(newton, adam):.2f}, with points' {rank(newton, points):.2f}, with the truth where stretched "
-                f"{truth:.2f}; intervals that hold: {counts}",
-                flush=True,
-            )
+            ranks = f"{rank(newton, adam):.2f}, with points' {rank(newton, points):.2f}, with the truth {truth:.2f}"
+            counts = ", ".join(f"{name} {found[-1].sum()} of {len(found[-1])}" for name, found in held.items())
+            print(f"{seed}: determined by Gauss–Newton, Adam, points alone {shares}; ranks with Adam's {ranks}")
+            print(f"  intervals that hold: {counts}")
+            if newton.young is not None:
+                off, wide = (force[0] / true)[newton.known], (force[2] / force[0])[newton.known].max()
+                parts = [off[part[newton.known]] for part in (~stiff, stiff)]
+                medians = ", ".join(f"{np.median(part):.2f}" if len(part) else "none" for part in parts)
+                print(
+                    f"  E by force over the true one, soft and stiff part: {medians}; intervals up to {wide:.2f}-fold"
+                )
+            sys.stdout.flush()
     for name, found in held.items():
         some = [each for each in found if len(each)]
         if not some:

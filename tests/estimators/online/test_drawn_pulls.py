@@ -24,11 +24,11 @@ def test_what_is_counted() -> None:
 @pytest.mark.slow
 def test_maps_of_a_drawn_pull_agree_and_their_intervals_hold(capsys: pytest.CaptureFixture[str]) -> None:
     assert drawn_pulls.main(["--pulls", "1", "--seed", "772001"]) == 0
-    pull, *kinds = capsys.readouterr().out.splitlines()
-    found = re.findall(r"Adam's ([-.\d]+), with points' ([-.\d]+), with the truth where stretched ([-.\d]+)", pull)[0]
+    out = capsys.readouterr().out
+    found = re.findall(r"Adam's ([-.\d]+), with points' ([-.\d]+), with the truth ([-.\d]+)", out)[0]
     assert min(map(float, found)) > 0.7
-    shares = re.findall(r"(\d+)% of (\d+) intervals hold", "\n".join(kinds))
-    assert len(shares) == 3
+    shares = re.findall(r"(\d+)% of (\d+) intervals hold", out)
+    assert len(shares) == 5
     for share, count in shares:
         assert int(share) >= 80
-        assert int(count) > 100
+        assert int(count) > 40

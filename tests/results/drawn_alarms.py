@@ -28,10 +28,10 @@ from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, suite_clip_seed
-from palpate.results.alarm import ABOVE, BELOW, UNKNOWN, ForceAlarm, upper_force
+from palpate.results.alarm import ABOVE, BELOW, UNKNOWN, ForceAlarm, known_seconds, upper_force
 
 LIMITS = 0.03, 0.055, 0.1, 0.15, 0.2
-"""[scene units]; forces are 0.03 to 0.14."""
+"""[scene units]; forces are 0.03 to 0.15."""
 SUITES = "clean", "noisy"
 
 
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     estimator = open_estimator(EstimatorOptions("network", threads=1))
     assert isinstance(estimator, NetworkEstimator)
     tallies = {(suite, limit): Tally() for suite in SUITES for limit in LIMITS}
-    forces = []
+    seconds, forces = known_seconds(estimator)[0], []
     for index in range(chosen.presses):
         suite = SUITES[index % len(SUITES)]
         settings = EVERY[suite].settings(index // len(SUITES), GRID_SIZE)
@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         forces.append(force)
         for limit in LIMITS:
             tally = tallies[suite, limit]
-            watch(tally, ForceAlarm.of(estimator, limit, "scene units", info.fps), output, force)
+            watch(tally, ForceAlarm(limit, "scene units", seconds, 1 / info.fps), output, force)
             tally.under_s += last * (force < limit)
     rows = []
     for (suite, limit), tally in tallies.items():

@@ -9,6 +9,7 @@ from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.records import FrameEstimate
 from palpate.results.alarm import ForceAlarm
 from tests.estimators.estimates import ESTIMATE, NONE
+from tests.results import drawn_alarms
 from tests.results.drawn_alarms import Tally, watch
 
 WIDE = math.exp(NINETY * 0.05)
@@ -32,3 +33,15 @@ def test_what_is_counted(force: float, limit: float, false: int, over: int, miss
     assert tally.false == [pytest.approx(WIDE * 0.1 / force)] * false
     assert tally.frames["unknown"] == 1
     assert tally.frames.total() == 3
+
+
+@pytest.mark.slow
+def test_the_command_judges_a_clean_and_a_noisy_press(capsys: pytest.CaptureFixture[str]) -> None:
+    assert drawn_alarms.main(["--presses", "2", "--seed", "775001"]) == 0
+    first, _, *table = capsys.readouterr().out.splitlines()
+    assert first == "2 presses, forces of 0.036 to 0.053"
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:] if line]
+    wanted = [(suite, f"{limit:g}") for suite in drawn_alarms.SUITES for limit in drawn_alarms.LIMITS]
+    assert [(row[0], row[1]) for row in rows] == wanted
+    assert {row[2] for row in rows} == {"0 of 0"}  # neither force lies over a limit by more than an interval
+    assert all(row[4] == "" for row in rows if row[1] == "0.03")  # no press lies under that

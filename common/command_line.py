@@ -28,7 +28,7 @@ def described_parser(program: str, text: str | None, statuses: str) -> argparse.
 
 
 def add_listed(
-    parser: argparse.ArgumentParser,
+    parser: argparse._ActionsContainer,
     listed: Mapping[str, Mapping[str, Any]],
     types: Mapping[str, Callable[[str], Any]],
     choices: Mapping[str, Collection[str]] | None = None,
@@ -37,7 +37,7 @@ def add_listed(
     """Give a parser options that a YAML file lists.
 
     Args:
-        parser: gets them.
+        parser: gets them, or a group of one.
         listed: what `add_argument` takes, by option; types and choices by their names.
         types, choices: by name.
         words: stand for their braces in the help.

@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.common.command_line import path_option
-from palpate.common.files import file_sha256, read_file
+from palpate.common.command_line import add_listed, path_option
+from palpate.common.files import file_sha256, read_beside, read_file
 from palpate.data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
 from palpate.data.contact.interaction import PRESS
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, WITHIN
@@ -166,17 +166,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Export or calibrate; returns the exit status."""
     program, text = "python -m estimators.network.calibration", __doc__.split("\n")[0]
     parser = argparse.ArgumentParser(prog=program, description=text)
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--weights", type=path_option, help="posterior.pt of configs/contact.yaml, to export")
-    source.add_argument("--model", type=path_option, metavar="FILE", help="exported posterior, to calibrate")
-    parser.add_argument("--output", type=path_option, required=True, help="ONNX file to write")
-    text = "results of evaluation.benchmark --split validation with that file"
-    for name, more in (
-        ("--validation", ""),
-        ("--pressed", f" --seen {PRESS}"),
-        ("--between", " --suite late-onset --onset between"),
-    ):
-        parser.add_argument(name, type=path_option, nargs="+", metavar="DIR", help=text + more)
+    listed = read_beside(__file__)
+    add_listed(parser.add_mutually_exclusive_group(required=True), listed["source"], {"path": path_option})
+    add_listed(parser, listed["options"], {"path": path_option}, pressed=PRESS)
     options = parser.parse_args(arguments)
     results = options.validation, options.pressed
     if options.model is not None and None in results:

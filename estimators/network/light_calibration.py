@@ -25,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.common.command_line import path_option
-from palpate.common.files import file_sha256
+from palpate.common.command_line import add_listed, path_option
+from palpate.common.files import file_sha256, read_beside
 from palpate.data.source.layout import read_mapping
 from palpate.estimators.network.calibration import RECORD, rows_in
 from palpate.estimators.network.causal_graph import write_causal
@@ -66,14 +66,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Add, calibrate or write the graph; returns the exit status."""
     program, text = "python -m estimators.network.light_calibration", __doc__.split("\n")[0]
     parser = argparse.ArgumentParser(prog=program, description=text)
-    parser.add_argument("--model", type=path_option, required=True, metavar="FILE", help="exported contact posterior")
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--light", type=path_option, metavar="FILE", help="light.pt of configs/light.yaml, to add")
-    text = "results of evaluation.plain_video --estimator network with --model"
-    what.add_argument("--results", type=path_option, nargs="+", metavar="DIR", help=text)
-    text = "write features, network and calibration as one graph that goes frame by frame"
-    what.add_argument("--one-graph", action="store_true", help=text)
-    parser.add_argument("--output", type=path_option, required=True, metavar="FILE", help="ONNX file to write")
+    listed = read_beside(__file__)
+    add_listed(parser, listed["options"], {"path": path_option})
+    add_listed(parser.add_mutually_exclusive_group(required=True), listed["what"], {"path": path_option})
     options = parser.parse_args(arguments)
     try:
         if options.light is not None:

@@ -1,11 +1,12 @@
 """From measured forces to material constants.
 
-    palpate calibrate palpation SCENE.yaml --output OUT
+    palpate calibrate palpation SCENE.yaml|SEQUENCE.yaml --output OUT
     palpate calibrate curves FILE.csv … --output OUT [--indenter sphere --size MM] [--poisson NU] [--predict MM …]
 
 palpation   Young's modulus and Poisson's ratio from a surface, and forces with the deformed surfaces that they leave
-            (Frank 2010). Writes calibration.json, errors.csv, the distance of every point from the fitted surface, and
-            errors.png, where these lie, next to those of a body half as stiff.
+            (Frank 2010), or from clouds, poses and forces of a robot whose tool presses (sequence.yaml). Writes
+            calibration.json, errors.csv, the distance of every point from the fitted surface, and errors.png, where
+            these lie, next to those of a body half as stiff.
 curves      a modulus [kPa] for every probe where the indenter is stated, a stiffness [N/mm] otherwise, from tables of
             probes (probe, contact_x …, depth_mm, fn_N), of a press (depth_mm, force_N) or of a pull (pull_mm,
             force_N); where the curve stiffens, by how much; and the force beyond its largest depth where that is told
@@ -24,8 +25,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import described_parser, path_option, real_number, say
-from palpate.common.files import as_json
+from palpate.common.command_line import add_listed, described_parser, path_option, real_number, say
+from palpate.common.files import as_json, read_beside
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
@@ -51,28 +52,22 @@ PALPATION = ("calibration.json", "errors.csv", "errors.png")
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
 
 
+TYPES = {
+    "path": path_option,
+    "size": real_number("a positive number", 1e-6),
+    "poisson": real_number("from 0 to 0.5", 0.0),
+}
+CHOICES = {"scenes": tuple(FORMATS), "indenters": ("sphere", "flat", "cone")}
+"""What calibrate.yaml calls types and choices."""
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate calibrate", __doc__, statuses)
     doors = parser.add_subparsers(dest="what", required=True)
-    palpation = doors.add_parser("palpation", help="surfaces under forces")
-    palpation.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="see docs/reports/palpation.md")
-    text = "of the sheet that the tissue's surface is on video, for infer.py --calibration"
-    thickness = real_number("a positive number", 1e-6)
-    palpation.add_argument("--sheet-thickness", type=thickness, metavar="MM", help=text)
-    palpation.add_argument("--export", choices=list(FORMATS), help="write a scene of each palpation (docs/results.md)")
-    curves = doors.add_parser("curves", help="forces over depth or time")
-    curves.add_argument("files", nargs="+", type=path_option, metavar="FILE", help="tables")
-    curves.add_argument("--indenter", choices=("sphere", "flat", "cone"), help="its shape (default: unknown)")
-    size = real_number("a positive number", 1e-6)
-    curves.add_argument("--size", type=size, metavar="MM", help="its radius, of a cone its half-angle in degrees")
-    poisson = real_number("from 0 to 0.5", 0.0)
-    curves.add_argument("--poisson", type=poisson, default=0.5, metavar="NU", help="of the tissue (default 0.5)")
-    text = "where the force is predicted (default: 1.25, 1.5 and 2 times as far as each curve goes)"
-    curves.add_argument("--predict", type=size, nargs="+", metavar="MM", help=text)
-    for door in (palpation, curves):
-        door.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
+    for name, door in read_beside(__file__).items():
+        add_listed(doors.add_parser(name, help=door["help"]), door["options"], TYPES, CHOICES)
     return parser
 
 

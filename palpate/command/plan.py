@@ -20,8 +20,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import described_parser, path_option, progress_bars, real_number, say
-from palpate.common.files import as_json
+from palpate.common.command_line import (
+    add_listed,
+    described_parser,
+    path_option,
+    progress_bars,
+    real_number,
+    say,
+)
+from palpate.common.files import as_json, read_beside
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
@@ -36,6 +43,7 @@ from palpate.planning.waypoints import COLUMNS, as_path, waypoints
 from palpate.results.store import OutputError, make_output, writing
 
 NAMES = ("plan.json", "plan.png")
+PLANNERS, SHARE = ("roadmap", "ompl"), real_number("a number from 0 on", 0.0)
 SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
 
 
@@ -43,15 +51,7 @@ def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 a way was found; 1 there is none, or something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate plan", __doc__, statuses)
-    parser.add_argument("scene", type=path_option, metavar="SCENE.yaml", help="as configs/scenes/two_curtains.yaml")
-    parser.add_argument("--output", type=path_option, required=True, metavar="OUT", help="folder of the results")
-    share = real_number("a number from 0 on", 0.0)
-    parser.add_argument("--alpha", type=share, metavar="A", help="0 = the shortest way, 1 = the gentlest")
-    parser.add_argument("--cache", type=path_option, metavar="DIR", help="of simulated presses and road maps")
-    planner = "of a scene with a mesh: a road map (default), or OMPL's RRT*, which takes 20 s each time"
-    parser.add_argument("--planner", choices=("roadmap", "ompl"), default="roadmap", help=planner)
-    picture = "of a scene with a mesh: draw plan.png, which takes a second; without one it is always drawn"
-    parser.add_argument("--picture", action="store_true", help=picture)
+    add_listed(parser, read_beside(__file__), {"path": path_option, "share": SHARE}, {"planners": PLANNERS})
     return parser
 
 

@@ -8,34 +8,23 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from palpate.data.source.camera import Camera
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import UNITS, Sequence, moved
 from palpate.data.tracks.background import FAR
+from palpate.estimators.cloud_shape import CloudShape, view_across
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
 from palpate.estimators.palpated import palpated_young
-from palpate.physics.mesh import grid_mesh
 from palpate.physics.pbd.body import make_body
 
-DISTANCE = 10.0
-"""From which tissue is looked at, over its size."""
 PIXELS = 12.0
 """Between particles: followed points of a video at 600 particles have about as many."""
-NEIGHBOURS, SPARSE = 16, 4.0
-"""Points of a cloud that give a particle its height; over their usual distance, how near one must be."""
-ONE_SIDED = 0.75
-"""How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
-MOST_NODES = 20
-"""Places of the grid over particles: more are of a cloud that has some points far off."""
-STEEPEST = 3.0
-"""Longest edge of a triangle, over the distance of particles across the line of sight."""
 OF_VIDEO = ("match", "background", "pins", "path", "sheet_m", "palpation", "palpated_at")
 """Settings that a sequence's own file stands for."""
 
@@ -59,7 +48,7 @@ class SequenceTissue:
         self._sequence, self._begin = sequence, sequence.held[0]
         cloud = sequence.cloud(self._begin)
         self._tip = sequence.tool.tips(sequence.times[[self._begin]])[0]
-        self._view = _view(cloud, sequence.eye(self._begin)[:3, 3], self._tip)
+        self._view = view_across(cloud, sequence.eye(self._begin)[:3, 3], self._tip)
         self.surface = self._meshed(moved(cloud, self._view), settings)
         self._points = None if sequence.points is None else moved(sequence.points, self._view)
         rest = np.empty((0, 3)) if self._points is None else self._points[self._begin]
@@ -126,27 +115,10 @@ class SequenceTissue:
     def _meshed(self, cloud: np.ndarray, settings: OnlineSettings) -> Surface:
         """Particles on a cloud in the view's frame."""
         sequence = self._sequence
-        said = f"{printable(sequence.files[self._begin])} has too few points for a surface, or some far off"
-        sparse = InputError(f"{said}; give a denser cloud of tissue alone.")
-        if len(cloud) < NEIGHBOURS:
-            raise sparse
-        tree, (low, high) = KDTree(cloud[:, :2]), (cloud[:, :2].min(axis=0), cloud[:, :2].max(axis=0))
-        apart = max(SPARSE * float(np.median(tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
-        area = len(np.unique(np.floor(cloud[:, :2] / apart), axis=0)) * apart**2
-        layers = 1 if settings.thickness is None else layers_below(area, settings.thickness, settings.particles)
-        wide = np.sqrt(area * layers / settings.particles)
-        counts = np.maximum(np.round((high - low) / wide), 1) + 1
-        if counts.prod() > MOST_NODES * settings.particles:
-            raise sparse
-        across = [np.linspace(low[axis], high[axis], int(count)) for axis, count in enumerate(counts)]
-        nodes = np.stack(np.meshgrid(*across), axis=-1)
-        away, near = tree.query(nodes, NEIGHBOURS)
-        beside = np.linalg.norm(cloud[near, :2].mean(axis=2) - nodes, axis=2) > ONE_SIDED * away.mean(axis=2)
-        heights = np.average(cloud[near, 2], axis=2, weights=1 / (away**2 + apart**2))
-        covered = (away[..., 0] <= apart) & ~beside
-        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=STEEPEST * wide, alternating=True)
-        if len(mesh.vertices) < 3:
-            raise sparse
+        shape = CloudShape(cloud, printable(sequence.files[self._begin]))
+        layers = 1 if settings.thickness is None else layers_below(shape.area, settings.thickness, settings.particles)
+        wide = np.sqrt(shape.area * layers / settings.particles)
+        mesh = shape.mesh(wide)
         places = moved(mesh.vertices.astype(np.float64), np.linalg.inv(self._view))
         from_tip = np.linalg.norm(places - self._tip, axis=1)
         driven = from_tip <= max(sequence.grip_radius, from_tip.min())
@@ -163,25 +135,6 @@ class SequenceTissue:
         else:
             body = volume_below(mesh, pinned, settings.thickness, layers)
         focal = PIXELS * float(cloud[:, 2].mean() / wide)
-        camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in counts))
+        camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in mesh.grid_shape[::-1]))
         surface = Surface(body, mesh.triangles, np.flatnonzero(driven), np.empty((0, 2)), camera, 0.0)
         return dataclasses.replace(surface, pixels=surface.project(body.rest))
-
-
-def _view(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
-    """Pose of a cloud's frame for who looks along its mean normal, shape [4, 4], the same in whatever frame it is.
-
-    Args:
-        cloud: shape [m, 3] [m].
-        eye: that looks from the same side, shape [3] [m].
-        tip: which lies to the right, shape [3] [m].
-    """
-    middle = cloud.mean(axis=0)
-    axes = np.linalg.svd(cloud - middle, full_matrices=False)[2]
-    axes[2] *= -1.0 if axes[2] @ (eye - middle) > 0 else 1.0  # the third leads away from the eye
-    axes[0] *= -1.0 if axes[0] @ (tip - middle) < 0 else 1.0
-    axes[1] *= np.sign(np.linalg.det(axes))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, -axes @ middle
-    pose[2, 3] += DISTANCE * float(np.ptp(cloud @ axes.T, axis=0).max())
-    return pose

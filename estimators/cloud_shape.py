@@ -1,0 +1,83 @@
+"""The surface that a cloud of tissue shows, over the plane across the line of sight."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from palpate.data.source.layout import InputError
+from palpate.physics.mesh import Mesh, grid_mesh
+
+DISTANCE = 10.0
+"""From which tissue is looked at, over its size."""
+NEIGHBOURS, SPARSE = 16, 4.0
+"""Points of a cloud that tell the height of a place, at least; over their usual distance, how near one must be."""
+ONE_SIDED = 0.75
+"""How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
+WIDEST = 20
+"""Area of a grid over that of the cloud on it: more has a cloud with some points far off."""
+STEEPEST = 3.0
+"""Longest edge of a triangle, over the distance of vertices across the line of sight."""
+
+
+def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Pose of a cloud's frame for who looks along its mean normal, shape [4, 4], the same in whatever frame it is.
+
+    Args:
+        cloud: shape [m, 3] [m].
+        eye: that looks from the same side, shape [3] [m].
+        tip: which lies to the right, shape [3] [m].
+    """
+    middle = cloud.mean(axis=0)
+    axes = np.linalg.svd(cloud - middle, full_matrices=False)[2]
+    axes[2] *= -1.0 if axes[2] @ (eye - middle) > 0 else 1.0  # the third leads away from the eye
+    axes[0] *= -1.0 if axes[0] @ (tip - middle) < 0 else 1.0
+    axes[1] *= np.sign(np.linalg.det(axes))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, -axes @ middle
+    pose[2, 3] += DISTANCE * float(np.ptp(cloud @ axes.T, axis=0).max())
+    return pose
+
+
+class CloudShape:
+    """Heights over a plane, of a cloud that is looked at along z.
+
+    Args:
+        cloud: shape [m, 3] [m].
+        what: its file, for messages.
+        wide: over which distance heights are averaged [m]; over NEIGHBOURS points at least.
+
+    Raises:
+        InputError: there are too few points; so does `mesh`, and where some lie far off.
+    """
+
+    def __init__(self, cloud: np.ndarray, what: str, wide: float = 0.0) -> None:
+        said = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
+        self._cloud, self._sparse = cloud, InputError(said)
+        if len(cloud) < NEIGHBOURS:
+            raise self._sparse
+        self._tree = KDTree(cloud[:, :2])
+        self._apart = max(SPARSE * float(np.median(self._tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
+        self.area = len(np.unique(np.floor(cloud[:, :2] / self._apart), axis=0)) * self._apart**2
+        """Across the line of sight [m²]."""
+        self._neighbours = max(NEIGHBOURS, int(len(cloud) * wide**2 / self.area))
+
+    def heights(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
+        away, near = self._tree.query(places, self._neighbours)
+        middle = self._cloud[near, :2].mean(axis=-2)
+        beside = np.linalg.norm(middle - places, axis=-1) > ONE_SIDED * away.mean(axis=-1)
+        heights = np.average(self._cloud[near, 2], axis=-1, weights=1 / (away**2 + self._apart**2))
+        return heights, (away[..., 0] <= self._apart) & ~beside
+
+    def mesh(self, wide: float) -> Mesh:
+        """A grid's triangles over what is covered, its places so far apart [m]."""
+        low, high = self._tree.mins, self._tree.maxes
+        counts = np.maximum(np.round((high - low) / wide), 1).astype(int) + 1
+        if counts.prod() * wide**2 > WIDEST * self.area:
+            raise self._sparse
+        across = [np.linspace(*ends) for ends in zip(low, high, counts, strict=True)]
+        nodes = np.stack(np.meshgrid(*across), axis=-1)
+        heights, covered = self.heights(nodes)
+        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=STEEPEST * wide, alternating=True)
+        if len(mesh.vertices) < 3:
+            raise self._sparse
+        return mesh

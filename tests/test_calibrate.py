@@ -22,6 +22,7 @@ from palpate.physics.fem import Material, find_equilibrium
 from palpate.results.scene.files import read_scene
 from palpate.results.scene.kinds import simulated
 from tests.evaluation.palpation.test_curves import write_hold, write_probes
+from tests.palpated import SHIFT, TURN, write_palpation
 from tests.tables import read_rows
 
 
@@ -67,6 +68,34 @@ def test_the_example_s_stiffness_is_found_and_drawn(tmp_path, capsys, monkeypatc
     picture = read_image(tmp_path / "errors.png")
     assert picture.shape == (620, 1480, 3)
     assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 200
+
+
+@pytest.mark.slow
+def test_a_sequence_s_presses_tell_the_modulus_in_the_robot_s_frame(tmp_path, capsys):
+    """With a sensor that has a bias; the truth has another mesh."""
+    presses = [(0.35, (0.2, 1.0)), (0.5, (0.3, 4.0))]
+    path = write_palpation(tmp_path, presses, young=8e3, poisson=0.4, cells=8, noise=1e-4)
+    assert calibrate.main(["palpation", str(path), "--output", str(tmp_path / "out"), "--export", "vtk"]) == 0
+    record = strict(tmp_path / "out/calibration.json")
+    assert record["young_low_pa"] < 8e3 < record["young_high_pa"]
+    assert record["young_high_pa"] / record["young_low_pa"] < 1.8
+    assert record["poisson"] == pytest.approx(0.4, abs=3 * record["poisson_sd"])
+    assert record["source"] == "2 palpations of sequence.yaml"
+    assert record["surface_error_rms_m"] == pytest.approx(1e-4, rel=0.1)
+    nodes = read_scene(tmp_path / "out/scene_1.vtu").parts["points"]
+    assert np.abs((nodes - SHIFT) @ TURN).max() < 0.06
+    assert capsys.readouterr().out.startswith("E = ")
+
+
+def test_a_sequence_s_reversed_wrench_is_a_sentence(tmp_path, capsys):
+    path = write_palpation(tmp_path, [(0.9, (0.2, 1.0))], cells=4, edge=None, law="linear")
+    table = np.loadtxt(tmp_path / "forces.csv", delimiter=",", skiprows=1)
+    table[:, 1:] *= -1
+    np.savetxt(tmp_path / "forces.csv", table, "%.10g", ",", header="time_s,Fx,Fy,Fz", comments="")
+    assert calibrate.main(["palpation", str(path), "--output", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "what the tool does to the tissue; reverse Fx, Fy and Fz" in said
+    assert not (tmp_path / "out/calibration.json").exists()
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ class SequenceFile:
     tip: Place = (0.0, 0.0, 0.0)
     """Where the tool touches tissue, in its own frame."""
     grip_radius: float | None = None
-    """Tissue around the tip that moves with it; none = GRIPPED."""
+    """Tissue around the tip that moves with it, or on which it presses; none = GRIPPED."""
     gripped_s: tuple[float, float] | None = None
     """From when to when the tool holds tissue [s]; none = throughout."""
     pins: tuple[dict[str, Place], ...] = ()
@@ -73,7 +73,7 @@ class SequenceFile:
     forces: str | None = None
     """CSV file with time_s, Fx, Fy, Fz [N]: what the tissue does to the tool, in the tool's frame."""
     thickness: float | None = None
-    """Of the tissue as a sheet, with which forces tell kilopascals."""
+    """Of the tissue as a sheet, with which forces tell kilopascals; pressed, down to the flat support it lies on."""
     palpation: str | None = None
     """Or calibration.json of `palpate calibrate palpation`: E at one place."""
     palpated_at: Place | None = None

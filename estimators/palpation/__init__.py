@@ -9,7 +9,8 @@ skin        a scanned surface on coarser tetrahedra, and the closest places on i
 registration depth points laid onto a surface (ICP); several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
-scene       the file that names a surface and what was pressed on it
+scene       the file that names a surface and what was pressed on it, or a sequence beside a robot
+presses     what such a sequence shows: the surface at rest, and each press's largest force
 """
 
 from palpate.common.lazy import exported

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.estimators.palpation.registration import placed, register, thinned
+from palpate.data.source.sequence import moved
+from palpate.estimators.palpation.registration import register, thinned
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, Material, find_equilibrium
 from palpate.physics.fem.laws import respond
@@ -17,6 +18,8 @@ OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 SHOWN = 0.02
 """As in `registration`: motions that a body's facets alone show are the tool's to tell."""
+STOOD = 5e-4
+"""A pose whose place is known better isn't registered: a flat surface would slide under the tool [m]."""
 GRAZING = 0.2
 """Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
 
@@ -46,8 +49,10 @@ class Palpation:
 class Bench:
     """A body with its palpations, that counts what it simulates."""
 
-    def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
-        self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
+    def __init__(
+        self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str, widened: float = 1.0
+    ) -> None:
+        self.skin, self.held, self.palpations, self.law, self.widened = skin, held, palpations, law, widened
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         """Equilibria that were computed, those that failed included."""
@@ -57,12 +62,15 @@ class Bench:
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
-        self.poses = [register(thinned(each.points), surface, each.pose, shown=SHOWN) for each in palpations]
+        self.poses = [
+            each.pose if each.pose_shift < STOOD else register(thinned(each.points), surface, each.pose, shown=SHOWN)
+            for each in palpations
+        ]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []
         for pose, each in zip(self.poses, palpations, strict=True):
-            match = Match.of(placed(pose, each.points), *surface)
+            match = Match.of(moved(each.points, pose), *surface)
             normals = match.normal @ pose[:3, :3]
             back = -each.points / np.maximum(np.linalg.norm(each.points, axis=1, keepdims=True), 1e-300)
             self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))
@@ -119,7 +127,7 @@ class Bench:
         closest place isn't, and is closer wherever the surface bends.
         """
         sights = self.sights[which] @ pose[:3, :3].T
-        seen = placed(pose, self.palpations[which].points)
+        seen = moved(self.palpations[which].points, pose)
         match = Match.along(seen, sights, vertices, self.skin.triangles)
         return match, (match.normal * sights).sum(axis=1)
 
@@ -152,7 +160,7 @@ def surface_distance(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: 
 
 
 def _closest(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> tuple[Match, np.ndarray]:
-    match = Match.of(placed(pose, palpation.points), skin.moved(rest.displacement), skin.triangles)
+    match = Match.of(moved(palpation.points, pose), skin.moved(rest.displacement), skin.triangles)
     return match, beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
 
 
@@ -162,7 +170,7 @@ def across(palpation: Palpation, pose: np.ndarray) -> np.ndarray:
     first = np.eye(3)[int(np.abs(normal[0]) > 0.9)]
     first = first - (first @ normal) * normal
     first /= np.linalg.norm(first)
-    return (placed(pose, palpation.points) - palpation.contact) @ np.stack([first, np.cross(normal, first)], axis=1)
+    return (moved(palpation.points, pose) - palpation.contact) @ np.stack([first, np.cross(normal, first)], axis=1)
 
 
 def half_as_stiff(rest: Equilibrium) -> Equilibrium:

@@ -127,6 +127,8 @@ class System:
         self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
         self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
         self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
+        self.precision = self.weight / (bench.widened * self.noise) ** 2
+        """What a residual weighs, shape [R] [1/m²]."""
 
     def solved(self) -> System:
         """By Gauss–Newton steps, without a simulation."""
@@ -159,7 +161,7 @@ class System:
             turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
             off += [*turn, *gone[:3, 3]]
         normal, right = np.diag(self._precision()), -self._precision() * off
-        weighted = self.jacobian * (self.weight / self.noise**2)[:, None]
+        weighted = self.jacobian * self.precision[:, None]
         for which in range(len(self.poses)):
             own, unknowns = self.which == which, _unknowns(which, self.count)
             normal[np.ix_(unknowns, unknowns)] += weighted[own].T @ self.jacobian[own]
@@ -212,7 +214,7 @@ class System:
         count = len(self.sinks)
         some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
         own = inverse[: self.count, np.stack([_unknowns(which, self.count) for which in self.which[some]])]
-        gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.weight[some] / self.noise**2
+        gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.precision[some]
         reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
         apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
         correlation = np.exp(-apart / (2 * reach**2))
@@ -261,6 +263,9 @@ class FitSettings:
     """E to begin at [Pa]."""
     poisson: float = 0.3
     """ν to begin at."""
+    widened: float = 1.0
+    """Standard deviation of a point's distance from the surface at rest over the point's own: more than 1 where that
+    surface is made of points as noisy."""
     model_error: float = MODEL_ERRORS.palpated_motion
     """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
@@ -326,7 +331,7 @@ def fit_material(
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
         ValueError: a contact off the surface, too few points next to the hole, or a reversed force.
     """
-    bench = Bench(skin, held, palpations, settings.law)
+    bench = Bench(skin, held, palpations, settings.law, settings.widened)
     poisson = float(np.clip(settings.poisson, *POISSON))
     rests = bench.linear(settings.young, poisson)
     require_along(bench, settings.young, rests)

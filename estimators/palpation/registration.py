@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.skin import Match
 
 KEPT = 0.7
@@ -37,11 +38,6 @@ Triangles = tuple[np.ndarray, np.ndarray]
 """A surface: vertices [V, 3] [m], and triangles [F, 3]."""
 SEAM = 0.6
 """Of the median edge: what lies closer to an earlier view is the same surface."""
-
-
-def placed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [P, 3] under a pose [4, 4]."""
-    return points @ pose[:3, :3].T + pose[:3, 3]
 
 
 def turned(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -75,7 +71,7 @@ def register(
     found = np.asarray(pose, np.float64)
     size = float(np.ptp(points, axis=0).max())
     for _ in range(ROUNDS):
-        seen = placed(found, points)
+        seen = moved(points, found)
         match = Match.of(seen, *surface)
         near = match.apart <= np.quantile(match.apart, kept)
         centre = seen[near].mean(axis=0)
@@ -155,7 +151,7 @@ def join_views(views: Sequence[View]) -> Joined:
 
 def _oriented(view: View, pose: np.ndarray) -> Triangles:
     """A view in the world, its triangles facing the sensor."""
-    vertices = placed(pose, view.vertices)
+    vertices = moved(view.vertices, pose)
     one, two, three = vertices[view.triangles].transpose(1, 0, 2)
     away = (np.cross(two - one, three - one) * (pose[:3, 3] - one)).sum(axis=1) < 0
     return vertices, np.where(away[:, None], view.triangles[:, ::-1], view.triangles)

@@ -4,7 +4,7 @@ import codecs
 import io
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,11 +14,13 @@ from palpate.common.files import read_file
 from palpate.common.settings import LARGEST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.data.source.sequence import moved
 from palpate.data.source.table import read_columns
 from palpate.estimators.palpated import YOUNG
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
-from palpate.estimators.palpation.registration import View, join_views, placed
+from palpate.estimators.palpation.presses import read_presses
+from palpate.estimators.palpation.registration import Triangles, View, join_views
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
@@ -144,14 +146,17 @@ class Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene.
+    """Read a scene, or a sequence beside a robot (`data.source.sequence`) whose tool presses.
 
     Raises:
         InputError: it, or a file that it names, can't be read or can't be.
     """
-    scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
+    values = read_mapping(path, "a palpation scene")
+    if "poses" in values:
+        return _meshed(path, *read_presses(path))
+    scene = from_mapping(SceneFile, values, printable(path))
     views = _views(scene, path)
-    extent = _Extent(np.concatenate([placed(each.pose, each.vertices) for each in views]))
+    extent = _Extent(np.concatenate([moved(each.vertices, each.pose) for each in views]))
     axis = "xyz".index(scene.held_axis)
     inside, along = np.clip(np.zeros(3), extent.low, extent.high), np.eye(3, dtype=bool)[axis]
     said = f"{printable(path)}: held_below, {scene.held_below:g},"
@@ -165,30 +170,49 @@ def read_scene(path: Path) -> Scene:
         for number, values in enumerate(scene.palpations, start=1)
     ]
     vertices, triangles, notes = _surface(scene, views)
+    settings = FitSettings(scene.law, scene.young, scene.poisson)
+    shown = path.parent / (scene.surface or path.name)
+    how = np.eye(4), (axis, scene.held_below), scene.cells, scene.thickness, notes
+    return _meshed(shown, (vertices, triangles), palpations, settings, *how)
+
+
+def _meshed(
+    path: Path,
+    surface: Triangles,
+    palpations: list[Palpation],
+    settings: FitSettings,
+    upright: np.ndarray,
+    floor: tuple[int, float],
+    cells: int,
+    thickness: float | None = None,
+    notes: tuple[str, ...] = (),
+) -> Scene:
+    """Fill a surface and lay it on what fills it; the floor and the mesh's grid are along a pose's axes, upright."""
+    vertices, triangles = surface
+    standing = moved(vertices, np.linalg.inv(upright))
+    contacts = moved(np.array([each.contact for each in palpations]), np.linalg.inv(upright))
+    radius = min(each.tool_radius for each in palpations)
+    crowded = around(contacts, radius, PRESSED * radius)
     try:
-        floor = axis, scene.held_below
-        radius = min(each.tool_radius for each in palpations)
-        crowded = around(np.array([each.contact for each in palpations]), radius, PRESSED * radius)
-        how = {"cells": scene.cells, "thickness": scene.thickness}
-        meshed = mesh_surface(vertices, triangles, **how, floor=floor, longest=crowded)
+        meshed = mesh_surface(standing, triangles, cells=cells, thickness=thickness, floor=floor, longest=crowded)
     except NoBody as error:
-        raise InputError(f"{printable(path.parent / (scene.surface or path.name))}: {error}") from error
+        raise InputError(f"{printable(path)}: {error}") from error
+    axis, below = floor
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
-    low = body.rest[:, floor[0]]
+    low = body.rest[:, axis]
     # Nodes at a body's own base are drawn to it only nearly.
-    slack = 1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0
-    still = low <= scene.held_below + slack
-    if scene.thickness is None:
-        body = curve(body, vertices[triangles], still)
+    slack = 1e-9 if low.min() >= below - 1e-9 else 0.0
+    still = low <= below + slack
+    if thickness is None:
+        body = curve(body, standing[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     if held.sum() < 9:
-        raise InputError(
-            f"{printable(path)}: {int(held.sum() / 3)} nodes lie below held_below; give more, the lowest is at "
-            f"{low.min():.4g} m."
-        )
-    settings = FitSettings(scene.law, scene.young, scene.poisson)
-    below = vertices[:, floor[0]] <= scene.held_below + slack
-    return Scene(cover(body, vertices, triangles, below), held, palpations, settings, (*notes, *meshed.notes))
+        count, lowest = int(held.sum() / 3), low.min()
+        said = f"{count} nodes lie below held_below; give more, the lowest is at {lowest:.4g} m"
+        raise InputError(f"{printable(path)}: {said}.")
+    body = replace(body, rest=moved(body.rest, upright), gradients=body.gradients @ upright[:3, :3].T)
+    skin = cover(body, vertices, triangles, standing[:, axis] <= below + slack)
+    return Scene(skin, held, palpations, settings, (*notes, *meshed.notes))
 
 
 class _Extent:

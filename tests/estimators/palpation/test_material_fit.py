@@ -6,10 +6,11 @@ import functools
 import numpy as np
 import pytest
 
+from palpate.data.source.sequence import moved
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
 from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.material_fit import NOTHING, STIFFENS, UNKNOWN, require_along, states_of
-from palpate.estimators.palpation.registration import MOST_ALIGNED, placed, thinned
+from palpate.estimators.palpation.registration import MOST_ALIGNED, thinned
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
@@ -63,11 +64,11 @@ def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
 def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(slab) -> None:
     """In the body's own frame, whose origin sees the surface from behind."""
     skin, held, seen = slab
-    moved = dataclasses.replace(seen, points=placed(seen.pose, seen.points), pose=np.eye(4))
-    bench = Bench(skin, held, [moved], "corotational")
+    bare = dataclasses.replace(seen, points=moved(seen.points, seen.pose), pose=np.eye(4))
+    bench = Bench(skin, held, [bare], "corotational")
     np.testing.assert_allclose(np.linalg.norm(bench.sights[0], axis=1), 1)
     assert bench.eyes == [False]
-    found = fit_material(skin, held, [moved])
+    found = fit_material(skin, held, [bare])
     assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd
 
 

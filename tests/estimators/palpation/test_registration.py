@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from palpate.estimators.palpation.registration import View, join_views, placed, register
+from palpate.data.source.sequence import moved
+from palpate.estimators.palpation.registration import View, join_views, register
 from palpate.evaluation.palpation.synthetic import sphere
 from palpate.physics.fem import make_solid, mesh_surface
 
@@ -62,8 +63,8 @@ def test_poses_are_found_and_the_surface_encloses_the_body(noise: float) -> None
     believed, found = [], []
     for view, pose, right in zip(given, joined.poses, true, strict=True):
         middle = view.vertices.mean(axis=0)[None]
-        believed.append(np.linalg.norm(placed(view.pose, middle) - placed(right, middle)))
-        found.append(np.linalg.norm(placed(pose, middle) - placed(right, middle)))
+        believed.append(np.linalg.norm(moved(middle, view.pose) - moved(middle, right)))
+        found.append(np.linalg.norm(moved(middle, pose) - moved(middle, right)))
     assert max(believed) > 0.002
     # Noise lets views slide on a body that is nearly round.
     assert max(found) < (1e-6 if noise == 0 else 0.002)
@@ -88,7 +89,7 @@ def test_triangles_face_the_sensors_and_each_place_is_kept_once() -> None:
 def test_one_view_stays_as_it_is_and_none_is_refused() -> None:
     given = views(0.0)[0][:1]
     joined = join_views(given)
-    np.testing.assert_allclose(joined.vertices, placed(given[0].pose, given[0].vertices), atol=1e-12)
+    np.testing.assert_allclose(joined.vertices, moved(given[0].vertices, given[0].pose), atol=1e-12)
     assert joined.apart == 0
     with pytest.raises(ValueError, match="no view at all"):
         join_views([])
@@ -103,6 +104,6 @@ def test_a_pose_is_found_though_a_part_is_dented() -> None:
     points[points[:, 2] > 0.45] -= [0, 0, 0.05]  # pressed in
     true = pose_of(Rotation.from_rotvec([0.3, -0.2, 0.5]), [0.1, 0.2, -0.1])
     off = pose_of(Rotation.from_rotvec([0.05, 0.04, -0.03]), [0.02, -0.02, 0.03])
-    seen = placed(np.linalg.inv(true), points) + chance.normal(0, 1e-4, points.shape)
+    seen = moved(points, np.linalg.inv(true)) + chance.normal(0, 1e-4, points.shape)
     found = register(seen, (vertices, triangles), off @ true)
     np.testing.assert_allclose(found, true, atol=2e-3)

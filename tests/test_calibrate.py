@@ -213,7 +213,7 @@ PRESS = {"contact": [0, 0, 0.1], "points": "observed.csv"}
     [
         ({"surface": "none.obj"}, "none.obj is no .obj surface"),
         ({"cells": "many"}, "gives cells 'many'"),
-        ({"held_below": -1.0}, "0 nodes lie below held_below"),
+        ({"held_below": -1.0}, "scene.yaml: 0 nodes lie below held_below"),
         ({"palpations": [PRESS | {"force": [0, 0, 0]}]}, "force is to be"),
         ({"palpations": [PRESS | {"force": [1e15, 0, 0]}]}, "1e-06 to 10000 N"),
         ({"cells": 64}, "cells is 64; give 2 to 24"),

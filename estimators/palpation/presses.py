@@ -38,6 +38,8 @@ RIM = 1.0
 """Width of the surface's rim, over that distance, that tells nothing: heights are known from one side only there."""
 MOST_POINTS = 5000
 """Of a press."""
+TALLEST = 10.0
+"""Thickness over the tissue's width, from which on it is taken for another unit."""
 LAYERS, CELLS = 5.0, (6, 24)
 """Cells of the mesh in the thickness, and along the longest side."""
 
@@ -67,14 +69,17 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     peaks = [int(np.argmax(np.where(runs == run, size, 0.0))) for run in range(1, count + 1)]
     tips = sequence.tool.tips(sequence.times[peaks])
     view = view_across(rest, sequence.eye(int(still[0]))[:3, 3], tips[0])
+    radius, thickness = sequence.grip_radius, sequence.given.thickness * UNITS[sequence.given.unit]
+    if max(radius, thickness / TALLEST) > float(np.ptp(rest, axis=0).max()):
+        raise InputError(f"{where}: grip_radius or thickness is too large for the tissue; give both in `unit`.")
     # As fine as the dent asks for: a rough surface's normals would take lateral motion for a sink.
-    wide, radius = FINE * sequence.grip_radius, sequence.grip_radius
+    wide = FINE * radius
     shape, contacts = CloudShape(moved(rest, view), where, wide), moved(tips, view)
     mesh = shape.mesh(wide / 2)
     contacts[:, 2], covered = shape.heights(contacts[:, :2])
     if not covered.all():
         raise InputError(f"{where}: the tool presses where clouds at rest show no tissue; give clouds of all of it.")
-    support = contacts[0, 2] + sequence.given.thickness * UNITS[sequence.given.unit]
+    support = contacts[0, 2] + thickness
     back = np.linalg.inv(view)
     upright = back @ np.diag([1.0, -1.0, -1.0, 1.0])  # the view looks down
     upright[:3, 3] += support * back[:3, 2]
@@ -91,7 +96,7 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     # Points of one patch share what noise has made of it at rest.
     widened = float(np.sqrt(1 + max(len(each.points) for each in palpations) / len(rest)))
     vertices, triangles = _closed(mesh, support + BELOW)
-    cells = int(np.clip(LAYERS * np.ptp(vertices, axis=0).max() / (support - contacts[0, 2]), *CELLS))
+    cells = int(np.clip(LAYERS * np.ptp(vertices, axis=0).max() / thickness, *CELLS))
     return (moved(vertices, back), triangles), palpations, FitSettings(widened=widened), upright, (2, 0.0), cells
 
 

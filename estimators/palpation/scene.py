@@ -173,7 +173,12 @@ def read_scene(path: Path) -> Scene:
     settings = FitSettings(scene.law, scene.young, scene.poisson)
     shown = path.parent / (scene.surface or path.name)
     how = np.eye(4), (axis, scene.held_below), scene.cells, scene.thickness, notes
-    return _meshed(shown, (vertices, triangles), palpations, settings, *how)
+    found = _meshed(shown, (vertices, triangles), palpations, settings, *how)
+    if found.held.sum() < 9:
+        count, lowest = int(found.held.sum() / 3), found.skin.body.rest[:, axis].min()
+        said = f"{count} nodes lie below held_below; give more, the lowest is at {lowest:.4g} m"
+        raise InputError(f"{printable(path)}: {said}.")
+    return found
 
 
 def _meshed(
@@ -206,10 +211,6 @@ def _meshed(
     if thickness is None:
         body = curve(body, standing[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
-    if held.sum() < 9:
-        count, lowest = int(held.sum() / 3), low.min()
-        said = f"{count} nodes lie below held_below; give more, the lowest is at {lowest:.4g} m"
-        raise InputError(f"{printable(path)}: {said}.")
     body = replace(body, rest=moved(body.rest, upright), gradients=body.gradients @ upright[:3, :3].T)
     skin = cover(body, vertices, triangles, standing[:, axis] <= below + slack)
     return Scene(skin, held, palpations, settings, (*notes, *meshed.notes))

@@ -20,14 +20,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import (
-    add_listed,
-    described_parser,
-    path_option,
-    progress_bars,
-    real_number,
-    say,
-)
+from palpate.common.command_line import add_listed, described_parser, path_option, progress_bars, real_number, say
 from palpate.common.files import as_json, read_beside
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv

@@ -89,6 +89,8 @@ def test_a_closed_surface_holds_what_lies_under_it() -> None:
     [
         ({"forces": None, "thickness": None}, "palpation needs forces, and the thickness of the tissue"),
         ({"forces": "none.csv"}, "shows no press after tissue at rest"),
+        ({"thickness": 25.0}, "sequence.yaml: grip_radius or thickness is too large for the tissue; give both"),
+        ({"grip_radius": 15.0}, "grip_radius or thickness is too large"),
     ],
 )
 def test_what_is_missing_is_said(tmp_path: Path, changed: dict[str, object], said: str) -> None:

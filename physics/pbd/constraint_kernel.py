@@ -44,14 +44,13 @@ def add(out, index, share, vector):
 
 
 @inlined
-def _minus(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@inlined
 def less(points, first, second):
     """Difference of two rows of points [N, 3]."""
-    return _minus(row(points, first), row(points, second))
+    return (
+        points[first, 0] - points[second, 0],
+        points[first, 1] - points[second, 1],
+        points[first, 2] - points[second, 2],
+    )
 
 
 @inlined
@@ -164,15 +163,20 @@ def _grown(matrix, a, b):
 def _moments(starts, members, offsets, points, index):
     """Mean of a shape's points, and A = Σ (xᵢ - x̄) qᵢᵀ."""
     first, last = starts[index], starts[index + 1]
-    total = 0.0, 0.0, 0.0
+    x, y, z = 0.0, 0.0, 0.0
     for m in range(first, last):
-        total = _sum(total, row(points, members[m]))
+        particle = members[m]
+        x += points[particle, 0]
+        y += points[particle, 1]
+        z += points[particle, 2]
     share = 1.0 / (last - first)
-    mean = total[0] * share, total[1] * share, total[2] * share
+    x, y, z = x * share, y * share, z * share
     matrix = _NOTHING
     for m in range(first, last):
-        matrix = _grown(matrix, _minus(row(points, members[m]), mean), row(offsets, m))
-    return mean, matrix
+        particle = members[m]
+        apart = points[particle, 0] - x, points[particle, 1] - y, points[particle, 2] - z
+        matrix = _grown(matrix, apart, row(offsets, m))
+    return (x, y, z), matrix
 
 
 @inlined
@@ -235,11 +239,13 @@ def _warped(starts, members, offsets, points, turn, shape, index, slope):
     rotation = _settled(matrix, turn, shape)
     total = NORM_GUARD
     for m in range(starts[index], starts[index + 1]):
+        particle = members[m]
         q = row(offsets, m)
-        turned = dot(rotation[0], q), dot(rotation[1], q), dot(rotation[2], q)
-        apart = _minus(_minus(row(points, members[m]), mean), turned)
-        total += dot(apart, apart)
-        put(slope, m, apart)
+        x = points[particle, 0] - mean[0] - dot(rotation[0], q)
+        y = points[particle, 1] - mean[1] - dot(rotation[1], q)
+        z = points[particle, 2] - mean[2] - dot(rotation[2], q)
+        total += x * x + y * y + z * z
+        put(slope, m, (x, y, z))
     value = np.sqrt(total)
     share = 1.0 / value
     for m in range(starts[index], starts[index + 1]):

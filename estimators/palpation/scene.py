@@ -170,14 +170,12 @@ def read_scene(path: Path) -> Scene:
         for number, values in enumerate(scene.palpations, start=1)
     ]
     vertices, triangles, notes = _surface(scene, views)
-    settings = FitSettings(scene.law, scene.young, scene.poisson)
     shown = path.parent / (scene.surface or path.name)
     how = np.eye(4), (axis, scene.held_below), scene.cells, scene.thickness, notes
-    found = _meshed(shown, (vertices, triangles), palpations, settings, *how)
+    found = _meshed(shown, (vertices, triangles), palpations, FitSettings(scene.law, scene.young, scene.poisson), *how)
     if found.held.sum() < 9:
-        count, lowest = int(found.held.sum() / 3), found.skin.body.rest[:, axis].min()
-        said = f"{count} nodes lie below held_below; give more, the lowest is at {lowest:.4g} m"
-        raise InputError(f"{printable(path)}: {said}.")
+        count, low = int(found.held.sum() / 3), found.skin.body.rest[:, axis].min()
+        raise InputError(f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low:.4g} m).")
     return found
 
 

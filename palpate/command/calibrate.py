@@ -52,11 +52,8 @@ PALPATION = ("calibration.json", "errors.csv", "errors.png")
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
 
 
-TYPES = {
-    "path": path_option,
-    "size": real_number("a positive number", 1e-6),
-    "poisson": real_number("from 0 to 0.5", 0.0),
-}
+SIZE, POISSON = real_number("a positive number", 1e-6), real_number("from 0 to 0.5", 0.0)
+TYPES = {"path": path_option, "size": SIZE, "poisson": POISSON}
 CHOICES = {"scenes": tuple(FORMATS), "indenters": ("sphere", "flat", "cone")}
 """What calibrate.yaml calls types and choices."""
 

@@ -36,7 +36,7 @@ class _Nearest:
         self._beyond = np.full(len(points), -np.inf)
 
     def find(
-        self, points: np.ndarray, others: np.ndarray, gone: float, tree: KDTree | None = None
+        self, points: np.ndarray, others: np.ndarray, gone: np.ndarray | float, tree: KDTree | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points [P, 3] to the nearest of others [Q, 3], and which, shape [P].
 
@@ -45,7 +45,7 @@ class _Nearest:
         Args:
             points: as many as ever.
             others: likewise.
-            gone: how far any of either can have moved since the beginning.
+            gone: how far either can have moved from where it began, of all, or of each point, shape [P].
             tree: of the others, if they stay where they are.
         """
         apart, which = np.empty(len(points)), np.empty(len(points), np.int64)
@@ -54,7 +54,7 @@ class _Nearest:
         if len(old):
             away, near = (tree or KDTree(others)).query(points[old], list(range(1, self._near.shape[1] + 1)))
             apart[old], which[old] = away[:, 0], near[:, 0]
-            self._near[old], self._beyond[old] = near, away[:, -1] + gone
+            self._near[old], self._beyond[old] = near, away[:, -1] - np.broadcast_to(gone, len(points))[old]
         return apart, which
 
 
@@ -79,7 +79,7 @@ class Chamfer:
         if len(seen) == 0:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
-        self._tree, self._last, self._gone = KDTree(self.cloud), None, 0.0
+        self._tree, self._began = KDTree(self.cloud), None
         self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -91,11 +91,11 @@ class Chamfer:
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
-        if self._last is not None:
-            self._gone += float(np.linalg.norm(shown - self._last, axis=1).max())
-        self._last = shown
-        out, there = self._out.find(shown, self.cloud, self._gone, self._tree)
-        back, here = self._back.find(self.cloud, shown, self._gone)
+        if self._began is None:
+            self._began = shown
+        gone = np.linalg.norm(shown - self._began, axis=1)
+        out, there = self._out.find(shown, self.cloud, gone, self._tree)
+        back, here = self._back.find(self.cloud, shown, float(gone.max()))
         own, others = len(shown), len(self.cloud)
         counts = np.bincount(here, minlength=own)
         drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)

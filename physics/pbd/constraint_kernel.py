@@ -19,7 +19,7 @@ from palpate.physics.pbd.body import NORM_GUARD
 
 _TURNS = 60
 _NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-_SETTLED = 1e-19
+_SETTLED = 1e-16
 """Square of half a turn after which another would be its square: below rounding."""
 
 

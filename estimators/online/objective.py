@@ -79,7 +79,8 @@ class Chamfer:
         if len(seen) == 0:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
-        self._tree, self._began = KDTree(self.cloud), None
+        # It is asked little, so that one made in half the time will do.
+        self._tree, self._began = KDTree(self.cloud, compact_nodes=False, balanced_tree=False), None
         self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.estimators.grip import sheet
+from palpate.estimators.grip.lattice import continued, lattice_springs
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.physics.sheet import response
+from palpate.physics.sheet import equilibrium, response
 
 SPACING, NOISE = 8, 0.1
 ANCHOR = 0.05
@@ -141,3 +142,30 @@ def test_correlation_of_errors_is_measured() -> None:
     errors = 0.5 * np.stack([one, 0.6 * one + 0.8 * other])
     errors[0, :50] = np.nan
     np.testing.assert_allclose(sheet.frame_correlation(errors), [[1, 0.6], [0.6, 1]], atol=0.03)
+
+
+def stiffened(b: float) -> list[sheet.SeenFrame]:
+    """Four nodes at the tool's tip are pulled on a lattice that ends; springs are exp(b·strain²/2) times as stiff."""
+    nodes = continued(PLACES, SPACING, 20)
+    springs = lattice_springs(nodes, SPACING)
+    number = {tuple(cell): index for index, cell in enumerate(np.rint(nodes / SPACING).astype(int))}
+    held = np.isin(np.arange(len(nodes)), [number[30 + i, 19 + j] for i in (0, 1) for j in (0, 1)])
+    shown = [number[tuple(cell)] for cell in np.rint(POINTS / SPACING).astype(int)]
+    length = np.linalg.norm(nodes[springs[:, 0]] - nodes[springs[:, 1]], axis=1)
+    generator, stiffness, frames = np.random.default_rng(0), np.ones(len(springs)), []
+    for pull in PULLS:
+        for _ in range(60):
+            motion = np.tile([0.51 * pull, 0.85 * pull], (4, 1))
+            found = equilibrium(springs, stiffness, np.full(len(nodes), ANCHOR), held, motion).displacement
+            strain = np.linalg.norm(found[springs[:, 0]] - found[springs[:, 1]], axis=1) / length
+            stiffness = np.sqrt(stiffness * np.exp(b * strain**2 / 2))
+        moved = found[shown] + NOISE * generator.normal(size=(len(shown), 2))
+        frames.append(sheet.SeenFrame(moved, np.full(len(shown), NOISE)))
+    return frames
+
+
+@pytest.mark.slow
+def test_tissue_that_stiffens_is_explained_by_no_sheet() -> None:
+    assert fitted(stiffened(0.0)).log_anchor == pytest.approx(math.log(ANCHOR), abs=0.05)
+    with pytest.raises(sheet.NoSheet, match="off besides their noise"):
+        fitted(stiffened(5.0))

@@ -113,13 +113,9 @@ def contact_surroundings(contact: Interaction) -> Surroundings:
         if neighbour >= 0:
             present[index] = 1
             shape[index] = frame @ (mesh.vertices[neighbour] - mesh.vertices[vertex]) / spacing
-        rims[index] = _steps_to_rim(number, mesh.rim, centre, np.array(offset)) / FARTHEST_RIM
+        # Around the grid there are no vertices.
+        places = np.clip(centre + np.arange(1, FARTHEST_RIM)[:, None] * offset, 0, np.array(number.shape) - 1)
+        ahead = number[tuple(places.T)]
+        ends = np.flatnonzero((ahead < 0) | mesh.rim[ahead])
+        rims[index] = (ends[0] + 1) / FARTHEST_RIM if len(ends) else 1
     return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))
-
-
-def _steps_to_rim(number: np.ndarray, rim: np.ndarray, centre: np.ndarray, offset: np.ndarray) -> int:
-    places = centre + np.arange(1, FARTHEST_RIM)[:, None] * offset
-    # Around the grid there are no vertices.
-    vertices = number[tuple(np.clip(places, 0, np.array(number.shape) - 1).T)]
-    ends = np.flatnonzero((vertices < 0) | rim[vertices])
-    return int(ends[0]) + 1 if len(ends) else FARTHEST_RIM

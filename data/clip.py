@@ -74,6 +74,13 @@ class ClipStream:
             settings.masks, *of_clip, threads=runs.threads, device=runs.device, every=settings.every
         )
         self._depth = depth or open_depth(settings.depth, settings.layout, source)
+        self.guesses_depth = self._depth.from_picture
+        """Whether depth is guessed from the pictures alone, so that light is what is measured."""
+        self.identity = self._depth.identity, self._masks.identity
+        """What depth and masks depend on besides the clip's own files and settings."""
+        chosen = Path(chosen_kind(settings.masks, source.path, settings.layout)).name
+        self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
+        """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
         camera = camera or clip_camera(source.path, settings.layout)
         self._scale_error = ""
         self.scale, focal = math.nan, None
@@ -99,26 +106,10 @@ class ClipStream:
         """Intrinsics of the grid."""
 
     @property
-    def guesses_depth(self) -> bool:
-        """Whether depth is guessed from the pictures alone, so that light is what is measured."""
-        return self._depth.from_picture
-
-    @property
-    def identity(self) -> tuple[str, str]:
-        """What depth and masks depend on besides the clip's own files and settings."""
-        return self._depth.identity, self._masks.identity
-
-    @property
     def providers(self) -> dict[str, str]:
         """What of ONNX Runtime runs the networks for `depth` and `masks`, of those that there are."""
         networks = {"depth": getattr(self._depth, "network", None), "masks": getattr(self._masks, "network", None)}
         return {name: network.provider for name, network in networks.items() if network is not None}
-
-    @property
-    def sources(self) -> dict[str, str]:
-        """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
-        masks = chosen_kind(self.settings.masks, self.source.path, self.settings.layout)
-        return {"depth": self._depth.identity.split(":")[0], "masks": Path(masks).name}
 
     def __iter__(self) -> Iterator[PreparedFrame]:
         """Prepared frames from the clip's beginning, one for each of its frames, up to some thirty frames late.
@@ -126,7 +117,7 @@ class ClipStream:
         Raises:
             InputError: the segmentation model fails on the clip's pictures.
         """
-        return self._frames()
+        return self.overlapped(0, 0)
 
     def overlapped(
         self, most: int = AHEAD, decided: int = WHILE_FITTING, noticed: Noticed = None
@@ -134,13 +125,11 @@ class ClipStream:
         """The same frames, while threads prepare the next ones and decide about their contact.
 
         Args:
-            most: prepared frames that wait for their decision; each makes what follows a frame's time later.
-            decided: frames that wait for the caller after it.
+            most: prepared frames that wait for their decision; each makes what follows a frame's time later. 0 = none,
+                without a thread.
+            decided: frames that wait for the caller after it, likewise.
             noticed: called in one of these threads.
         """
-        return self._frames(most, decided, noticed)
-
-    def _frames(self, most: int = 0, decided: int = 0, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         self._masks.reset()
         motion = ContactMotion(self.camera, self.source.size, self.settings, from_shading=self._depth.from_shading)
         held: list[PreparedFrame] = []

@@ -271,23 +271,18 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     given = [inputs[name].numpy() for name in (CONTACT, INPUT) if name in inputs]
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(*given))
     model = onnx.load(source)
-    _append(model.graph, to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,)))
+    # What widens it makes the covariance; the network's own gets another name.
+    for node in model.graph.node:
+        for names in (node.input, node.output):
+            names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
+    added = to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,))
+    _extend(model, added, NAME_PREFIX, "node", "initializer")
 
     def difference_of(path: Path) -> float:
         found = torch.from_numpy(PosteriorModel(path)(*given)[1])
         return float((found - widening(contact, mean, own)).abs().max())
 
     return write(model, plain.metadata | {"calibration": asdict(calibration)}, output, difference_of)
-
-
-def _append(graph: onnx.GraphProto, widening: onnx.ModelProto) -> None:
-    """Append a graph that makes the covariance of contact, mean and own covariance, which a graph's then is."""
-    for node in graph.node:
-        for names in (node.input, node.output):
-            names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
-    added = _prefixed(widening, NAME_PREFIX)
-    graph.node.extend(added.node)
-    graph.initializer.extend(added.initializer)
 
 
 LIGHT_PREFIX = "by_light/"
@@ -340,10 +335,8 @@ def add_light(source: Path, output: Path, posterior: ContactPosterior, weights_s
     network = _LightPosterior(posterior).eval()
     random, features = torch.Generator().manual_seed(0), len(posterior.centre)
     light = posterior.centre + posterior.scale * torch.randn(PARITY_BATCH, features, generator=random)
-    added = to_onnx(network, {LIGHT: light}, (LIGHT_MEAN, LIGHT_COVARIANCE))
-    model, added = onnx.load(source), _prefixed(added, LIGHT_PREFIX)
-    for name in ("node", "initializer", "input", "output"):
-        getattr(model.graph, name).extend(getattr(added, name))
+    model, added = onnx.load(source), to_onnx(network, {LIGHT: light}, (LIGHT_MEAN, LIGHT_COVARIANCE))
+    _extend(model, added, LIGHT_PREFIX, "node", "initializer", "input", "output")
 
     def difference_of(path: Path) -> float:
         with torch.inference_mode():
@@ -393,9 +386,11 @@ def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -
     return write(model, plain.metadata | document, output, difference_of)
 
 
-def _prefixed(model: onnx.ModelProto, prefix: str) -> onnx.GraphProto:
-    """A graph with a prefix to all names but its inputs' and outputs'."""
-    return onnx.compose.add_prefix(model, prefix, rename_inputs=False, rename_outputs=False).graph
+def _extend(model: onnx.ModelProto, added: onnx.ModelProto, prefix: str, *parts: str) -> None:
+    """Add these parts of a model's graph to another one, with a prefix to all names but its inputs' and outputs'."""
+    added = onnx.compose.add_prefix(added, prefix, rename_inputs=False, rename_outputs=False)
+    for part in parts:
+        getattr(model.graph, part).extend(getattr(added.graph, part))
 
 
 def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:

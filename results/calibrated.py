@@ -72,16 +72,10 @@ class ClipCalibration:
         self._grips: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
         rest = self.calibration.fields.rest_s
         self._dents = DentRecorder(rest) if self.home and rest is not None else None
-
-    @property
-    def known(self) -> KnownForce | None:
+        self.known = self.calibration.known if self.home else None
         """Forces that tell the scale of this clip's grips."""
-        return self.calibration.known if self.home else None
-
-    @property
-    def measured(self) -> KnownForce | None:
+        self.measured = self.calibration.measured if self.home else None
         """Forces to compare with."""
-        return self.calibration.measured if self.home else None
 
     def see(self, prepared: PreparedFrame) -> None:
         """The next frame."""

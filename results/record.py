@@ -83,9 +83,6 @@ def build_record(
     """
     source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
-    network = None
-    if model is not None:
-        network = {"path": str(model.path.resolve()), "sha256": causes["model"], "metadata": model.metadata}
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
@@ -114,7 +111,7 @@ def build_record(
         "contacts": results.counts,
         "calibration": None if results.calibration is None else results.calibration.record(),
         "force_limit": None if results.alarm is None else results.alarm.record(),
-        "model": network,
+        "model": model and {"path": str(model.path.resolve()), "sha256": causes["model"], "metadata": model.metadata},
         "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
         "estimator": causes["estimator"],
         "units": columns.UNITS | {"length": results.length.record["says"]},

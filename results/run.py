@@ -155,8 +155,9 @@ class Batch:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
-            alarm = self._alarm(source.fps)
-            written = ClipResults(folder, source.size, source.fps, alarm=alarm, limit=self.limit, **options)
+                if self.limit is not None:
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"][0], 1 / source.fps)
+            written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 length = ClipLength.of(clip)
@@ -319,12 +320,6 @@ class Batch:
         record = {} if self.carried is None else store.read_record(self.carried)
         causes["calibrated_by"] = record.get("fingerprint")
         return ClipCalibration(calibration, False, carried_from(record))
-
-    def _alarm(self, fps: float) -> ForceAlarm | None:
-        """The alarm of a clip of so many frames a second, where a limit is given and forces are told frame by frame."""
-        if self.limit is None or not isinstance(self.estimator, NetworkEstimator):
-            return None
-        return ForceAlarm(*self.limit, known_seconds(self.estimator)[0], 1 / fps)
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""

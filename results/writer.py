@@ -84,6 +84,8 @@ class ClipResults:
         self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
+        self.encoder = Video.encoder if overlay else None
+        """Name of the video encoder; None without an overlay."""
         self.length = ClipLength(math.nan)
         """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
@@ -134,11 +136,6 @@ class ClipResults:
             self._open.close()
         with suppress(Exception):
             store.settle(self.folder)
-
-    @property
-    def encoder(self) -> str | None:
-        """Name of the video encoder; None without an overlay."""
-        return None if self._video is None else self._video.encoder
 
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
@@ -202,16 +199,13 @@ class ClipResults:
             self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export is not None:
-                self._write_scene(run, self._export)
+                path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
+                try:
+                    path.write_text(scene_text(scene_of(run), self._export), encoding="utf-8")
+                except NoEstimate:
+                    self.unexported += 1
             if self._forces is not None:
                 self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
-
-    def _write_scene(self, run: InteractionEstimate, export: str) -> None:
-        path = self._partial / f"scene_{run.onset_frame}.{FORMATS[export]['ending']}"
-        try:
-            path.write_text(scene_text(scene_of(run), export), encoding="utf-8")
-        except NoEstimate:
-            self.unexported += 1
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in millimetres and newtons what was added, once all of it has been."""

@@ -136,9 +136,11 @@ class DentContacts:
         if latest.change is None or not before or before[-1].change is None:
             return
         sigmas = latest.change.sigmas()
-        shown = _spread(before[-1].change.sigmas()) >= SHOWN
-        place = _deepest(np.where(shown & (sigmas >= CLEAR), sigmas, -np.inf))
-        if place is None or not _is_local(sigmas, place):
+        shown = cv2.dilate(before[-1].change.sigmas(), np.ones((2 * NEAR + 1,) * 2)) >= SHOWN
+        dents = np.where(shown & (sigmas >= CLEAR), sigmas, -np.inf)
+        row, column = np.unravel_index(np.argmax(dents), dents.shape)
+        place = int(row), int(column)
+        if np.isinf(dents[place]) or not _is_local(sigmas, place):
             return
         earlier, there = [latest], place
         latest.place = place
@@ -197,17 +199,6 @@ def _depth(item: _Waiting, place: tuple[int, int] | None) -> np.ndarray:
     if item.change is None or place is None:
         return np.full(len(SCALES), np.nan)
     return item.change.contrast[:, *place]
-
-
-def _spread(sigmas: np.ndarray) -> np.ndarray:
-    """The largest value near every pixel."""
-    return cv2.dilate(sigmas, np.ones((2 * NEAR + 1,) * 2))
-
-
-def _deepest(sigmas: np.ndarray) -> tuple[int, int] | None:
-    """Row and column of the largest value; None where there is none."""
-    row, column = np.unravel_index(np.argmax(sigmas), sigmas.shape)
-    return (int(row), int(column)) if np.isfinite(sigmas[row, column]) else None
 
 
 def _near(sigmas: np.ndarray, place: tuple[int, int], least: float) -> tuple[int, int] | None:

@@ -103,7 +103,10 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
     change = np.where(known, depth - rest, 0.0)
     # Smooth: its own noise, and an older dent, are no parts of what a scale changes.
     smooth = _blurred(rest, known, WIDE)
-    change[known] -= _camera_change(change[known], smooth[known], np.argwhere(known) / WIDE)
+    depths, places = smooth[known][:, None], np.argwhere(known) / WIDE
+    # What a moving camera or a changing scale adds.
+    terms = np.hstack([np.ones_like(depths), depths, depths * places])
+    change[known] -= trimmed_fit(terms, change[known], ITERATIONS, OUTLIER)
     around = _blurred(change, known, WIDE)
     contrast, noise = [], []
     for scale in SCALES:
@@ -114,12 +117,6 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
         noise.append(max(median_sd(deeper - around), median_sd(rough), LEAST_NOISE / (1 + 4 * scale)))
     return DepthChange(np.stack(contrast), np.array(noise))
-
-
-def _camera_change(change: np.ndarray, rest: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """What a moving camera or a changing scale adds to the depth of P pixels, all shapes [P] but places' [P, 2]."""
-    terms = np.column_stack([np.ones(len(rest)), rest, rest[:, None] * places])
-    return trimmed_fit(terms, change, ITERATIONS, OUTLIER)
 
 
 def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:

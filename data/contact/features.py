@@ -107,19 +107,10 @@ def contact_surroundings(contact: Interaction) -> Surroundings:
     number = np.full((mesh.grid_shape[0] + 2, mesh.grid_shape[1] + 2), -1)
     number[tuple(mesh.pixels.T + 1)] = np.arange(len(mesh.vertices))
     centre = mesh.pixels[vertex] + 1
-    shape, present, rims = np.zeros((len(NEIGHBOURS), 3)), np.zeros(len(NEIGHBOURS)), np.zeros(len(NEIGHBOURS))
-    for index, offset in enumerate(NEIGHBOURS):
-        neighbour = number[tuple(centre + offset)]
-        if neighbour >= 0:
-            present[index] = 1
-            shape[index] = frame @ (mesh.vertices[neighbour] - mesh.vertices[vertex]) / spacing
-        rims[index] = _steps_to_rim(number, mesh.rim, centre, np.array(offset)) / FARTHEST_RIM
-    return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))
-
-
-def _steps_to_rim(number: np.ndarray, rim: np.ndarray, centre: np.ndarray, offset: np.ndarray) -> int:
-    places = centre + np.arange(1, FARTHEST_RIM)[:, None] * offset
     # Around the grid there are no vertices.
-    vertices = number[tuple(np.clip(places, 0, np.array(number.shape) - 1).T)]
-    ends = np.flatnonzero((vertices < 0) | rim[vertices])
-    return int(ends[0]) + 1 if len(ends) else FARTHEST_RIM
+    places = centre + np.arange(1, FARTHEST_RIM)[:, None, None] * np.array(NEIGHBOURS)
+    ahead = number[tuple(np.moveaxis(places.clip(0, np.array(number.shape) - 1), -1, 0))]
+    present, ends = ahead[0] >= 0, (ahead < 0) | mesh.rim[ahead]
+    shape = (mesh.vertices[ahead[0]] - mesh.vertices[vertex]) @ frame.T / spacing * present[:, None]
+    rims = np.where(ends.any(axis=0), (ends.argmax(axis=0) + 1) / FARTHEST_RIM, 1.0)
+    return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))

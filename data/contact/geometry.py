@@ -181,7 +181,8 @@ def frame_geometry(
     rest, noise = smooth_rest(depth, labels, settings, rest)
     sheet = back_project(rest.depth, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
-    touching = _touching(tool, tissue, settings.contact_pixels)
+    reach = settings.contact_pixels
+    touching = reach > 0 and bool((distance_transform_edt(~tissue)[tool] <= reach).any())
     outlined = touching and settings.contact == "touching"
     if not touching and settings.contact == "touching":
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
@@ -296,10 +297,6 @@ def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, set
     valid = int((tissue & (depth > 0)).sum())
     if valid < settings.min_tissue_pixels:
         raise GeometryStatus("bad_depth", f"{valid} tissue pixels have depth, fewer than {settings.min_tissue_pixels}.")
-
-
-def _touching(tool: np.ndarray, tissue: np.ndarray, contact_pixels: float) -> bool:
-    return contact_pixels > 0 and bool((distance_transform_edt(~tissue)[tool] <= contact_pixels).any())
 
 
 Pixels = tuple[np.ndarray, np.ndarray]

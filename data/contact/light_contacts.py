@@ -20,22 +20,7 @@ from palpate.data.brightness.sequence import RestingLight, change_of_light
 from palpate.data.contact.dents import RECOVERY_SECONDS
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings
-from palpate.data.contact.lit_frame import (
-    ARRIVED,
-    REACH,
-    STILL,
-    LitFrame,
-    centre,
-    change_around,
-    darkest,
-    darkness_of,
-    goes_along,
-    is_at,
-    is_half_hidden,
-    lie_together,
-    lit_frame,
-    stands,
-)
+from palpate.data.contact.lit_frame import ARRIVED, REACH, STILL, LitFrame, centre, darkest, darkness_of, lie_together
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
@@ -124,7 +109,7 @@ class LightContacts:
         prepared.light_picture = picture, labels
         self._view = view
         decided = gap + (self._forget() if another else [])
-        lit = lit_frame(prepared, prepared.light, view, picture, labels, self._tips)
+        lit = LitFrame.of(prepared, prepared.light, view, picture, labels, self._tips)
         self._tips = lit.tips
         if len(self._rest):
             return decided + self._decided(lit)
@@ -159,11 +144,11 @@ class LightContacts:
         self._waiting.append(lit)
         dents = [one for one in self._waiting[-BEGINS:] if one.dent is not None]
         if len(dents) == BEGINS and lie_together([one.dent for one in dents]):
-            if stands(dents[0], dents[-1]):
+            if dents[-1].stands_since(dents[0]):
                 return self._begun(dents)
             self._shadows.append(lit.darkness)  # what has darkened goes along with an instrument that moves slowly
         bared = [one for one in self._waiting[-BARED:] if one.bared is not None]
-        if len(bared) == BARED and lie_together([one.bared for one in bared]) and not goes_along(bared[-1]):
+        if len(bared) == BARED and lie_together([one.bared for one in bared]) and not bared[-1].goes_along():
             return self._over(bared)
         return self._at_rest(len(self._waiting) - self._held())
 
@@ -180,8 +165,8 @@ class LightContacts:
         self._place = centre([(one.change, one.dent) for one in dents])
         before = self._waiting[-BEGINS - 1 :: -1]
         before = before[_went_along(before, dents[0]) :]
-        if is_half_hidden(dents[0]):
-            at_tissue = [is_at(one, self._place) or _pressed_already(one, dents[0]) for one in before[1:HIDDEN_FOR]]
+        if dents[0].is_half_hidden():
+            at_tissue = [one.is_at(self._place) or _pressed_already(one, dents[0]) for one in before[1:HIDDEN_FOR]]
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
@@ -197,10 +182,10 @@ class LightContacts:
         """The frames that wait, where the last of them show the dent that an instrument has left behind."""
         place = centre([(one.change, one.bared) for one in bared])
         last = len(self._waiting) - BARED
-        while last and not is_at(self._waiting[last - 1], place):
+        while last and not self._waiting[last - 1].is_at(place):
             last -= 1
         first = last
-        while first and is_at(self._waiting[first - 1], place):
+        while first and self._waiting[first - 1].is_at(place):
             first -= 1
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
@@ -266,7 +251,7 @@ class LightContacts:
         inside = np.array(prepared.depth.shape) - 1
         row, column = np.rint(lit.view.back(np.array(place))).astype(int).clip(0, inside).tolist()
         pixel = column, row
-        change, self._pressed_s = change_around(lit, place), prepared.frame.time_s
+        change, self._pressed_s = lit.change_around(place), prepared.frame.time_s
         if change is not None:
             self._deepest = change if self._deepest is None else np.fmin(self._deepest, change)
         prepared.contact_probability, prepared.undecided = PRESSED, False
@@ -275,7 +260,7 @@ class LightContacts:
 
     def _go_on(self, lit: LitFrame, place: tuple[int, int]) -> None:
         """Whether the press goes on in a frame, has ended, or its dent has recovered."""
-        change = change_around(lit, place)
+        change = lit.change_around(place)
         darkness, away = darkness_of(change), lit.away[FINE * place[0], FINE * place[1]]
         # What the instrument hides now doesn't count: its mask changes while it stands.
         seen = None if change is None or self._deepest is None else np.where(np.isfinite(change), self._deepest, np.nan)
@@ -313,7 +298,7 @@ def _pressed_already(lit: LitFrame, first: LitFrame) -> bool:
 
     Where outlines have it in contact, too, it may have been farther off: its mask changes as the tissue darkens.
     """
-    return stands(lit, first, ARRIVED if lit.prepared.in_contact else STILL)
+    return first.stands_since(lit, ARRIVED if lit.prepared.in_contact else STILL)
 
 
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:

@@ -59,34 +59,66 @@ class LitFrame:
     darkness: float = 0.0
     """How much darker than at rest the darkest place next to an instrument is."""
 
+    @classmethod
+    def of(
+        cls,
+        prepared: PreparedFrame,
+        light: np.ndarray,
+        view: View,
+        picture: np.ndarray,
+        labels: np.ndarray,
+        before: Sequence[np.ndarray],
+    ) -> "LitFrame":
+        """A frame and where its instruments are; nothing is compared yet.
 
-def lit_frame(
-    prepared: PreparedFrame,
-    light: np.ndarray,
-    view: View,
-    picture: np.ndarray,
-    labels: np.ndarray,
-    before: Sequence[np.ndarray],
-) -> LitFrame:
-    """A frame and where its instruments are; nothing is compared yet. Picture and labels are those of the reference.
+        Args:
+            picture, labels: in the view of the reference.
+            before: the tips in the frame before.
+        """
+        size = prepared.labels.shape[::-1]
+        tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+        field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
+        ends, standing = np.zeros(tool.shape, bool), np.zeros(tool.shape, bool)
+        tips, moves = [], False
+        for tip in tool_tips(tool, field, TIP, LEAST_TIP):
+            middle = tip.mean(axis=0)[::-1]
+            stands = any(np.linalg.norm(middle - other) < STILL for other in before)
+            ends[tip[:, 1], tip[:, 0]] = True
+            standing[tip[:, 1], tip[:, 0]] = stands
+            tips.append(middle)
+            moves |= not stands
+        away, near, still = (distance_from(mask, light.shape) for mask in (tool, ends, standing))
+        return cls(prepared, light, view, away, near, still, tips, moves)
 
-    Args:
-        before: the tips in the frame before.
-    """
-    size = prepared.labels.shape[::-1]
-    tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-    field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
-    ends, standing = np.zeros(tool.shape, bool), np.zeros(tool.shape, bool)
-    tips, moves = [], False
-    for tip in tool_tips(tool, field, TIP, LEAST_TIP):
-        middle = tip.mean(axis=0)[::-1]
-        stands = any(np.linalg.norm(middle - other) < STILL for other in before)
-        ends[tip[:, 1], tip[:, 0]] = True
-        standing[tip[:, 1], tip[:, 0]] = stands
-        tips.append(middle)
-        moves |= not stands
-    away, near, still = (distance_from(mask, light.shape) for mask in (tool, ends, standing))
-    return LitFrame(prepared, light, view, away, near, still, tips, moves)
+    def change_around(self, place: tuple[int, int]) -> np.ndarray | None:
+        """The change of the light around a dent's place [grid pixels], [h, w]; None where it isn't known."""
+        if self.change is None:
+            return None
+        (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
+        return self.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+
+    def is_at(self, place: tuple[int, int]) -> bool:
+        """Whether an instrument is at a place [grid pixels]."""
+        return bool(self.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
+
+    def stands_since(self, first: "LitFrame", within: float = STILL) -> bool:
+        """Whether the instrument next to the dent is where one was some frames before, within grid pixels."""
+        if self.dent is None or not self.tips or not first.tips:
+            return False
+        tip = min(self.tips, key=lambda each: float(np.linalg.norm(each - np.array(self.dent) / FINE)))
+        return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < within)
+
+    def goes_along(self) -> bool:
+        """Whether an instrument moves that is still near to what it has bared, so that it may go with the dent."""
+        return self.moves and self.bared is not None and bool(self.away[self.bared] <= 2 * REACH)
+
+    def is_half_hidden(self) -> bool:
+        """Whether a frame's dent is darkest right next to what doesn't show."""
+        if self.change is None or self.dent is None:
+            return False
+        row, column = self.dent
+        around = self.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
+        return bool(np.isnan(around).any())
 
 
 def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -99,50 +131,15 @@ def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
 
 
-def change_around(lit: LitFrame, place: tuple[int, int]) -> np.ndarray | None:
-    """The change of the light around a dent's place [grid pixels], [h, w]; None where it isn't known."""
-    if lit.change is None:
-        return None
-    (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
-    return lit.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
-
-
 def darkness_of(change: np.ndarray | None) -> float:
     """How much darker than at rest the darkest place of a change of the light is; NaN where none is known."""
     return math.nan if change is None or not np.isfinite(change).any() else -float(np.nanmin(change))
-
-
-def is_at(lit: LitFrame, place: tuple[int, int]) -> bool:
-    """Whether an instrument is at a place [grid pixels]."""
-    return bool(lit.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
 
 
 def lie_together(places: Sequence[tuple[int, int] | None]) -> bool:
     """Whether places of the lattice are those of one dent."""
     known = np.array([place for place in places if place is not None])
     return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
-
-
-def stands(first: LitFrame, last: LitFrame, within: float = STILL) -> bool:
-    """Whether the instrument next to the dent of a frame is where one was some frames before, within grid pixels."""
-    if last.dent is None or not last.tips or not first.tips:
-        return False
-    tip = min(last.tips, key=lambda each: float(np.linalg.norm(each - np.array(last.dent) / FINE)))
-    return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < within)
-
-
-def goes_along(lit: LitFrame) -> bool:
-    """Whether an instrument moves that is still near to what it has bared, so that it may go along with the dent."""
-    return lit.moves and lit.bared is not None and bool(lit.away[lit.bared] <= 2 * REACH)
-
-
-def is_half_hidden(lit: LitFrame) -> bool:
-    """Whether a frame's dent is darkest right next to what doesn't show."""
-    if lit.change is None or lit.dent is None:
-        return False
-    row, column = lit.dent
-    around = lit.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
-    return bool(np.isnan(around).any())
 
 
 def darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], float, bool]:

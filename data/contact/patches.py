@@ -62,6 +62,8 @@ class Patches:
         """Of the picture's pixels in the square around the contact, shape [side, side, rows, columns, 2]."""
         self.weights = (rows[1][:, None, :, None] * columns[1][None, :, None, :]).reshape(side * side, down * across)
         """Share of every sample in its pixel of the grid, shape [P, K]."""
+        self.averages = self.weights.shape[1] > 1
+        """Whether a pixel of the grid is the mean of several of the picture."""
 
     def own(self) -> np.ndarray:
         """The vertex in every pixel at rest, as a place among the V, shape [P]; -1 where none is known."""
@@ -121,11 +123,6 @@ class Patches:
         after = (self._depth[:, None] + moved[..., 2:])[..., None]
         across = self._focal[:, None] * (slopes[..., :2, :] - self._rays[:, :, None] * along) / after
         return across[..., ::-1, :] - self.shift(moved)[..., None] * along / after
-
-    @property
-    def averages(self) -> bool:
-        """Whether a pixel of the grid is the mean of several of the picture."""
-        return self.weights.shape[1] > 1
 
     def turning(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """How the pixels' depth changes because they come to show other patches, where they are means of several.

@@ -97,18 +97,16 @@ def straight_edges(gray: np.ndarray, field: np.ndarray) -> np.ndarray:
     middle = np.rint((segments[:, :2] + segments[:, 2:]) / 2).astype(int)
     inside = depth[middle[:, 1].clip(0, gray.shape[0] - 1), middle[:, 0].clip(0, gray.shape[1] - 1)] > BORDER_MARGIN
     keep = inside & (lengths >= SHORTEST_SEGMENT)
-    return _join(segments[keep][np.argsort(-lengths[keep])])
-
-
-def _join(segments: np.ndarray) -> np.ndarray:
-    """Join segments on one line, of one polarity and with gaps below 0.4 of the longer one; longest first."""
-    result = _joined(np.ascontiguousarray(segments))
+    result = _joined(segments[keep][np.argsort(-lengths[keep])])
     return result[np.argsort(-np.linalg.norm(result[:, 2:] - result[:, :2], axis=1))]
 
 
 @kernel
 def _joined(segments):
-    """The same in any order, shape [J, 4]; segments [S, 4] come longest first."""
+    """Segments on one line, of one polarity and with gaps below 0.4 of the longer one joined, shape [J, 4].
+
+    Segments [S, 4] come longest first.
+    """
     count, found = len(segments), 0
     free, joined = np.ones(count, np.bool_), np.empty_like(segments)
     for index in range(count):

@@ -67,7 +67,9 @@ class OutlinedMasks:
             first = min(self._outlines)
             raise MaskError(f"{self._name} outlines no instrument before frame {first}; give `{frame.number}: []`.")
         if drawn != self._drawn:
-            edge = _edge_distance(lit) / max(picture.shape[:2])
+            # How far every pixel lies from the end of the endoscope's picture, or of the image.
+            field = np.pad(picture_field(lit).astype(np.uint8), 1)
+            edge = cv2.distanceTransform(field, cv2.DIST_L2, 5)[1:-1, 1:-1] / max(picture.shape[:2])
             outlines = [_beyond_edge(outline, edge) for outline in self._outlines[drawn]]
             self._instruments = [RigidInstrument(share * outline, gray) for outline in outlines]
             self._drawn = drawn
@@ -106,12 +108,6 @@ def read_outlines(path: Path) -> Mapping[int, list[np.ndarray]]:
     if not outlines:
         raise InputError(f"{path} holds no frame; {wanted}.")
     return outlines
-
-
-def _edge_distance(lit: np.ndarray) -> np.ndarray:
-    """How far every pixel [H, W] lies from the end of the endoscope's picture, or of the image [px]."""
-    field = np.pad(picture_field(lit).astype(np.uint8), 1)
-    return cv2.distanceTransform(field, cv2.DIST_L2, 5)[1:-1, 1:-1]
 
 
 def _beyond_edge(outline: np.ndarray, edge: np.ndarray) -> np.ndarray:

@@ -242,13 +242,10 @@ def open_sequence(path: Path) -> Sequence:
     pins = scale * np.array([[pin["low"], pin["high"]] for pin in given.pins], float).reshape(-1, 2, 3)
     camera = None if given.camera is None else load_camera(folder / given.camera)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
-    tool = _tool(folder / given.poses, scale, np.array(given.tip, float))
+    table = read_series(folder / given.poses, POSES, "table of poses", 2)
+    if not table[:, 4:].any(axis=1).all():
+        raise InputError(f"{printable(folder / given.poses)} holds a quaternion of length 0; correct that row.")
+    places, tip = scale * table[:, 1:4], scale * np.array(given.tip, float)
+    tool = Tool(folder / given.poses, table[:, 0], Rotation.from_quat(table[:, 4:]), places, tip)
     _require_reach(tool.path, tool.times, times)
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)
-
-
-def _tool(path: Path, scale: float, tip: np.ndarray) -> Tool:
-    table = read_series(path, POSES, "table of poses", 2)
-    if not table[:, 4:].any(axis=1).all():
-        raise InputError(f"{printable(path)} holds a quaternion of length 0; correct that row.")
-    return Tool(path, table[:, 0], Rotation.from_quat(table[:, 4:]), scale * table[:, 1:4], scale * tip)

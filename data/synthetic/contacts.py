@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
 from palpate.data.contact.depth_sequence import REACH as SEQUENCE_REACH
@@ -67,63 +68,60 @@ def draw_contacts(
     vertex = int(np.searchsorted(kept, scene.vertex))
     grid = settings.grid_width, settings.grid_height
     patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if sequence else []
-    press = _Pressed(scene, mesh, vertex, time_step, within, patches)
-    draws = (press.draw(generator) for _ in range(DRAWS_PER_CONTACT * count))
+    place = scene, mesh, vertex, patches
+    draws = (_draw_press(*place, time_step, within, generator) for _ in range(DRAWS_PER_CONTACT * count))
     return list(itertools.islice(filter(None, draws), count))
 
 
-@dataclass(frozen=True)
-class _Pressed:
-    """The mesh of one scene on which presses are drawn; see `draw_contacts` for the fields."""
+def _draw_press(
+    scene: Scene, mesh: Mesh, vertex: int, patches: list[Patches], time_step: float, within: float, generator: Generator
+) -> SimulatedContact | None:
+    """One contact, or None where it moves too much or too little; arguments as in `draw_contacts`.
 
-    scene: Scene
-    mesh: Mesh
-    vertex: int
-    time_step: float
-    within: float
-    patches: list[Patches]
-
-    def draw(self, generator: np.random.Generator) -> SimulatedContact | None:
-        """One contact, or None where it moves too much or too little."""
-        settings, direction = self.scene.settings, self.scene.direction
-        theta = draw_theta(settings, generator)
-        stamped = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps)) / settings.fps
-        delay, release = generator.uniform(-self.within, self.within, 2) if self.within else (0.0, 0.0)
-        loaded = max(stamped + release - delay, SHORTEST_PRESS) / FINE_MECHANICS.time_step
-        low, high = settings.peak_displacement
-        whole = Press.at(self.vertex, direction, np.ones(round(loaded) or 1))
-        pressed = simulate(theta, self.mesh, whole, FINE_MECHANICS)
-        if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
-            return None
-        view = self.patches[int(generator.integers(len(self.patches)))] if self.patches else None
-        watch = np.array([self.vertex]) if view is None else np.append(self.vertex, view.vertices)
-        steps = FINE_MECHANICS.steps + math.ceil(self.within / FINE_MECHANICS.time_step)
-        press = Press.at(self.vertex, direction, held(loaded, steps))
-        path = simulate(theta, self.mesh, press, FINE_MECHANICS, watch=watch)
-        times = np.arange(1, round(settings.fps) + 1) / settings.fps
-        if self.within:
-            after = FINE_MECHANICS.time_step * np.arange(steps + 1)
-            curve = CubicSpline(after, np.concatenate([np.zeros_like(path[:1]), path]))
-            moved = curve(np.maximum(times - delay, 0))
-        else:
-            moved = path[np.rint(times / FINE_MECHANICS.time_step).astype(np.int64) - 1]
-        step = self.time_step
-        load = Press.at(self.vertex, direction.astype(np.float32), held(round(stamped / step), round(1 / step)))
-        observed = Observation.of_point(self.vertex, times, moved[:, 0], 0.0)
-        sequence = None if view is None else self._sequence(view, moved[:, 1:], times, stamped, generator)
-        return SimulatedContact(Interaction(self.mesh, load, observed, step, sequence), theta)
-
-    def _sequence(
-        self, view: Patches, moved: np.ndarray, times: np.ndarray, stamped: float, generator: np.random.Generator
-    ) -> DepthSequence:
-        """The depth-change sequence of displacements [N, V, 3], the tool hiding some pixels until a time [s]."""
-        side = 2 * SEQUENCE_REACH + 1
-        change = view.shown(view.sunk(moved), view.covering(moved)).reshape(len(times), side, side)
-        change[np.ix_(times < stamped - 1e-9, *[np.ones(side, bool)] * 2)] += hidden_by_tool(generator)
-        return DepthSequence(times, change.astype(np.float32), SequenceNoise(0.0, 0.0), view.size)
+    Args:
+        mesh, vertex: the part of the scene's mesh that is simulated, and its contact vertex.
+        patches: of the views of which one is drawn for the depth-change sequence; empty = none is made.
+    """
+    settings, direction = scene.settings, scene.direction
+    theta = draw_theta(settings, generator)
+    stamped = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps)) / settings.fps
+    delay, release = generator.uniform(-within, within, 2) if within else (0.0, 0.0)
+    loaded = max(stamped + release - delay, SHORTEST_PRESS) / FINE_MECHANICS.time_step
+    low, high = settings.peak_displacement
+    whole = Press.at(vertex, direction, np.ones(round(loaded) or 1))
+    pressed = simulate(theta, mesh, whole, FINE_MECHANICS)
+    if not low <= np.linalg.norm(pressed, axis=1).max() <= high:
+        return None
+    view = patches[int(generator.integers(len(patches)))] if patches else None
+    watch = np.array([vertex]) if view is None else np.append(vertex, view.vertices)
+    steps = FINE_MECHANICS.steps + math.ceil(within / FINE_MECHANICS.time_step)
+    press = Press.at(vertex, direction, held(loaded, steps))
+    path = simulate(theta, mesh, press, FINE_MECHANICS, watch=watch)
+    times = np.arange(1, round(settings.fps) + 1) / settings.fps
+    if within:
+        after = FINE_MECHANICS.time_step * np.arange(steps + 1)
+        curve = CubicSpline(after, np.concatenate([np.zeros_like(path[:1]), path]))
+        moved = curve(np.maximum(times - delay, 0))
+    else:
+        moved = path[np.rint(times / FINE_MECHANICS.time_step).astype(np.int64) - 1]
+    stamps = held(round(stamped / time_step), round(1 / time_step))
+    load = Press.at(vertex, direction.astype(np.float32), stamps)
+    observed = Observation.of_point(vertex, times, moved[:, 0], 0.0)
+    sequence = None if view is None else _sequence(view, moved[:, 1:], times, stamped, generator)
+    return SimulatedContact(Interaction(mesh, load, observed, time_step, sequence), theta)
 
 
-def hidden_by_tool(generator: np.random.Generator) -> np.ndarray:
+def _sequence(
+    view: Patches, moved: np.ndarray, times: np.ndarray, stamped: float, generator: Generator
+) -> DepthSequence:
+    """The depth-change sequence of displacements [N, V, 3], the tool hiding some pixels until a time [s]."""
+    side = 2 * SEQUENCE_REACH + 1
+    change = view.shown(view.sunk(moved), view.covering(moved)).reshape(len(times), side, side)
+    change[np.ix_(times < stamped - 1e-9, *[np.ones(side, bool)] * 2)] += hidden_by_tool(generator)
+    return DepthSequence(times, change.astype(np.float32), SequenceNoise(0.0, 0.0), view.size)
+
+
+def hidden_by_tool(generator: Generator) -> np.ndarray:
     """NaN where a tool that touches the middle from a random side hides a sequence's pixels, else 0, shape [S, S]."""
     angle = generator.uniform(0, 2 * math.pi)
     rows, columns = np.mgrid[-SEQUENCE_REACH : SEQUENCE_REACH + 1, -SEQUENCE_REACH : SEQUENCE_REACH + 1]

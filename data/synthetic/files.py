@@ -26,6 +26,9 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
 SLAB_INTEGRATOR = f"finite elements ({LAW}), trapezoidal rule, {SLAB_SUBSTEPS} steps a frame"
+COLORS = np.zeros((256, 3), np.uint8)
+"""RGB of every grey class code."""
+COLORS[[entry.grey for entry in CLASSES.values()]] = [entry.color for entry in CLASSES.values()]
 FASTEST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -37,7 +40,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
     """
     stem = folder / f"frame_{number}_endo"
     _write_png(stem, "", image[..., ::-1])
-    _write_png(stem, "_color_mask", _color_table()[labels][..., ::-1])
+    _write_png(stem, "_color_mask", COLORS[labels][..., ::-1])
     # The real watershed masks have three equal channels.
     _write_png(stem, "_watershed_mask", np.repeat(labels[..., None], 3, axis=2))
     _write_png(stem, "_depth", stored_depth)
@@ -114,10 +117,3 @@ def _write_png(stem: Path, suffix: str, pixels: np.ndarray) -> None:
     if not done:
         raise OSError(f"{stem}{suffix}.png can't be encoded as a PNG.")
     stem.with_name(f"{stem.name}{suffix}.png").write_bytes(encoded.tobytes())
-
-
-def _color_table() -> np.ndarray:
-    table = np.zeros((256, 3), np.uint8)
-    for entry in CLASSES.values():
-        table[entry.grey] = entry.color
-    return table

@@ -216,17 +216,13 @@ def _draw_sheet(settings: SceneSettings, contact_ray: np.ndarray, generator: np.
     amplitudes = settings.relief * generator.uniform(0.3, 1, size=5) * 4 / lengths
     waves = np.stack((amplitudes, lengths * np.cos(angles[:, 0]), lengths * np.sin(angles[:, 0]), angles[:, 1]), axis=1)
     tilt = math.radians(settings.max_tilt_deg) * math.sqrt(generator.uniform())
-    normal = _tilted(np.array([*contact_ray, 1.0]), tilt, generator.uniform(0, 2 * np.pi))
-    return Sheet(contact_ray, distance, normal, axes @ np.diag(bends) @ axes.T, waves)
-
-
-def _tilted(ray: np.ndarray, tilt: float, azimuth: float) -> np.ndarray:
-    """Unit vector towards the camera at an angle `tilt` from the ray [rad]."""
-    axis = -ray / np.linalg.norm(ray)
-    first = np.cross(axis, [0.0, 1.0, 0.0])
+    azimuth = generator.uniform(0, 2 * np.pi)
+    towards = -np.array([*contact_ray, 1.0]) / np.linalg.norm([*contact_ray, 1.0])  # the camera
+    first = np.cross(towards, [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
-    side = math.cos(azimuth) * first + math.sin(azimuth) * np.cross(axis, first)
-    return math.cos(tilt) * axis + math.sin(tilt) * side
+    side = math.cos(azimuth) * first + math.sin(azimuth) * np.cross(towards, first)
+    normal = math.cos(tilt) * towards + math.sin(tilt) * side
+    return Sheet(contact_ray, distance, normal, axes @ np.diag(bends) @ axes.T, waves)
 
 
 def _exit_offset(outline: Outline, contact: tuple[int, int], entry: np.ndarray) -> float:

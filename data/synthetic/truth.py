@@ -157,11 +157,12 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     delays = [float(stream.uniform(*share)) / settings.fps for stream, share in zip(streams, ranges, strict=True)]
     shape = draw_shape(settings, loaded + delays[1] - delays[0], generator.spawn(1)[0])
     peaks = []
+    times = np.linspace(0, loaded, 33)[1:]  # after release the tissue only swings back
     for _ in range(60):
         theta = draw_theta(settings, generator)
-        peak = _peak_under_load(scene, _Pressing(theta, loaded, shape, variation))
-        peaks.append(peak)
-        if low <= peak <= high:
+        *_, response = _integrate(scene, _Pressing(theta, loaded, shape, variation), times[-1:], times)
+        peaks.append(float(np.linalg.norm(response, axis=1).max()))
+        if low <= peaks[-1] <= high:
             return simulate_motion(scene, theta, onset, release, variation, *delays, shape)
     raise SceneError(
         f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
@@ -252,15 +253,8 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     radius, tilt, rise, fall = (float(generator.uniform(*ends)) for ends in ranges)
     angle = generator.uniform(0, 2 * math.pi)
     lean = math.tan(math.radians(tilt))
-    rise, fall = _course(settings, load, rise, fall)
-    return PressShape(radius, (0.0, 0.0), rise, fall, (lean * math.cos(angle), lean * math.sin(angle)))
-
-
-def _course(settings: SceneSettings, load: float, rise: float, fall: float) -> tuple[float, float]:
-    """Times in which a force that lasts for `load` rises and falls [s]; `rise` and `fall` are its shares for `hold`."""
-    if settings.profile == "hold":
-        return rise * load, fall * load
-    return (load if settings.profile == "ramp" else 0.0), 0.0
+    course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
+    return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
 
 
 def force_factor(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
@@ -285,13 +279,6 @@ class _Pressing(NamedTuple):
     shape: PressShape
     variation: np.ndarray | None
     """Relative stiffness over the grid, shape [h, w]; None = 1 everywhere."""
-
-
-def _peak_under_load(scene: Scene, press: _Pressing) -> float:
-    """Largest contact displacement until release [scene units]; after it the tissue only swings back."""
-    times = np.linspace(0, press.load, 33)[1:]
-    _, _, response = _integrate(scene, press, times[-1:], times)
-    return float(np.linalg.norm(response, axis=1).max())
 
 
 def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
@@ -337,17 +324,13 @@ def _integrate(
     while True:
         window = cut_window(scene, radius, press.variation, press.shape)
         displaced, response = _solve(scene, window, press, coarse, fine)
-        leak = np.abs(_next_to_cut(window, displaced)).max(initial=0)
+        # Displacements of the vertices that a spring joins to the cut.
+        joined = abs(window.difference)
+        neighbours = (joined.T @ (joined @ window.cut.astype(np.float64))) > 0
+        leak = np.abs(displaced[:, neighbours]).max(initial=0)
         if leak <= WINDOW_LEAK or radius >= largest:
             return window, displaced, response
         radius = math.ceil(1.5 * radius)
-
-
-def _next_to_cut(window: MeshWindow, displaced: np.ndarray) -> np.ndarray:
-    """Displacements of the vertices that a spring joins to the cut."""
-    touching = abs(window.difference) @ window.cut.astype(np.float64)
-    neighbours = (abs(window.difference).T @ touching) > 0
-    return displaced[:, neighbours]
 
 
 def _solve(

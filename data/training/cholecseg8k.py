@@ -95,16 +95,12 @@ def print_table(clips: Sequence[PreparedClip], console: Console) -> None:
     console.print(table)
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prepare and print the table; returns the exit status."""
     text = "Prepare a data set's depth and geometry, and say what of it training can use."
     parser = argparse.ArgumentParser(prog="python -m data.cholecseg8k", description=text)
     add_listed(parser, read_beside(__file__), {"path": path_option})
-    return parser
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Prepare and print the table; returns the exit status."""
-    options = _parser().parse_args(arguments)
+    options = parser.parse_args(arguments)
     console, errors = Console(), Console(stderr=True)
 
     try:

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -98,7 +97,12 @@ class ClipDataModule(LightningDataModule):
             rank_zero_warn(f"{self.root} {warning}")
         if not places["train"]:
             raise InputError(f"{self.root} has no sample in the videos named to train on; name others.")
-        self._require_stable(places["train"])
+        trained = places["train"]
+        if self.samples.observation == "trajectory":
+            trained = [(clip, int(clips[clip].track_start[frame])) for clip, frame in trained]
+        for clip, frame in sorted(set(trained)):
+            mesh = clips[clip].mesh(frame)
+            require_stable(mesh.springs, len(mesh.vertices), self.bounds, self.mechanics)
         self.places = places
         rank_zero_info(self.summary())
 
@@ -190,14 +194,6 @@ class ClipDataModule(LightningDataModule):
         except ValueError as error:
             raise InputError(f"{self.root}: data.loading.videos names what is not there: {error}") from error
         return {first: rest for own in divided.values() for first, rest in join_folders(own, layout).items()}
-
-    def _require_stable(self, places: Sequence[Place]) -> None:
-        """Check the stability of the admissible box on the training meshes."""
-        if self.samples.observation == "trajectory":
-            places = [(clip, int(self.clips[clip].track_start[frame])) for clip, frame in places]
-        for clip, frame in sorted(set(places)):
-            mesh = self.clips[clip].mesh(frame)
-            require_stable(mesh.springs, len(mesh.vertices), self.bounds, self.mechanics)
 
     def _nothing_found(self) -> str:
         """Error message about a data set without samples."""

@@ -44,14 +44,8 @@ def prepare_all(
                 bar.update(task, total=len(clip), completed=len(clip))
                 clips.append(clip)
             except Exception as error:
-                failures[path] = _reason(error)
+                failures[path] = message = " ".join(str(error).split())
+                if not isinstance(error, InputError):
+                    logging.getLogger(__name__).debug("a clip failed", exc_info=error)
+                    failures[path] = f"unexpected {type(error).__name__} ({message}); report it with the clip's files."
     return clips, failures
-
-
-def _reason(error: Exception) -> str:
-    """One sentence about why a clip failed, for a user."""
-    message = " ".join(str(error).split())
-    if isinstance(error, InputError):
-        return message
-    logging.getLogger(__name__).debug("a clip failed", exc_info=error)
-    return f"unexpected {type(error).__name__} ({message}); report it with the clip's files."

@@ -98,7 +98,9 @@ def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int]
     kept = [frame for frame, reason in enumerate(reasons) if not reason]
     left_out = Counter(filter(None, reasons))
     if kept and settings.min_clip_deformation > 0:
-        squares = np.square(_deformations(clip, settings)[kept]).sum(axis=1)
+        # Observed motion of the contact to the next frame, less the rigid motion.
+        rigid = np.nan_to_num(clip.rigid) if settings.geometry.rigid_motion == "keep" else 0.0
+        squares = np.square((clip.displacement - rigid)[kept]).sum(axis=1)
         if not np.sqrt(np.nanmean(squares)) >= settings.min_clip_deformation:
             return [], left_out + Counter({"clip hardly deforms": len(kept)})
     return kept, left_out
@@ -190,12 +192,6 @@ def _judge_pair(clip: PreparedClip, frame: int, _: SampleSettings) -> str:
         return "next frame not in contact"
     followed = np.isfinite(clip.displacement[frame]).all() and np.isfinite(clip.backward[frame + 1]).all()
     return "" if followed else "contact not followed"
-
-
-def _deformations(clip: PreparedClip, settings: SampleSettings) -> np.ndarray:
-    """Observed motion of the contact to the next frame, less the rigid motion, shape [F, 3] [scene units]."""
-    rigid = np.nan_to_num(clip.rigid) if settings.geometry.rigid_motion == "keep" else 0.0
-    return clip.displacement - rigid
 
 
 def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:

@@ -164,20 +164,15 @@ class JsonLines:
         return {"latency_s": round(self._late[decided][-1], 4), "dropped": self.source.dropped}
 
     def _send(self, found: dict[str, Any]) -> None:
-        line = as_json(found)
+        line, server = as_json(found), self.server
         with self._one:
             print(line, flush=True)
             if self.port is not None:
                 self._socket.sendto(line.encode(), (LOOPBACK, self.port))
-            if self._takes_more():
+            if server is not None and server.is_connected() and len(server.outgoing_messages) < MOST_UNSENT:
                 from pyigtl import StringMessage
 
-                self.server.send_message(StringMessage(line, device_name="palpate"), wait=False)
-
-    def _takes_more(self) -> bool:
-        """Whether there is an OpenIGTLink client that keeps up."""
-        server = self.server
-        return server is not None and server.is_connected() and len(server.outgoing_messages) < MOST_UNSENT
+                server.send_message(StringMessage(line, device_name="palpate"), wait=False)
 
     def summary(self) -> str:
         """A sentence on frames, latency, and what was lost."""

@@ -71,7 +71,9 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a video shows besides what all show."""
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    dents = [_of_dent(forces) for forces in report["contacts"] if forces["verdict"] == DENT]
+    nothing, known = dict.fromkeys(INTERACTIONS, ""), ("onset_frame", "onset_time_s", "verdict")
+    # A dent's press has no row in interactions.csv, only a report of its force.
+    dents = [nothing | {name: str(of[name]) for name in known} for of in report["contacts"] if of["verdict"] == DENT]
     contacts = [_contact(run, forces) for run, forces in zip(runs + dents, report["contacts"], strict=True)]
     shown = (folder / store.OVERLAY).is_file()
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
@@ -114,12 +116,6 @@ def _explained(name: str, count: int = 0) -> dict[str, Any]:
     """A verdict or a status in words, what it means, and what to do about it."""
     said = TEXTS["statuses"].get(name) or {"means": MEANINGS.get(name, ""), "do": TEXTS["verdicts"].get(name, "")}
     return {"name": name, "words": in_words(name), "count": count} | said
-
-
-def _of_dent(forces: Mapping[str, Any]) -> dict[str, str]:
-    """A row of interactions.csv for a press that has none there, by its report of forces."""
-    given = {name: str(forces[name]) for name in ("onset_frame", "onset_time_s", "verdict")}
-    return dict.fromkeys(INTERACTIONS, "") | given
 
 
 def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:

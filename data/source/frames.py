@@ -318,7 +318,8 @@ class Halves(FrameSource):
             across: whether the two are side by side; else the left one is on top.
         """
         self.path, self.name, self.fps, self.length = whole.path, whole.name, whole.fps, whole.length
-        self.coding, self.warnings, self._whole, self._across = whole.coding, [], whole, across
+        self.begin_ns, self.frame_id, self.coding = whole.begin_ns, whole.frame_id, whole.coding
+        self.warnings, self._whole, self._across = [], whole, across
         self.size = (whole.size[0] // 2, whole.size[1]) if across else (whole.size[0], whole.size[1] // 2)
 
     def __iter__(self) -> Iterator[Frame]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.data.source.camera import Rig, clip_camera
-from palpate.data.source.frames import discover, open_source
+from palpate.data.source.frames import FrameSource, discover, halves, open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.estimators.known_force import force_reader
 from tests.data.bags import RATE, write_bag
@@ -35,6 +35,14 @@ def test_a_bag_gives_pictures_and_the_times_of_their_headers(tmp_path, name):
         assert np.array_equal([frame.picture for frame in frames], PICTURES)
         assert source.warnings == ["2 frame numbers are missing between 0 and 6"]
         assert clip_camera(given, LAYOUT) is None
+
+
+def test_left_halves_of_a_bags_pictures_keep_its_clock_and_frame(tmp_path):
+    whole = open_source(written(tmp_path / "clip.bag", [{"index": 7}]), LAYOUT)
+    left = halves(whole, ClipLayout(right="side-by-side"))
+    assert (left.begin_ns, left.frame_id) == (whole.begin_ns, whole.frame_id)
+    assert left.begin_ns > 0
+    assert left.frame_id != FrameSource.frame_id
 
 
 def written(path, images):

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.common.settings import require_choices, require_numbers
-from palpate.estimators.online.objective import Match, Objective, Residual, Terms
+from palpate.estimators.online.objective import Match, Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 
@@ -124,19 +124,15 @@ class Session:
             self._logits = self._adam.step(self._logits, bounds.by_logits(own, slopes))
             self.fields = bounds.fields(self._logits, volume)
         else:
-            simulated, residual = self._followed(places, matches)
+            simulated = self.ahead(places[None])[0]
+            looks = bool(matches) and self.method.name != "PBD"
+            residual = self.objective.mapped(simulated, matches) if looks else None
         self.positions, gap = simulated, None
         if residual is not None:
             self.positions = simulated + residual.deformation
             gap = float(np.linalg.norm(residual.deformation))
             self._past.append(self.positions)
         return Frame(self.positions, self.fields, gap, terms)
-
-    def _followed(self, places: np.ndarray, matches: Sequence[Match]) -> tuple[np.ndarray, Residual | None]:
-        """The state one step on by the fields as they are, and what it is off by, where the method looks at that."""
-        simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]
-        looks = bool(matches) and self.method.name != "PBD"
-        return simulated, self.objective.mapped(simulated, matches) if looks else None
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
         """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""

@@ -10,13 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
 from palpate.data.synthetic.scene import Scene, SceneError, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
+from palpate.physics.mesh import laplacian
 
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""
@@ -250,11 +251,9 @@ def lattice_matrix(log_stiffness: np.ndarray, anchor: float | np.ndarray) -> csr
         (number[1:, :-1], number[:-1, 1:]),
     )
     one, two = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
-    places = np.r_[one, two], np.r_[two, one]
     log = log_stiffness.ravel()
     stiffness = np.exp((log[one] + log[two]) / 2)
-    ties = coo_array((np.tile(stiffness, 2), places), (log.size,) * 2).tocsr()
-    return csr_array(diags_array(ties.sum(axis=1) + np.ravel(anchor)) - ties)
+    return laplacian(np.stack([one, two], axis=1), stiffness, np.broadcast_to(anchor, log_stiffness.shape).ravel())
 
 
 def _in_space(scene: Scene, moved: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from palpate.physics.fem.equilibrium import Energy, settle
 from palpate.physics.fem.laws import Material
 from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import make_solid, outer_faces
-from palpate.physics.mesh import holding
+from palpate.physics.mesh import holding, incidence
 from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
@@ -197,9 +197,7 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     relative = np.where(stiff(rest), STIFF, 1.0)
     stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
-    count = len(first)
-    places = np.r_[first, second], np.tile(np.arange(count), 2)
-    ends = csr_array((np.repeat([1.0, -1.0], count), places), shape=(len(rest), count))
+    ends = incidence(np.stack([first, second], axis=1), len(rest))
     drag = DRAG * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]

@@ -111,6 +111,14 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
     return near[rows, best], shares[rows, best]
 
 
+def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
+    """Springs [S, 2] of a grid's nodes, numbered row by row, to those so many rows below and columns to the right."""
+    number = np.arange(math.prod(shape)).reshape(shape)
+    here = number[: shape[0] - down, max(-right, 0) : shape[1] - max(right, 0)]
+    there = number[down:, max(right, 0) : shape[1] - max(-right, 0)]
+    return np.stack([here.ravel(), there.ravel()], axis=1)
+
+
 def incidence(springs: np.ndarray, count: int) -> csr_array:
     """Matrix that sums forces of springs [S, 2] at so many nodes, shape [count, S]: 1 at the first of each, else -1."""
     number, signs = np.arange(len(springs)), np.repeat([1.0, -1.0], len(springs))

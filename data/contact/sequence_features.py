@@ -15,7 +15,7 @@ from scipy.sparse.linalg import spsolve
 from palpate.data.contact.depth_sequence import REACH, DepthSequence
 from palpate.data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
 from palpate.data.contact.interaction import SAME_INSTANT, Interaction
-from palpate.physics.mesh import laplacian
+from palpate.physics.mesh import grid_springs, laplacian
 
 SHAPES = 6
 """Shapes of a dent."""
@@ -42,16 +42,14 @@ WITHIN = SEQUENCE_FEATURES - 2
 def dent_shapes() -> np.ndarray:
     """Orthonormal shapes on the pixels of a depth-change sequence, shape [P, SHAPES], the narrowest first."""
     side = 2 * (REACH + MARGIN) + 1
-    number = np.arange(side * side).reshape(side, side)
-    pairs = [(number[1:], number[:-1]), (number[:, 1:], number[:, :-1]), (number[1:, 1:], number[:-1, :-1])]
-    first, second = (np.concatenate([pair[end].ravel() for pair in pairs]) for end in (0, 1))
-    springs = laplacian(np.stack([first, second], axis=1), np.ones(len(first)), np.zeros(side * side))
+    springs = np.concatenate([grid_springs((side, side), *step) for step in ((1, 0), (0, 1), (1, 1))])
+    stiffness = laplacian(springs, np.ones(len(springs)), np.zeros(side * side))
     press = np.zeros(side * side)
-    press[number[side // 2, side // 2]] = 1
+    press[side * side // 2] = 1
     inner = np.s_[MARGIN : side - MARGIN, MARGIN : side - MARGIN]
     found = []
     for foundation in np.geomspace(*FOUNDATIONS[::-1], SHAPES):
-        answer = spsolve((springs + foundation * eye_array(side * side)).tocsc(), press)
+        answer = spsolve((stiffness + foundation * eye_array(side * side)).tocsc(), press)
         found.append(answer.reshape(side, side)[inner].ravel())
     shapes, mixed = np.linalg.qr(np.stack(found, axis=1))
     return shapes * np.sign(np.diag(mixed))

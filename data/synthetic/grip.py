@@ -17,7 +17,7 @@ from scipy.special import k0e, k1e
 from palpate.data.synthetic.scene import Scene, SceneError, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
-from palpate.physics.mesh import laplacian
+from palpate.physics.mesh import grid_springs, laplacian
 
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""
@@ -243,17 +243,10 @@ def lattice_matrix(log_stiffness: np.ndarray, anchor: float | np.ndarray) -> csr
         log_stiffness: log stiffness at the nodes, shape [rows, columns]; a spring has the geometric mean of its ends'.
         anchor: foundation, one number for all nodes or shape [rows, columns].
     """
-    number = np.arange(log_stiffness.size).reshape(log_stiffness.shape)
-    neighbours = (
-        (number[:-1], number[1:]),
-        (number[:, :-1], number[:, 1:]),
-        (number[:-1, :-1], number[1:, 1:]),
-        (number[1:, :-1], number[:-1, 1:]),
-    )
-    one, two = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
-    log = log_stiffness.ravel()
-    stiffness = np.exp((log[one] + log[two]) / 2)
-    return laplacian(np.stack([one, two], axis=1), stiffness, np.broadcast_to(anchor, log_stiffness.shape).ravel())
+    shape = log_stiffness.shape
+    springs = np.concatenate([grid_springs(shape, *step) for step in ((1, 0), (0, 1), (1, 1), (1, -1))])
+    stiffness = np.exp(log_stiffness.ravel()[springs].mean(axis=1))
+    return laplacian(springs, stiffness, np.broadcast_to(anchor, shape).ravel())
 
 
 def _in_space(scene: Scene, moved: np.ndarray) -> np.ndarray:

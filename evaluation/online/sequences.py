@@ -19,7 +19,7 @@ from palpate.physics.fem.equilibrium import Energy, settle
 from palpate.physics.fem.laws import Material
 from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import make_solid, outer_faces
-from palpate.physics.mesh import holding, incidence
+from palpate.physics.mesh import grid_springs, holding, incidence
 from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
@@ -186,18 +186,14 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
     """Of a net that flows down its energy, in steps of Euler's well within what is stable."""
-    rest, at = _grid(FINE, FINE, (SIDE, SIDE))
-    pairs, weights = [], []
-    for right, up, weight in SPRINGS:
-        here = at[: FINE - right, max(-up, 0) : FINE - max(up, 0)]
-        there = at[right:, max(up, 0) : FINE - max(-up, 0)]
-        pairs.append(np.column_stack([here.ravel(), there.ravel()]))
-        weights.append(np.full(here.size, weight))
-    first, second = np.concatenate(pairs).T
-    relative = np.where(stiff(rest), STIFF, 1.0)
-    stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
+    rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
+    kinds = [grid_springs((FINE, FINE), right, up) for right, up, _ in SPRINGS]
+    springs, relative = np.concatenate(kinds), np.where(stiff(rest), STIFF, 1.0)
+    first, second = springs.T
+    weights = np.repeat([weight for *_, weight in SPRINGS], [len(kind) for kind in kinds])
+    stiffness = weights * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
-    ends = incidence(np.stack([first, second], axis=1), len(rest))
+    ends = incidence(springs, len(rest))
     drag = DRAG * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from palpate.physics.mesh import contact_normal, grid_mesh, incidence, laplacian, nearest_vertex
+from palpate.physics.mesh import contact_normal, grid_mesh, grid_springs, incidence, laplacian, nearest_vertex
 from tests.physics.sheets import hand_mesh, surface
 
 
@@ -188,3 +188,13 @@ def test_forces_of_springs_are_summed_and_their_stiffness_is_their_product_s():
     found = laplacian(springs, stiffness, anchor).toarray()
     np.testing.assert_array_equal(found, [[2.5, -2, 0, 0], [-2, 7, -5, 0], [0, -5, 5.25, 0], [0, 0, 0, 3]])
     np.testing.assert_array_equal(found, (ends * stiffness) @ ends.T.toarray() + np.diag(anchor))
+
+
+def test_springs_of_a_grid_join_nodes_so_many_rows_and_columns_apart():
+    """Of two rows of three nodes, 0 to 5."""
+    assert grid_springs((2, 3), 0, 1).tolist() == [[0, 1], [1, 2], [3, 4], [4, 5]]
+    assert grid_springs((2, 3), 1, 0).tolist() == [[0, 3], [1, 4], [2, 5]]
+    assert grid_springs((2, 3), 1, 1).tolist() == [[0, 4], [1, 5]]
+    assert grid_springs((2, 3), 1, -1).tolist() == [[1, 3], [2, 4]]
+    assert grid_springs((2, 3), 0, 2).tolist() == [[0, 2], [3, 5]]
+    assert grid_springs((2, 3), 2, 0).tolist() == []

@@ -29,8 +29,8 @@ class Adam:
     decay: tuple[float, float] = (0.9, 0.999)
     """Of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
     guard: float = 1e-8
-    _mean: np.ndarray | None = field(default=None, init=False, repr=False)
-    _square: np.ndarray | None = field(default=None, init=False, repr=False)
+    _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
+    _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
     _count: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -39,11 +39,10 @@ class Adam:
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Values after one step against slopes of the same shape."""
-        mean, square = (np.zeros_like(values) if past is None else past for past in (self._mean, self._square))
         first, second = self.decay
         self._count += 1
-        self._mean = first * mean + (1 - first) * slopes
-        self._square = second * square + (1 - second) * slopes * slopes
+        self._mean = first * self._mean + (1 - first) * slopes
+        self._square = second * self._square + (1 - second) * slopes * slopes
         size = np.sqrt(self._square / (1 - second**self._count)) + self.guard
         return values - self.rate * self._mean / (1 - first**self._count) / size
 

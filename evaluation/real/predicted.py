@@ -83,7 +83,7 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     if not skills["online"]:
         raise InputError(f"{clip.path}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
-    return measures | {"known particles": float(tissue.known.mean())}
+    return measures | {"known particles": float(tissue.determined()[1][0].mean())}
 
 
 def skill(expected: np.ndarray, moved: np.ndarray) -> float:

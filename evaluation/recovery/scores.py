@@ -160,7 +160,7 @@ def coverage(errors: np.ndarray, sd: np.ndarray) -> float:
 
 def table(judged: Sequence[Scores]) -> pd.DataFrame:
     """`table.csv`."""
-    found: list[Row] = []
+    found = []
     for scores in judged:
         for column, parameter in enumerate(QUANTITIES):
             for regime, used in scores.groups(column).items():
@@ -168,6 +168,5 @@ def table(judged: Sequence[Scores]) -> pd.DataFrame:
                 constant = float(np.std(scores.truth[used, column])) if used.any() else math.nan
                 held = coverage(scores.errors[used, column], scores.sd[used, column])
                 named = scores.estimator, scores.suite, regime, parameter
-                cells = (*named, int(used.sum()), error, bound, error / bound, constant, held)
-                found.append(dict(zip(COLUMNS, cells, strict=True)))
+                found.append((*named, int(used.sum()), error, bound, error / bound, constant, held))
     return pd.DataFrame(found, columns=COLUMNS)

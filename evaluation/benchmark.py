@@ -39,7 +39,7 @@ from palpate.evaluation.harness import OK, Experiment, Report, Row, run
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from palpate.evaluation.recovery.grips import grip_table
-from palpate.evaluation.recovery.scores import Bound, Scores, score_all, table
+from palpate.evaluation.recovery.scores import Scores, score_all, table
 from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import MOTION, Trial, run_trial
@@ -192,7 +192,7 @@ class Benchmark(Experiment):
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
         presses, grips, slabs = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
-        judged = score_all(presses, Bound(self.bound, self.onset))
+        judged = score_all(presses, self.bound, self.onset)
         tables = {"table.csv": table(judged), "details.csv": detail_table(judged)} if judged else {}
         shown = [frame[frame["n"] > 0] for frame in list(tables.values())[:1]]
         for name, part, made in (("grips.csv", grips, grip_table), ("slabs.csv", slabs, slab_table)):

@@ -1,7 +1,7 @@
 """Simulators and their derivatives in arrays; knows nothing of images, networks or files.
 
 mechanics        constants of the simulator, θ and its admissible box
-mesh             the tissue surface: vertices, springs, held rim, contact vertex and normal
+mesh             the tissue surface: vertices, springs, held rim, contact vertex and normal; matrices of springs
 load             how a tool acts on a mesh: Press or Grip
 observation      what was observed of followed points
 likelihood       how well a θ explains an observation, and its derivatives

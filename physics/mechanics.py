@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
-from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import eigsh
 
 from palpate.common.settings import require_numbers
+from palpate.physics.mesh import incidence
 
 PARAMETERS = ("stiffness", "damping", "force")
 """Order of θ = [k_s, k_d, F] everywhere."""
@@ -162,15 +162,13 @@ def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, 
         vertex_count: number of vertices N.
         stiffness: k_s.
     """
-    first, second = np.asarray(springs).T
-    adjacency = coo_array((np.ones(len(first)), (first, second)), shape=(vertex_count, vertex_count)).tocsr()
-    degree = np.bincount(np.ravel(springs), minlength=vertex_count).astype(float)
+    ends = abs(incidence(np.asarray(springs), vertex_count))
     if vertex_count > 3 and len(springs):
         # The signless Laplacian bounds the Laplacian, and its leading vector is positive, so Lanczos converges fast.
-        signless, start = diags_array(degree) + adjacency + adjacency.T, np.ones(vertex_count)
+        signless, start = ends @ ends.T, np.ones(vertex_count)
         largest = float(eigsh(signless, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False)[0]) * 1.001
     else:
-        largest = 2.0 * float(degree.max(initial=0))
+        largest = 2.0 * float(ends.sum(axis=1).max(initial=0))
     return math.sqrt(largest * stiffness / mechanics.mass)
 
 

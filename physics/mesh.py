@@ -1,4 +1,4 @@
-"""Triangulated tissue surface from a depth grid: vertices, springs, held rim, contact vertex and contact normal.
+"""Triangulated tissue surface from a depth grid: vertices, springs, held rim, contact; and matrices of any springs.
 
 Source: Bini 2026, section 3.2.2 (grid triangulation, edge filter, decimation, equations 4 to 8).
 """
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import Delaunay, KDTree
 
 OCCLUDER_REACH = 2
@@ -108,6 +109,33 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
     shares = np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
     best, rows = shares.min(axis=2).argmax(axis=1), np.arange(len(points))
     return near[rows, best], shares[rows, best]
+
+
+def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
+    """Springs [S, 2] of a grid's nodes, numbered row by row, to those so many rows below and columns to the right."""
+    number = np.arange(math.prod(shape)).reshape(shape)
+    here = number[: shape[0] - down, max(-right, 0) : shape[1] - max(right, 0)]
+    there = number[down:, max(right, 0) : shape[1] - max(-right, 0)]
+    return np.stack([here.ravel(), there.ravel()], axis=1)
+
+
+def incidence(springs: np.ndarray, count: int) -> csr_array:
+    """Matrix that sums forces of springs [S, 2] at so many nodes, shape [count, S]: 1 at the first of each, else -1."""
+    number, signs = np.arange(len(springs)), np.repeat([1.0, -1.0], len(springs))
+    return csr_array((signs, (springs.T.ravel(), np.tile(number, 2))), shape=(count, len(springs)))
+
+
+def laplacian(springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray) -> csr_array:
+    """K of nodes that springs and a foundation hold, each axis alone, shape [N, N].
+
+    Args:
+        springs: node indices, shape [S, 2].
+        stiffness: of each, shape [S].
+        anchor: of every node's foundation, shape [N].
+    """
+    (one, two), number = springs.T, np.arange(len(anchor) + 1)
+    ties = coo_array((np.tile(stiffness, 2), (np.r_[one, two], np.r_[two, one])), (len(anchor), len(anchor))).tocsr()
+    return csr_array((ties.sum(axis=1) + anchor, number[:-1], number)) - ties
 
 
 def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:

@@ -8,8 +8,10 @@ whatever axis: every axis is alone, and a picture's plane does. Only ratios of s
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.sparse.linalg import SuperLU, splu
+
+from palpate.physics.mesh import incidence, laplacian
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +41,8 @@ class Equilibrium:
             stiffness: derivatives of the springs' stiffness by them, shape [S, P].
             anchor: of the nodes' foundation, shape [N, P].
         """
-        nodes, axes = self.displacement.shape
-        one, two = self.springs.T
-        number, ends = np.arange(len(one)), np.repeat([1.0, -1.0], len(one))
-        pulls = coo_array((ends, (np.r_[one, two], np.r_[number, number])), (nodes, len(one))).tocsr()
+        (nodes, axes), (one, two) = self.displacement.shape, self.springs.T
+        pulls = incidence(self.springs, nodes)
         found = np.zeros((nodes, axes, anchor.shape[1]))
         for axis in range(axes):
             moved = self.displacement[:, axis]
@@ -73,10 +73,7 @@ def equilibrium(
         raise ValueError("a stiffness is not positive; without any a node has no place.")
     if not np.isfinite(motion).all():
         raise ValueError("motion of the grip holds a number that is not finite.")
-    one, two = springs.T
-    ties = coo_array((np.tile(stiffness, 2), (np.r_[one, two], np.r_[two, one])), (count, count)).tocsr()
-    diagonal = ties.sum(axis=1) + anchor
-    matrix = (coo_array((diagonal, (np.arange(count), np.arange(count))), (count, count)) - ties).tocsr()
+    matrix = laplacian(springs, stiffness, anchor)
     displacement = np.zeros((count, motion.shape[1]))
     displacement[gripped] = motion
     free = matrix[~gripped]

@@ -9,12 +9,13 @@ import dataclasses
 import functools
 
 import numpy as np
-from scipy.sparse import coo_array, diags_array, eye_array
+from scipy.sparse import eye_array
 from scipy.sparse.linalg import spsolve
 
 from palpate.data.contact.depth_sequence import REACH, DepthSequence
 from palpate.data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
 from palpate.data.contact.interaction import SAME_INSTANT, Interaction
+from palpate.physics.mesh import grid_springs, laplacian
 
 SHAPES = 6
 """Shapes of a dent."""
@@ -41,18 +42,14 @@ WITHIN = SEQUENCE_FEATURES - 2
 def dent_shapes() -> np.ndarray:
     """Orthonormal shapes on the pixels of a depth-change sequence, shape [P, SHAPES], the narrowest first."""
     side = 2 * (REACH + MARGIN) + 1
-    number = np.arange(side * side).reshape(side, side)
-    pairs = [(number[1:], number[:-1]), (number[:, 1:], number[:, :-1]), (number[1:, 1:], number[:-1, :-1])]
-    first, second = (np.concatenate([pair[end].ravel() for pair in pairs]) for end in (0, 1))
-    ends = np.concatenate([first, second]), np.concatenate([second, first])
-    springs = coo_array((np.ones(len(ends[0])), ends), (side * side, side * side)).tocsc()
-    laplacian = diags_array(springs.sum(axis=1)) - springs
+    springs = np.concatenate([grid_springs((side, side), *step) for step in ((1, 0), (0, 1), (1, 1))])
+    stiffness = laplacian(springs, np.ones(len(springs)), np.zeros(side * side))
     press = np.zeros(side * side)
-    press[number[side // 2, side // 2]] = 1
+    press[side * side // 2] = 1
     inner = np.s_[MARGIN : side - MARGIN, MARGIN : side - MARGIN]
     found = []
     for foundation in np.geomspace(*FOUNDATIONS[::-1], SHAPES):
-        answer = spsolve((laplacian + foundation * eye_array(side * side)).tocsc(), press)
+        answer = spsolve((stiffness + foundation * eye_array(side * side)).tocsc(), press)
         found.append(answer.reshape(side, side)[inner].ravel())
     shapes, mixed = np.linalg.qr(np.stack(found, axis=1))
     return shapes * np.sign(np.diag(mixed))

@@ -10,13 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
 from palpate.data.synthetic.scene import Scene, SceneError, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
+from palpate.physics.mesh import grid_springs, laplacian
 
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""
@@ -242,19 +243,10 @@ def lattice_matrix(log_stiffness: np.ndarray, anchor: float | np.ndarray) -> csr
         log_stiffness: log stiffness at the nodes, shape [rows, columns]; a spring has the geometric mean of its ends'.
         anchor: foundation, one number for all nodes or shape [rows, columns].
     """
-    number = np.arange(log_stiffness.size).reshape(log_stiffness.shape)
-    neighbours = (
-        (number[:-1], number[1:]),
-        (number[:, :-1], number[:, 1:]),
-        (number[:-1, :-1], number[1:, 1:]),
-        (number[1:, :-1], number[:-1, 1:]),
-    )
-    one, two = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
-    places = np.r_[one, two], np.r_[two, one]
-    log = log_stiffness.ravel()
-    stiffness = np.exp((log[one] + log[two]) / 2)
-    ties = coo_array((np.tile(stiffness, 2), places), (log.size,) * 2).tocsr()
-    return csr_array(diags_array(ties.sum(axis=1) + np.ravel(anchor)) - ties)
+    shape = log_stiffness.shape
+    springs = np.concatenate([grid_springs(shape, *step) for step in ((1, 0), (0, 1), (1, 1), (1, -1))])
+    stiffness = np.exp(log_stiffness.ravel()[springs].mean(axis=1))
+    return laplacian(springs, stiffness, np.broadcast_to(anchor, shape).ravel())
 
 
 def _in_space(scene: Scene, moved: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from palpate.data.synthetic.scene import Scene, SceneError, crop_mesh, require_r
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import damping_ratio
+from palpate.physics.mesh import incidence
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
@@ -292,12 +293,9 @@ def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
 def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: PressShape) -> MeshWindow:
     """Vertices within `radius` grid px of the contact and the springs among them; the cut border is held."""
     mesh, vertices, cut = crop_mesh(scene.mesh, scene.vertex, radius)
-    count = np.arange(len(mesh.springs))
-    signs = np.repeat((-1.0, 1.0), len(count))
-    ends = (np.concatenate((count, count)), mesh.springs.T.ravel())
-    difference = csr_array((signs, ends), shape=(len(count), len(vertices)))
+    difference = -incidence(mesh.springs, len(vertices)).T.tocsr()
     edges = difference @ mesh.vertices.astype(np.float64)
-    relative = np.ones(len(count))
+    relative = np.ones(len(edges))
     if variation is not None:
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))

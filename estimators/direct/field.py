@@ -43,11 +43,9 @@ class SequenceMotion(Protocol):
 
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements [N, V, 3] and their derivatives by all parameters [N, V, 3, D]."""
-        ...
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """Displacements as finer time steps have them, shape [N, V, 3]."""
-        ...
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
         """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
@@ -56,7 +54,6 @@ class SequenceMotion(Protocol):
             sunk: change of the depth of every pixel of a square, shape [N, P] [scene units].
             averages: whether a pixel is the mean of several of the picture.
         """
-        ...
 
 
 M = TypeVar("M", bound=SequenceMotion)

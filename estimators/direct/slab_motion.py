@@ -137,13 +137,10 @@ class SlabMotion(DelayedMotion):
             shape = (len(self.times), self._shown.shape[0], 3)
             return np.full(shape, np.nan), np.full((*shape, len(logs)), np.nan)
         curves = path[..., None], slopes[..., : self.tissue], slopes[..., self.tissue :]
-        found = self.seen(curves, self.step, logs)
-        return self._corrected(logs, *found)
-
-    def _corrected(self, logs: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A motion of the body and its derivatives with what its elements get wrong in small motions put right."""
+        found, slopes = self.seen(curves, self.step, logs)
         if self.fine is None:
             return found, slopes
+        # What the body's elements get wrong in small motions is put right.
         steps = SLIGHT * np.eye(len(logs))
         change = [(self._wrong(logs + step) - self._wrong(logs - step)) / (2 * SLIGHT) for step in steps]
         return found + self._wrong(logs), slopes + np.stack(change, axis=-1)

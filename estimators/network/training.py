@@ -15,8 +15,9 @@ costs more than the network:
  4. `bound`: a second network learns the size of the Cramér–Rao bound at those fits, by which verdicts are given.
 """
 
+import contextlib
 import dataclasses
-import functools
+import itertools
 import json
 import math
 import os
@@ -33,6 +34,7 @@ from rich.console import Console
 from rich.progress import Progress
 from torch import Tensor, nn
 
+from palpate.common.ahead import ahead
 from palpate.common.command_line import LARGEST_NUMBER, progress_bars
 from palpate.common.files import as_json, read_file
 from palpate.common.output import ForeignFile, replacing_own, require_own
@@ -236,15 +238,6 @@ def descend(
         yield float(loss.detach())
 
 
-def _ahead(thread: ThreadPoolExecutor, draw: Callable[[], Drawn]) -> Iterator[Drawn]:
-    """Draws, of which the next is made in a thread while the last is in use."""
-    following = thread.submit(draw)
-    while True:
-        drawn = following.result()
-        following = thread.submit(draw)
-        yield drawn
-
-
 def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
     settings, seed, within = task
     return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
@@ -314,8 +307,8 @@ def train_contact(options: ContactSettings) -> None:
             keep(prepared, by, vars(fits), posterior=posterior.state_dict())
         torch.manual_seed(options.seed)
         generator = np.random.default_rng([options.seed, 19])
-        with ThreadPoolExecutor(1) as ahead:
-            drawn = _ahead(ahead, functools.partial(draw_observed, fits, FINE_BATCH, generator))
+        draws = (draw_observed(fits, FINE_BATCH, generator) for _ in itertools.count())
+        with contextlib.closing(ahead(draws, 1)) as drawn:
             stage("fine", posterior, lambda _: fine_loss(posterior, next(drawn)), options.fine_steps, FINE_RATE)
             bound = posterior.expected_bound
             stage("bound", bound, lambda _: expected_loss(posterior, next(drawn)), options.bound_steps, FINE_RATE)

@@ -134,11 +134,6 @@ class DrivenTissue:
         """Free particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
         return self._now.moving & self._free
 
-    @property
-    def known(self) -> np.ndarray:
-        """Particles whose stiffness against stretch is determined by the motion so far, shape [N], bool."""
-        return self.determined()[1][0]
-
     def determined(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean where tissue has stretched, and where that is determined.
 

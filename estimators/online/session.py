@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.common.settings import require_choices, require_numbers
-from palpate.estimators.online.objective import Match, Objective, Residual, Terms
+from palpate.estimators.online.objective import Match, Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 
@@ -29,8 +29,8 @@ class Adam:
     decay: tuple[float, float] = (0.9, 0.999)
     """Of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
     guard: float = 1e-8
-    _mean: np.ndarray | None = field(default=None, init=False, repr=False)
-    _square: np.ndarray | None = field(default=None, init=False, repr=False)
+    _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
+    _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
     _count: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -39,11 +39,10 @@ class Adam:
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Values after one step against slopes of the same shape."""
-        mean, square = (np.zeros_like(values) if past is None else past for past in (self._mean, self._square))
         first, second = self.decay
         self._count += 1
-        self._mean = first * mean + (1 - first) * slopes
-        self._square = second * square + (1 - second) * slopes * slopes
+        self._mean = first * self._mean + (1 - first) * slopes
+        self._square = second * self._square + (1 - second) * slopes * slopes
         size = np.sqrt(self._square / (1 - second**self._count)) + self.guard
         return values - self.rate * self._mean / (1 - first**self._count) / size
 
@@ -124,19 +123,15 @@ class Session:
             self._logits = self._adam.step(self._logits, bounds.by_logits(own, slopes))
             self.fields = bounds.fields(self._logits, volume)
         else:
-            simulated, residual = self._followed(places, matches)
+            simulated = self.ahead(places[None])[0]
+            looks = bool(matches) and self.method.name != "PBD"
+            residual = self.objective.mapped(simulated, matches) if looks else None
         self.positions, gap = simulated, None
         if residual is not None:
             self.positions = simulated + residual.deformation
             gap = float(np.linalg.norm(residual.deformation))
             self._past.append(self.positions)
         return Frame(self.positions, self.fields, gap, terms)
-
-    def _followed(self, places: np.ndarray, matches: Sequence[Match]) -> tuple[np.ndarray, Residual | None]:
-        """The state one step on by the fields as they are, and what it is off by, where the method looks at that."""
-        simulated = self.objective.stepped(self.fields, self.positions, places[None]).positions[0, -1]
-        looks = bool(matches) and self.method.name != "PBD"
-        return simulated, self.objective.mapped(simulated, matches) if looks else None
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
         """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""

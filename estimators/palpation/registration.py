@@ -99,25 +99,16 @@ class View:
     """Of the sensor, as it is believed, shape [4, 4]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Joined:
-    """One surface of several views."""
-
-    vertices: np.ndarray
-    """In the first view's believed world, shape [V, 3] [m]."""
-    triangles: np.ndarray
-    """Facing the sensors that saw them, shape [F, 3]."""
-    poses: list[np.ndarray]
-    """Of the sensors, aligned, each of shape [4, 4]; the first one's as it was believed."""
-    apart: float
-    """Root mean square distance of overlapping points from the other views' surface [m]."""
-
-
-def join_views(views: Sequence[View]) -> Joined:
+def join_views(views: Sequence[View]) -> tuple[Triangles, list[np.ndarray], float]:
     """Register views and make one surface of them.
 
     Args:
         views: at least one; each shows a part of what those before it show.
+
+    Returns:
+        The surface in the first view's believed world, its triangles facing the sensors that saw them; poses of the
+        sensors, aligned, each of shape [4, 4], the first one's as it was believed; and the root mean square distance of
+        overlapping points from the other views' surface [m].
 
     Raises:
         ValueError: there is none, or one has no triangles.
@@ -146,7 +137,7 @@ def join_views(views: Sequence[View]) -> Joined:
     used, which = np.unique(whole[1], return_inverse=True)
     off = np.concatenate(apart) if apart else np.zeros(0)
     rms = float(np.sqrt(np.mean(np.square(off)))) if len(off) else 0.0
-    return Joined(whole[0][used], which.reshape(-1, 3), poses, rms)
+    return (whole[0][used], which.reshape(-1, 3)), poses, rms
 
 
 def _oriented(view: View, pose: np.ndarray) -> Triangles:

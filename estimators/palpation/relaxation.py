@@ -6,7 +6,7 @@ Fₑ = (e^(b·d) - 1)/(e^(b·d_max) - 1) and G(t) = w₀ + Σ wⱼ e^(-t/τⱼ),
 decade, from a sample's spacing to three times what was observed; weights are the non-negative least squares'.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar, nnls
@@ -85,8 +85,7 @@ def fit_relaxation(hold: Hold, until: float | None = None, *, branches: int | No
         after = held & (hold.times > middle)
         missed = early.force(hold.times, hold.depth)[after] - hold.force[after]
         drift = float(np.sqrt(np.mean(np.square(missed))))
-    parts = (found.stiffening, found.deepest, found.times, found.weights, found.noise)
-    return Viscoelastic(*parts, drift)
+    return replace(found, drift=drift)
 
 
 def _fit(hold: Hold, until: float | None, branches: int | None) -> tuple[Viscoelastic, np.ndarray]:

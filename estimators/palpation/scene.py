@@ -287,9 +287,9 @@ def _surface(scene: SceneFile, views: list[View]) -> tuple[np.ndarray, np.ndarra
     """Vertices [V, 3] and triangles [F, 3] of the body at rest, and what is to be said of them."""
     if scene.surface is not None:
         return views[0].vertices, views[0].triangles, ()
-    joined = join_views(views)
-    said = f"{len(views)} views were joined; where they overlap they lie {1000 * joined.apart:.2g} mm apart (rms)."
-    return joined.vertices, joined.triangles, (said,)
+    surface, _, apart = join_views(views)
+    said = f"{len(views)} views were joined; where they overlap they lie {1000 * apart:.2g} mm apart (rms)."
+    return *surface, (said,)
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from palpate.physics.fem.equilibrium import Energy, settle
 from palpate.physics.fem.laws import Material
 from palpate.physics.fem.meshing import box
 from palpate.physics.fem.solid import make_solid, outer_faces
-from palpate.physics.mesh import holding
+from palpate.physics.mesh import grid_springs, holding, incidence
 from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
@@ -100,8 +100,8 @@ class Sequence:
     block: bool
     frames: int
     """As many by default."""
-    way: Callable[[np.ndarray], np.ndarray]
-    """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
+    way: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+    """Displacement of the gripper along each axis at shares of the time [S], shape [S] each [m]."""
     stiff: Callable[[np.ndarray], np.ndarray]
     """Which places at rest [P, 3] are stiff, bool [P]."""
 
@@ -113,7 +113,7 @@ class Sequence:
             points: of a cloud.
             frames: how many of the sequence, from its beginning.
         """
-        path = self.way(np.arange(1, frames + 1) / self.frames)
+        path = np.stack(self.way(np.arange(1, frames + 1) / self.frames), axis=1)
         states = (_block_states if self.block else _sheet_states)(path, self.stiff)
         body = _block_body(particles) if self.block else _sheet_body(particles)
         random = np.random.default_rng(0)
@@ -186,20 +186,14 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
     """Of a net that flows down its energy, in steps of Euler's well within what is stable."""
-    rest, at = _grid(FINE, FINE, (SIDE, SIDE))
-    pairs, weights = [], []
-    for right, up, weight in SPRINGS:
-        here = at[: FINE - right, max(-up, 0) : FINE - max(up, 0)]
-        there = at[right:, max(up, 0) : FINE - max(-up, 0)]
-        pairs.append(np.column_stack([here.ravel(), there.ravel()]))
-        weights.append(np.full(here.size, weight))
-    first, second = np.concatenate(pairs).T
-    relative = np.where(stiff(rest), STIFF, 1.0)
-    stiffness = np.concatenate(weights) * (relative[first] + relative[second]) / 2
+    rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
+    kinds = [grid_springs((FINE, FINE), right, up) for right, up, _ in SPRINGS]
+    springs, relative = np.concatenate(kinds), np.where(stiff(rest), STIFF, 1.0)
+    first, second = springs.T
+    weights = np.repeat([weight for *_, weight in SPRINGS], [len(kind) for kind in kinds])
+    stiffness = weights * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
-    count = len(first)
-    places = np.r_[first, second], np.tile(np.arange(count), 2)
-    ends = csr_array((np.repeat([1.0, -1.0], count), places), shape=(len(rest), count))
+    ends = incidence(springs, len(rest))
     drag = DRAG * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
@@ -256,32 +250,25 @@ def _spread_out(points: np.ndarray) -> np.ndarray:
     return pool[farthest(points[0, pool], len(pool) - 1, KEYPOINTS)]
 
 
-def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Displacements of a gripper, shape [S, 3], from those along each axis [S] [m]."""
-    return np.stack([right, aside, up], axis=1)
-
-
 SEQUENCES = {
     # Away from the pins and up; the half next to the pins is stiff.
     "thin-shell-1": Sequence(
-        False, 60, lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
+        False, 60, lambda s: (0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
     ),
     # To one side, to the other and back, lifted on the way; a spot is stiff.
     "thin-shell-2": Sequence(
         False,
         100,
-        lambda s: _path(0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
+        lambda s: (0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
         lambda rest: np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04,
     ),
     # A block's free end up, and a little back.
-    "volume-1": Sequence(
-        True, 60, lambda s: _path(-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2
-    ),
+    "volume-1": Sequence(True, 60, lambda s: (-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2),
     # A block's free end aside and up.
     "volume-2": Sequence(
         True,
         60,
-        lambda s: _path(0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
+        lambda s: (0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
         lambda rest: rest[:, 1] < BLOCK[1] / 2,
     ),
 }

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.estimators.palpation import Palpation, Skin, cover
+from palpate.estimators.palpation.registration import turned
 from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import Longest, around, refine
@@ -160,8 +161,5 @@ def observe(
     true = np.eye(4)
     true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
     true[:3, 3] = eye
-    believed = np.eye(4)
-    believed[:3, :3] = Rotation.from_rotvec(chance.normal(0, POSE_TURN, 3)).as_matrix()
-    believed[:3, 3] = chance.normal(0, POSE_SHIFT, 3)
-    observed = (points - true[:3, 3]) @ true[:3, :3]
-    return Palpation(force, contact, observed, believed @ true, TOOL, 1.1 * TOOL)
+    off = np.concatenate([chance.normal(0, POSE_TURN, 3), chance.normal(0, POSE_SHIFT, 3)])
+    return Palpation(force, contact, (points - eye) @ true[:3, :3], turned(true, off), TOOL, 1.1 * TOOL)

@@ -46,23 +46,21 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     surface = first_surface(clip, settings)
     measures: Row = {"status": "ok", "estimator": "online", "particles": surface.body.count}
     skills: dict[str, list[float]] = {"online": [], "sheet": [], "sheet from rest": []}
-    points, spacing = (lattice.points, lattice.distance), lattice.spacing
-    tissue = DrivenTissue(surface, *points, settings, spacing)
     for index in FROM:
         if index + AHEAD > len(frames):
             continue
         # Anew each time: what is fitted may see the frames up to this one.
         fitted = replace(settings, fitted=min(settings.fitted, index))
-        tissue = DrivenTissue(surface, *points, fitted, spacing)
+        tissue = DrivenTissue(surface, lattice.points, lattice.distance, fitted, lattice.spacing)
         for frame in frames[:index]:
             tissue.step(frame.moved)
         frame = frames[index - 1]
         later = frames[index : index + AHEAD]
         around, now, then = tissue.around, frame.moved, later[-1].moved
-        used = _judged(around, frame, later[-1])
+        used = (frame.around & later[-1].around)[around]  # in view in both frames and gripped in neither
         chosen = around[used]
+        measures[f"points from frame {index}"] = len(chosen)
         if len(chosen) < LEAST_POINTS:
-            measures[f"points from frame {index}"] = len(chosen)
             continue
         since = then[chosen] - now[chosen]
         ahead = tissue.ahead(np.stack([item.moved for item in later]))
@@ -74,7 +72,6 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
             # Its displacement from rest as it is, less what is observed by now.
             "sheet from rest": pulled - now[chosen],
         }
-        measures[f"points from frame {index}"] = len(chosen)
         measures[f"motion since frame {index} [px]"] = length(since)
         measures[f"foundation over stiffness by frame {index}"] = ratio
         measures[f"model from frame {index}"] = ahead.model
@@ -86,17 +83,12 @@ def evaluate_prediction(clip: PulledClip, settings: OnlineSettings) -> Row:
     if not skills["online"]:
         raise InputError(f"{clip.path}: fewer than {LEAST_POINTS} points are followed {AHEAD} frames on.")
     measures |= {f"skill of {name}, mean": float(np.mean(values)) for name, values in skills.items()}
-    return measures | {"known particles": float(tissue.known.mean())}
+    return measures | {"known particles": float(tissue.determined()[1][0].mean())}
 
 
 def skill(expected: np.ndarray, moved: np.ndarray) -> float:
     """1 - error / motion of expected displacements of points that moved so [Q, 2]."""
     return 1 - length(expected - moved) / length(moved)
-
-
-def _judged(around: np.ndarray, now: GripFrame, then: GripFrame) -> np.ndarray:
-    """Which of some points [Q] are in view in two frames and gripped in neither, shape [Q], bool."""
-    return (now.around & then.around)[around]
 
 
 def follow_clip(clip: PulledClip) -> tuple[Lattice, list[GripFrame]]:

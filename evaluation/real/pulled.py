@@ -12,7 +12,6 @@ from pathlib import Path
 from palpate.api import open_clip, open_estimator
 from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row
@@ -61,12 +60,7 @@ def evaluate_pull(clip: PulledClip) -> Row:
     if not gripped:
         return measures | {"status": " ".join(run.detail for run in runs) or "No run of contact was found."}
     run, grip = max(gripped, key=lambda pair: len(pair[1].times))
-    return measures | grip_measures(run, grip)
-
-
-def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> Row:
-    """What is known of a run's grip, by name."""
-    found: Row = {
+    measures |= {
         "run from frame": run.onset_frame,
         "frames that move": len(grip.times),
         "verdict": grip.verdict,
@@ -75,5 +69,5 @@ def grip_measures(run: InteractionEstimate, grip: GripEstimate) -> Row:
         "skill if gripped elsewhere": grip.rival,
     }
     for name in ("foundation_over_stiffness", "reaction_over_stiffness"):
-        found |= {f"{name}{end}": getattr(grip, name + end) for end in ("", "_low", "_high")}
-    return found
+        measures |= {f"{name}{end}": getattr(grip, name + end) for end in ("", "_low", "_high")}
+    return measures

@@ -40,7 +40,7 @@ def contact_information(contact: Interaction, scene: Scene, motion: PressedMotio
     """
     truth, logs, within = _truth(contact, scene, motion)
     problem = ContactProblem(truth, MECHANICS, 1.0, within, _kind(motion))
-    return _squared(_of_tissue(problem, logs, motion, contact.noise**2))
+    return _of_tissue(problem, logs, motion, contact.noise**2)
 
 
 def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
@@ -55,7 +55,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
     problem = SequenceProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
-    return _squared(_of_tissue(problem, logs, motion))
+    return _of_tissue(problem, logs, motion)
 
 
 def light_information(contact: Interaction, theta: np.ndarray, frame_seconds: float) -> np.ndarray:
@@ -111,7 +111,9 @@ def _all(problem: Problem, logs: np.ndarray, motion: PressedMotion) -> np.ndarra
 
 
 def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: float = 1.0) -> np.ndarray:
-    """Information of log θ and the delays at the truth, shape [5, 5] ([4, 4]), the press's shape being unknown.
+    """Information of log θ and both delays at the truth, shape [5, 5], the press's shape being unknown.
+
+    Of the second delay nothing is known where the release was not observed.
 
     Args:
         problem: of the truth, with its
@@ -121,9 +123,4 @@ def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: 
     """
     information = problem.information(_all(problem, logs, motion))
     prior = unit * box_information(problem.motion.box(RECOMMENDED.log_box))
-    return about_tissue(information, prior, len(logs))
-
-
-def _squared(information: np.ndarray) -> np.ndarray:
-    """With the second delay, of which nothing is known where the release was not observed, shape [5, 5]."""
-    return np.pad(information, (0, 5 - len(information)))
+    return np.pad(about_tissue(information, prior, len(logs)), (0, 5 - len(logs)))

@@ -14,7 +14,7 @@ from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import Estimator
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
-from palpate.evaluation.recovery.suites import FITTED_ON, SUITES, suite_clip_seed
+from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, SUITES, suite_clip_seed
 from palpate.models.onnx_session import ModelFileError, PosteriorModel
 from palpate.physics.mechanics import theta_of
 
@@ -22,8 +22,6 @@ CONSTANT, DIRECT = "constant", "direct"
 """What ignores its input, and the estimator that fits grips."""
 NAMES = (*sorted(OF_THETA), CONSTANT)
 """Estimators in the order of tables."""
-GRID = (120, 214)
-"""Height and width of the clips' depth [px]."""
 CONSTANT_CLIPS = 60
 """Truths whose mean the constant is: over all clips its error is then within 1 % of the least."""
 Candidate = EstimatorOptions | Estimate
@@ -39,10 +37,10 @@ def opened(options: EstimatorOptions) -> Estimator:
     """
     found = open_estimator(options)
     model = getattr(found, "model", None)
-    if model is not None and getattr(model, "takes_depth", True) and model.input_size != GRID:
-        height, width = model.input_size
+    if model is not None and getattr(model, "takes_depth", True) and model.input_size[::-1] != GRID_SIZE:
+        taken, given = ("x".join(map(str, size)) for size in (model.input_size[::-1], GRID_SIZE))
         raise ModelFileError(
-            f"{model.path} takes depth of {width}x{height} pixels and the benchmark's has {GRID[1]}x{GRID[0]}; "
+            f"{model.path} takes depth of {taken} pixels and the benchmark's has {given}; "
             "export a network that was trained at that size."
         )
     return found

@@ -102,34 +102,20 @@ def measure_noise(rows: Sequence[Row]) -> tuple[float, float]:
     return rms(sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]), rms(sizes)
 
 
-@dataclass(frozen=True)
-class Bound:
-    """Which Cramér–Rao bound errors are compared with."""
-
-    observation: str = FIELD
-    """Of what is observed: one of `data.contact.interaction.OBSERVATIONS`."""
-    onset: str = STAMP
-    """Whether the instants of the press are known: one of `estimators.onset.ONSETS`."""
-
-    def information(self, rows: Sequence[Row], sigma: float) -> np.ndarray:
-        """Information of log θ, shape [n, 3, 3]; nothing where there is no sequence. `sigma`: of the tracked
-        contact."""
-        name, unit = ("field_information", 1.0) if self.observation == FIELD else ("information", sigma**2)
-        found = [row.get(name, np.zeros((5, 5))) / unit for row in rows]
-        return known(np.array(found).reshape(-1, 5, 5), self.onset)
-
-
-def score(rows: Sequence[Row], noise: tuple[float, float], bound: Bound = Bound()) -> Scores:
+def score(rows: Sequence[Row], noise: tuple[float, float], observation: str = FIELD, onset: str = STAMP) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
         rows: its results, one at least.
         noise: of the suite.
-        bound: what errors are compared with.
+        observation: of what the Cramér–Rao bound is with which errors are compared: of the sequence (`FIELD`; nothing
+            where there is none) or of the tracked contact.
+        onset: whether the instants of the press are known to that bound: one of `estimators.onset.ONSETS`.
     """
     kept = [row for row in rows if row["status"] == OK]
     truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))
-    information = bound.information(kept, noise[0])
+    name, unit = ("field_information", 1.0) if observation == FIELD else ("information", noise[0] ** 2)
+    information = np.array([row.get(name, np.zeros((5, 5))) / unit for row in kept]).reshape(-1, 5, 5)
     unknown = np.full((3, 3), np.nan)
     given = np.array([row.get("covariance", unknown) for row in kept]).reshape(-1, 3, 3)
     return Scores(
@@ -141,7 +127,7 @@ def score(rows: Sequence[Row], noise: tuple[float, float], bound: Bound = Bound(
         regimes=np.array([row["regime"] for row in kept]),
         truth=truth @ TO_QUANTITIES.T,
         estimate=estimate @ TO_QUANTITIES.T,
-        bounds=deviations(covariance(information)),
+        bounds=deviations(covariance(known(information, onset))),
         sd=deviations(given),
     )
 
@@ -151,13 +137,13 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
 
 
-def score_all(rows: Sequence[Row], bound: Bound = Bound()) -> list[Scores]:
-    """Scores of every estimator and suite, in the order in which they first appear."""
+def score_all(rows: Sequence[Row], observation: str = FIELD, onset: str = STAMP) -> list[Scores]:
+    """Scores of every estimator and suite, in the order in which they first appear; arguments as of `score`."""
     found = []
     for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
         observed = [row for row in rows if row["suite"] == suite]
         own = [row for row in observed if row["estimator"] == estimator]
-        found.append(score(own, measure_noise(observed), bound))
+        found.append(score(own, measure_noise(observed), observation, onset))
     return found
 
 
@@ -174,7 +160,7 @@ def coverage(errors: np.ndarray, sd: np.ndarray) -> float:
 
 def table(judged: Sequence[Scores]) -> pd.DataFrame:
     """`table.csv`."""
-    found: list[Row] = []
+    found = []
     for scores in judged:
         for column, parameter in enumerate(QUANTITIES):
             for regime, used in scores.groups(column).items():
@@ -182,6 +168,5 @@ def table(judged: Sequence[Scores]) -> pd.DataFrame:
                 constant = float(np.std(scores.truth[used, column])) if used.any() else math.nan
                 held = coverage(scores.errors[used, column], scores.sd[used, column])
                 named = scores.estimator, scores.suite, regime, parameter
-                cells = (*named, int(used.sum()), error, bound, error / bound, constant, held)
-                found.append(dict(zip(COLUMNS, cells, strict=True)))
+                found.append((*named, int(used.sum()), error, bound, error / bound, constant, held))
     return pd.DataFrame(found, columns=COLUMNS)

@@ -145,20 +145,14 @@ class Equilibrium:
     def tangents(self) -> np.ndarray:
         """Derivatives of the displacement by E (of a body with one), ν and the law's stiffening b, [N, 3, 3]."""
         material, solid = self.material, self.energy.solid
-        by_young = self._forces_at(*material.lame) / np.mean(material.young)
-        gradient, mu = solid.deformation(self.displacement), self._by_element(material.lame[0])
-        by_stiffening = solid.forces(stress_by_stiffening(material.law, gradient, mu, material.stiffening))
-        by_poisson = self._forces_at(*material.lame_by_poisson)
+        constants = material.lame[0], *material.lame_by_poisson
+        mu, *slopes = (np.broadcast_to(value, len(solid.elements))[:, None] for value in constants)
+        gradient, law, stiffening = solid.deformation(self.displacement), material.law, material.stiffening
+        # The stress is linear in the Lamé constants, and these in E.
+        by_young = solid.forces(self.response.stress) / np.mean(material.young)
+        by_poisson = solid.forces(respond(law, gradient, *slopes, stiffening=stiffening).stress)
+        by_stiffening = solid.forces(stress_by_stiffening(law, gradient, mu, stiffening))
         return self.moved_by(-np.stack([by_young, by_poisson, by_stiffening], axis=-1))
-
-    def _forces_at(self, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Nodal forces of the elastic stress with other constants, in which it is linear, shape [N, 3]."""
-        solid, material, parts = self.energy.solid, self.material, (self._by_element(mu), self._by_element(lam))
-        gradient = solid.deformation(self.displacement)
-        return solid.forces(respond(material.law, gradient, *parts, stiffening=material.stiffening).stress)
-
-    def _by_element(self, value: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(value, len(self.energy.solid.elements))[:, None]
 
 
 def find_equilibrium(
@@ -203,7 +197,8 @@ def find_equilibrium(
         raise ValueError("nothing is held, so nothing keeps the body in place; hold some nodes.")
     if np.size(material.young) not in (1, len(solid.elements)):
         raise ValueError(f"there are {np.size(material.young)} Young's moduli; give one, or {len(solid.elements)}.")
-    resting = _resting(solid, material, begun)
+    none = Energy(solid, material, np.zeros(shape))
+    resting = -none.out_of_balance(none.response(begun), begun)[0]
     displacement, iterations = begun, 0
     done, step, halvings = 0.0, 1.0 / steps, 0
     while done < 1:
@@ -219,12 +214,6 @@ def find_equilibrium(
             continue
         done, iterations = aim, iterations + count
     return Equilibrium(energy, displacement, held, iterations, near)
-
-
-def _resting(solid: Solid, material: Material, displacement: np.ndarray) -> np.ndarray:
-    """Forces that hold a body as it is, shape [N, 3] [N]."""
-    none = Energy(solid, material, np.zeros_like(displacement))
-    return -none.out_of_balance(none.response(displacement), displacement)[0]
 
 
 def settle(

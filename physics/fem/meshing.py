@@ -153,8 +153,6 @@ class Meshed:
     """Corners, shape [E, 4], of positive volume."""
     notes: tuple[str, ...]
     """Sentences on what was repaired or left out."""
-    off: float
-    """Root mean square distance of the body's surface nodes from the triangles [m]."""
 
 
 def mesh_surface(
@@ -217,11 +215,11 @@ def mesh_surface(
         inside &= centres[..., floor[0]] > floor[1]
     places, tetrahedra = fill_cells(_largest_part(inside, notes))
     drawn = functools.partial(_drawn, corners=corners, samples=samples, away=thick, floor=floor)
-    nodes, off = drawn(origin + sides * places, tetrahedra)
+    nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
         nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
-        nodes, off = drawn(nodes, tetrahedra)
-    return Meshed(nodes, tetrahedra, tuple(notes), off)
+        nodes = drawn(nodes, tetrahedra)
+    return Meshed(nodes, tetrahedra, tuple(notes))
 
 
 def _largest_part(inside: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -311,7 +309,7 @@ def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np
 
 
 def _without_flat(
-    nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, float]]
+    nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
     for _ in range(SHED):
@@ -320,7 +318,7 @@ def _without_flat(
             break
         kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
         tetrahedra = left.reshape(-1, 4)
-        nodes, _ = drawn(nodes[kept], tetrahedra)
+        nodes = drawn(nodes[kept], tetrahedra)
     return nodes, tetrahedra
 
 
@@ -339,7 +337,7 @@ def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 def _drawn(
     nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, away: float, floor: Floor
-) -> tuple[np.ndarray, float]:
+) -> np.ndarray:
     """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
     bare = outer_faces(tetrahedra)
     axis, height = (0, -np.inf) if floor is None else floor
@@ -350,16 +348,11 @@ def _drawn(
     neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
 
     least = np.minimum(qualities(nodes, tetrahedra) / 2, WORST)
-
-    def goals(now: np.ndarray) -> np.ndarray:
-        distance, place = _distance(now[outer], corners, samples)
-        along = (now[outer] - place) / np.maximum(distance, 1e-12)[:, None]
-        return place + away * along
-
     for _ in range(ROUNDS):
         sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], one], minlength=len(nodes)) for one in range(3)]
         aim = np.stack(sums, axis=1) / neighbours[:, None]
-        aim[outer] = goals(nodes)
+        distance, place = _distance(nodes[outer], corners, samples)
+        aim[outer] = place + away * ((nodes[outer] - place) / np.maximum(distance, 1e-12)[:, None])
         aim[grounded, axis] = nodes[grounded, axis]
         step = SHARE * (aim - nodes)
         for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
@@ -370,8 +363,7 @@ def _drawn(
         else:
             step[:] = 0
         nodes = nodes + step
-    apart = np.square(goals(nodes) - nodes[outer]).sum(axis=1)[~grounded[outer]]
-    return nodes, float(np.sqrt(apart.mean()))
+    return nodes
 
 
 def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:

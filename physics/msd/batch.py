@@ -48,7 +48,6 @@ class DepthView(Protocol):
         Returns:
             Not a number where a pixel shows nothing known.
         """
-        ...
 
 
 @dataclass

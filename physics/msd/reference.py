@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.special import exprel, hyp1f1
 
 from palpate.physics.load import Grip, Load, Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import Mesh, incidence
 
 NORM_GUARD = 1e-18
 """Added under every square root [scene units²], so that a spring of zero length has a direction: none."""
@@ -105,7 +104,7 @@ def steps(
     time_step = dtype.type(mechanics.time_step)
     vertices = mesh.vertices.astype(dtype)
     rest = vertices[mesh.springs[:, 1]] - vertices[mesh.springs[:, 0]]
-    gather = _incidence(mesh, dtype)
+    gather = incidence(mesh.springs, len(vertices)).astype(dtype)
     mobile = free_vertices(mesh, load).astype(dtype)[:, None]
     push, factors = np.zeros_like(vertices), np.zeros(load.steps, dtype)
     if isinstance(load, Press):
@@ -150,12 +149,3 @@ def spring_tangents(displacement: np.ndarray, moved: np.ndarray, rest: np.ndarra
     stretch = moved[:, springs[:, 1]] - moved[:, springs[:, 0]]
     along = (stretch * current).sum(axis=2)
     return alpha[:, None] * stretch + (beta * along)[..., None] * current
-
-
-def _incidence(mesh: Mesh, dtype: np.dtype) -> csr_array:
-    """Matrix [N, S] that sums spring forces at the vertices: +1 at a spring's first vertex, −1 at its second."""
-    count = len(mesh.springs)
-    columns = np.arange(count)
-    values = np.concatenate([np.ones(count, dtype), -np.ones(count, dtype)])
-    places = (mesh.springs.T.ravel(), np.concatenate([columns, columns]))
-    return csr_array((values, places), shape=(len(mesh.vertices), count))

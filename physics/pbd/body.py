@@ -50,11 +50,6 @@ class Body:
         return len(self.rest)
 
     @cached_property
-    def surface(self) -> np.ndarray:
-        """Particles of the surface, shape [n]: all of a sheet's."""
-        return np.unique(self.faces)
-
-    @cached_property
     def averages(self) -> csr_array:
         """Mean over every constraint's particles (Liang 2024, section II-A), shape [K, N]."""
         starts, members = self.layout.starts, self.layout.members

@@ -4,11 +4,10 @@ import numpy as np
 
 from palpate.data.synthetic.truth import REGIMES
 from palpate.evaluation.harness import Row
-from palpate.evaluation.recovery.scores import Bound
 from palpate.evaluation.recovery.suites import suite_clip_seed
 
 TRUTH = np.array([0.5, 0.05, -0.1])
-BY_CONTACT = Bound("contact")
+BY_CONTACT = "contact"
 """The bound of the contact's point, which the clips below are made for."""
 
 

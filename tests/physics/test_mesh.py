@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from palpate.physics.mesh import contact_normal, grid_mesh, nearest_vertex
+from palpate.physics.mesh import contact_normal, grid_mesh, grid_springs, incidence, laplacian, nearest_vertex
 from tests.physics.sheets import hand_mesh, surface
 
 
@@ -178,3 +178,23 @@ def test_any_mask_gives_a_consistent_mesh(valid, keep):
         for edge in zip(triangle, np.roll(triangle, 1), strict=True)
     }
     assert edges == {tuple(spring) for spring in mesh.springs.tolist()}
+
+
+def test_forces_of_springs_are_summed_and_their_stiffness_is_their_product_s():
+    """Three nodes in a row and a fourth that nothing but its foundation holds."""
+    springs, stiffness, anchor = np.array([[0, 1], [2, 1]]), np.array([2.0, 5.0]), np.array([0.5, 0.0, 0.25, 3.0])
+    ends = incidence(springs, 4)
+    np.testing.assert_array_equal(ends.toarray(), [[1, 0], [-1, -1], [0, 1], [0, 0]])
+    found = laplacian(springs, stiffness, anchor).toarray()
+    np.testing.assert_array_equal(found, [[2.5, -2, 0, 0], [-2, 7, -5, 0], [0, -5, 5.25, 0], [0, 0, 0, 3]])
+    np.testing.assert_array_equal(found, (ends * stiffness) @ ends.T.toarray() + np.diag(anchor))
+
+
+def test_springs_of_a_grid_join_nodes_so_many_rows_and_columns_apart():
+    """Of two rows of three nodes, 0 to 5."""
+    assert grid_springs((2, 3), 0, 1).tolist() == [[0, 1], [1, 2], [3, 4], [4, 5]]
+    assert grid_springs((2, 3), 1, 0).tolist() == [[0, 3], [1, 4], [2, 5]]
+    assert grid_springs((2, 3), 1, 1).tolist() == [[0, 4], [1, 5]]
+    assert grid_springs((2, 3), 1, -1).tolist() == [[1, 3], [2, 4]]
+    assert grid_springs((2, 3), 0, 2).tolist() == [[0, 2], [3, 5]]
+    assert grid_springs((2, 3), 2, 0).tolist() == []

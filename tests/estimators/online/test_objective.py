@@ -25,7 +25,7 @@ def setting(body: Body, kinds: str = "both"):
     places = body.rest[objective.gripped] + [0.001, 0.003, 0.002]
     share = np.clip(body.rest[:, 1:2] / body.rest[:, 1].max(), 0, 1)
     seen = body.rest + share**2 * [0.001, 0.002, 0.002]
-    matches = [Chamfer(seen, body.surface), Tracks(eye_array(body.count).tocsr()[::3], seen[::3])]
+    matches = [Chamfer(seen, np.unique(body.faces)), Tracks(eye_array(body.count).tocsr()[::3], seen[::3])]
     chosen = {"both": matches, "chamfer": matches[:1], "tracks": matches[1:]}[kinds]
     return objective, fields, start, places, chosen, snapshots
 

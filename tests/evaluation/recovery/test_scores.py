@@ -11,8 +11,8 @@ from palpate.evaluation.recovery import scores as scoring
 from tests.evaluation.recovery_cases import BY_CONTACT, off_by, recovery
 
 
-def table(rows, bound=BY_CONTACT):
-    frame = scoring.table(scoring.score_all(rows, bound))
+def table(rows, *bound):
+    frame = scoring.table(scoring.score_all(rows, *(bound or (BY_CONTACT,))))
     return {(row["regime"], row["parameter"]): row for row in frame.to_dict("records")}
 
 
@@ -139,8 +139,8 @@ def test_a_suites_bound_follows_its_measured_noise():
 def test_without_a_sequence_the_sequence_bounds_nothing():
     rows = [recovery(0), recovery(1, field_information=None)]
     assert table(rows)["all", "stiffness"]["n"] == 2
-    assert table(rows, scoring.Bound())["all", "stiffness"]["n"] == 1
-    assert table(rows, scoring.Bound())["every clip", "stiffness"]["n"] == 2
+    assert table(rows, "field")["all", "stiffness"]["n"] == 1
+    assert table(rows, "field")["every clip", "stiffness"]["n"] == 2
 
 
 @pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("field", 1.0)])
@@ -152,7 +152,7 @@ def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, sha
     fields = {"information": None, "field_information": None}
     fields["information" if observation == "contact" else "field_information"] = share * information
     rows = [recovery(0, **fields)]
-    stamp, between = (table(rows, scoring.Bound(observation, onset)) for onset in ("stamp", "between"))
+    stamp, between = (table(rows, observation, onset) for onset in ("stamp", "between"))
     bounds = [[found["all", name]["bound_log"] for name in scoring.QUANTITIES[:2]] for found in (stamp, between)]
     assert bounds[0] == pytest.approx([0.1, 0.1])
     assert bounds[1] == pytest.approx([0.2, 0.1])

@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from palpate.common.settings import require_numbers
 from palpate.physics.jit import kernel
 from palpate.physics.load import Grip
+from palpate.physics.mesh import incidence
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
 from palpate.physics.pbd.simulation import Motion, Stepping, simulate
@@ -353,9 +354,7 @@ class Objective:
         cells = self.body.tetrahedra if len(self.body.tetrahedra) else self.body.faces
         first, second = np.triu_indices(cells.shape[1], 1)
         pairs = np.stack([cells[:, first].ravel(), cells[:, second].ravel()], axis=1)
-        count = len(pairs)
-        signs = np.tile([1.0, -1.0], count)
-        return csr_array((signs, pairs.ravel(), 2 * np.arange(count + 1)), shape=(count, self.body.count))
+        return incidence(pairs, self.body.count).T.tocsr()
 
     def stepped(self, fields: Stiffness, starts: np.ndarray, places: np.ndarray) -> Motion:
         """Step states on under the grip, a time step a frame.

@@ -14,6 +14,7 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
+from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.material_fit import STIFFENS, UNKNOWN, MaterialFit
 from palpate.evaluation.palpation import example
 from palpate.evaluation.palpation.example import scene_files
@@ -116,7 +117,7 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
         (each,) = palpations
         zero = np.zeros_like(skin.body.rest)
         rest = find_equilibrium(skin.body, Material("linear", 4.6e9, 0.3), held, forces=zero)
-        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3, UNKNOWN, np.zeros(3))
+        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3, UNKNOWN, np.zeros(3), skin)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
     options = ["--output", str(tmp_path), "--export", "usd"]
@@ -133,19 +134,24 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
 
 
 def test_palpations_have_scenes(tmp_path, capsys, monkeypatch):
-    """Of a curved body, in metres and newtons."""
+    """Of a curved body, in metres and newtons; one that stiffens comes on a finer mesh, and has none."""
     found = []
 
     def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
-        forces = np.zeros_like(skin.body.rest)
-        forces[skin.body.rest[:, 2].argmax()] = 0.05, 0.0, -0.2
-        found.append(find_equilibrium(skin.body, Material("corotational", 1e4, 0.4), held, forces=forces))
-        covariance = np.diag([0.01, 1e-4])
-        stiffens = (STIFFENS, np.array([60.0, 40.0, 80.0])) if len(found) > 1 else (UNKNOWN, np.zeros(3))
-        return MaterialFit(1e4, 0.4, covariance, [palpations[0].pose], found[:1], 3e-4, 5, *stiffens)
+        bench, covariance = Bench(skin, held, palpations, "corotational"), np.diag([0.01, 1e-4])
+        stiffens, b = (UNKNOWN, np.zeros(3)) if not found else (STIFFENS, np.array([60.0, 40.0, 80.0]))
+        if found:
+            bench.refine()
+        body, forces = bench.skin.body, np.zeros_like(bench.skin.body.rest)
+        forces[body.rest[:, 2].argmax()] = 0.05, 0.0, -0.2
+        found.append(find_equilibrium(body, Material("corotational", 1e4, 0.4, b[0]), bench.held, forces=forces))
+        fitted = [palpations[0].pose], found[-1:], 3e-4, 5, stiffens, b, bench.skin
+        return MaterialFit(1e4, 0.4, covariance, *fitted)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
-    arguments = ["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path), "--export", "vtk"]
+    wide = ball()[0]["palpations"][0] | {"tool_radius": 0.04}  # few elements, so that they can be refined
+    scene = write_scene(tmp_path, palpations=[wide])
+    arguments = ["palpation", str(scene), "--output", str(tmp_path), "--export", "vtk"]
     assert calibrate.main(arguments) == 0
     said = capsys.readouterr()
     assert "scene_1.vtu" in said.err

@@ -7,13 +7,15 @@ import numpy as np
 
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import register, thinned
-from palpate.estimators.palpation.skin import Match, Skin
-from palpate.physics.fem import Equilibrium, Material, find_equilibrium
+from palpate.estimators.palpation.skin import Match, Skin, cover
+from palpate.physics.fem import Equilibrium, Material, Solid, find_equilibrium, make_solid
 from palpate.physics.fem.laws import respond
 from palpate.physics.fem.linear_system import LinearSystem
+from palpate.physics.fem.solid import EDGES, EIGHTHS
 
 FACTORED = 60_000
-"""Unknowns up to which a body's matrix is factorised for all of a fit's systems: some seconds and a gigabyte."""
+"""Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
+which a body is refined: beyond, a fit would take too long, and memory grows faster than the body."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 SHOWN = 0.02
@@ -92,6 +94,21 @@ class Bench:
             means.append(np.average(shape.energy, weights=shape.energy * rest.energy.solid.weights))
         self.stiffening = 1 / float(max(means))
 
+    def refine(self) -> None:
+        """Go on with eight times as many elements, and so with up to eight times as many unknowns.
+
+        Raises:
+            ValueError: these may be more than FACTORED; or a curved element's parts would be flat.
+        """
+        skin = self.skin
+        if (most := 8 * skin.body.rest.size) > FACTORED:
+            raise ValueError(f"a finer mesh may have {most} unknowns, more than {FACTORED}.")
+        body = make_solid(skin.body.rest, skin.body.elements[:, EIGHTHS].reshape(-1, 4), order=2)
+        self.skin = cover(body, skin.vertices, skin.triangles, skin.shares.sum(axis=1) < 0.5)
+        self.held = between(body, self.held) == 1.0
+        self.forces = [self.skin.pressed(each.contact, each.tool_radius, each.force) for each in self.palpations]
+        self.near = None
+
     def rest(
         self, young: float, poisson: float, growth: float = 0.0, *, starts: Sequence[np.ndarray | None]
     ) -> list[Equilibrium]:
@@ -137,6 +154,14 @@ class Bench:
         counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
         # A pose that is a little off carries points around a sharp edge, where distances jump.
         return counts & (self.skin.from_creases(place) > OUTLIER * self.noise)
+
+
+def between(body: Solid, values: np.ndarray) -> np.ndarray:
+    """Values at all nodes of a quadratic body, shape [N, K], by those of its first nodes, the corners at least."""
+    found = np.zeros((len(body.rest), values.shape[1]))
+    found[: len(values)] = values
+    found[body.elements[:, 4:]] = found[body.elements[:, EDGES]].mean(axis=2)
+    return found
 
 
 def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:

@@ -10,7 +10,6 @@ takes ten times as many simulations (docs/reports/palpation.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.special import ndtr
 
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation
+from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench, Palpation, between
 from palpate.estimators.palpation.registration import turned
 from palpate.estimators.palpation.skin import Skin
 from palpate.estimators.palpation.stiffening import ASKED
@@ -100,11 +99,12 @@ class System:
         self.count = len(change)
         self.chosen: list[np.ndarray] = []
         """Which points count, of each press [P]: the same ones until something is simulated again."""
-        skin, triangles = bench.skin, bench.skin.triangles
+        self.skin, triangles = bench.skin, bench.skin.triangles
+        """The bench may go on with a finer one."""
         residuals, blocks, sinks, places = [], [], [], []
         for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
             moved = state.moved + state.slopes @ change
-            match, cosine = bench.matched(skin.vertices + moved, which, pose)
+            match, cosine = bench.matched(self.skin.vertices + moved, which, pose)
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
             counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
             if np.count_nonzero(counts) < 12:
@@ -112,13 +112,13 @@ class System:
                     "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
                 )
             along = match.normal[counts] / cosine[counts, None]
-            met = match.at(triangles, skin.vertices + moved)[counts]
+            met = match.at(triangles, self.skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
             # A sight turns about its eye together with its point: what moves is where it meets the surface.
             blocks.append(np.hstack([by_material, np.cross(met, along), along]))
             residuals.append(match.distance[counts])
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
-            places.append(match.at(triangles, skin.vertices)[counts])
+            places.append(match.at(triangles, self.skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
         """By the material's K and the six of the pose that a point was observed from, shape [R, K + 6]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
@@ -233,6 +233,8 @@ GROWTH = 3.0
 """Up to which every growth of the stiffness, the logarithm of its factor where the body is strained, is as likely."""
 STIFFENS, STRAIGHT, UNKNOWN = "stiffening", "linear", "stiffening, not determined"
 """Verdicts on it."""
+RIVAL = "neo_hookean"
+"""The law whose own stiffness grows most with strain: a body stiffens only if that doesn't explain it."""
 KNOWN = 0.025
 """A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05."""
 ROUNDS = 15
@@ -292,6 +294,8 @@ class MaterialFit:
     """STIFFENS, STRAIGHT (odds are as much against it), or UNKNOWN."""
     stiffening: np.ndarray
     """b of the law (`physics.fem.laws.respond`) with its 90 % interval, shape [3]; 0 but where it stiffens."""
+    skin: Skin
+    """The surface on the mesh of `rests`, which is finer where stiffening was asked for."""
 
     @property
     def young_sd(self) -> float:
@@ -338,20 +342,12 @@ def fit_material(
     scale = _scale(bench, rests)
     young, at = settings.young / scale, np.array([poisson])
     begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, _ends(at))
-    young, at, rests, found = _iterated(bench, young, at, begun, None, report)
+    fit = _iterated(bench, (young, at, [], begun), report)
     verdict, interval = UNKNOWN, np.zeros(3)
     sizes = [float(np.linalg.norm(each.force)) for each in palpations]
     if max(sizes) > ALIKE * min(sizes):
-        bench.watch_stiffening(rests)
-        at = np.append(at, 0.0)
-        asking = System(bench, states_of(bench, rests, 1.0), np.append(found.change, 0.0), found.poses, _ends(at))
-        odds = asking.odds(settings.model_error, 0.0)
-        verdict = STRAIGHT if odds < 1 / ASKED else UNKNOWN
-        if odds > ASKED:
-            with suppress(NoEquilibrium):
-                fitted = _iterated(bench, young, at, asking, rests, report)
-                if fitted[3].odds(settings.model_error, fitted[1][1]) > ASKED:
-                    (young, at, rests, found), verdict = fitted, STIFFENS
+        verdict, fit = _asked(bench, fit, settings.model_error, report)
+    young, at, rests, found = fit
     covariance = found.covariance(settings.model_error)
     # By the derivatives, from what was simulated last.
     young, at = float(young / (1 + found.change[0])), at[: found.count - 1] + found.change[1:]
@@ -359,7 +355,48 @@ def fit_material(
         half = NINETY * float(np.sqrt(covariance[2, 2]))
         interval = bench.stiffening * np.maximum(at[1] + half * np.array([0.0, -1.0, 1.0]), 0)
     told = (young, float(at[0]), covariance[:2, :2], found.poses, rests, found.noise, bench.solves)
-    return MaterialFit(*told, verdict, interval)
+    return MaterialFit(*told, verdict, interval, found.skin)
+
+
+_Fit = tuple[float, np.ndarray, list[Equilibrium], System]
+"""E, ν with the growth as simulated last, the bodies, and what was solved from there."""
+
+
+def _asked(bench: Bench, plain: _Fit, model_error: float, report: Callable[[str], None]) -> tuple[str, _Fit]:
+    """Whether the evidence asks for a growing stiffness, and the fit.
+
+    Coarse elements, and a law that is not the body's, err more the deeper the dents, which looks like stiffening: what
+    is asked for on this mesh is fitted again on a finer one, and by RIVAL. E is then the fit's with a growth as well,
+    also where it isn't determined, or no finer mesh is to be had: without, E takes on what grows with the dents.
+    """
+    young, at, rests, found = plain
+    bench.watch_stiffening(rests)
+    at = np.append(at, 0.0)
+    asking = System(bench, states_of(bench, rests, 1.0), np.append(found.change, 0.0), found.poses, _ends(at))
+    odds = asking.odds(model_error, 0.0)
+    if odds <= ASKED:
+        return STRAIGHT if odds < 1 / ASKED else UNKNOWN, plain
+    fit = plain
+    try:
+        fit = _iterated(bench, (young, at, rests, asking), report)
+        bench.refine()
+        asked, fit = _again(bench, fit, model_error, report)
+        bench.law = RIVAL
+        if asked and _again(bench, fit, model_error, report)[0]:
+            return STIFFENS, fit
+    except (NoEquilibrium, ValueError) as error:
+        report(f"it looks like stiffening, which can't be checked: {error}")
+    return UNKNOWN, fit
+
+
+def _again(bench: Bench, fit: _Fit, model_error: float, report: Callable[[str], None]) -> tuple[bool, _Fit]:
+    """A fit of a growing stiffness on a mesh with more nodes after the same ones, or by another law; whether the
+    evidence asks for the growth there."""
+    young, at, rests, found = fit
+    rests = bench.rest(young, *at, starts=[between(bench.skin.body, rest.displacement) for rest in rests])
+    begun = System(bench, states_of(bench, rests, 1.0), np.zeros(3), found.poses, _ends(at))
+    fit = _iterated(bench, (young, at, rests, begun), report)
+    return fit[3].odds(model_error, fit[1][1]) > ASKED, fit
 
 
 def _ends(at: np.ndarray) -> np.ndarray:
@@ -369,36 +406,29 @@ def _ends(at: np.ndarray) -> np.ndarray:
     return np.stack([np.maximum(low - at, -widest), np.minimum(high - at, widest)])
 
 
-def _iterated(
-    bench: Bench,
-    young: float,
-    at: np.ndarray,
-    system: System,
-    rests: list[Equilibrium] | None,
-    report: Callable[[str], None],
-) -> tuple[float, np.ndarray, list[Equilibrium], System]:
-    """Simulate and solve in turn; E, ν with the growth as simulated last, the bodies, and what was solved from there.
+def _iterated(bench: Bench, begun: _Fit, report: Callable[[str], None]) -> _Fit:
+    """Simulate and solve in turn.
 
     Args:
         bench: the body.
-        young, at: E [Pa] and (ν, growth) or (ν,) of
-        system: what is known so far, by
-        rests: these simulations; None = by the linear law, to which there is no way back.
+        begun: E [Pa], (ν, growth) or (ν,), and what is known so far, its steps not made yet; without bodies, by the
+            linear law, to which there is no way back.
         report: as of `fit_material`.
 
     Raises:
         NoEquilibrium: as `fit_material`.
     """
+    young, at, rests, system = begun
     found, steps, trust, stiffer = system.solved(), 0, 1.0, 1.0
     while True:
         aim = stiffer * young / (1 + trust * found.change[0]), at + trust * found.change[1:]
         starts: list[np.ndarray | None] = [None] * len(bench.palpations)
-        if rests is not None:
+        if rests:
             starts = [state.predicted(trust * found.change) for state in found.states]
         try:
             tried = bench.rest(aim[0], *aim[1], starts=starts)
         except NoEquilibrium:
-            if rests is not None:
+            if rests:
                 trust /= 3
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
@@ -407,7 +437,7 @@ def _iterated(
             continue
         states = states_of(bench, tried, 1.0)
         following = System(bench, states, np.zeros(found.count), found.poses, _ends(aim[1]))
-        if rests is not None and following.cost > ROUGH * system.cost and trust > SHORTEST:
+        if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
         gone = trust * found.change

@@ -121,11 +121,11 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
             "covariance_of_log_young_and_poisson": found.covariance,
         }
     _write(output, "calibration.json", as_json(record, indent=1) + "\n")
-    _write(output, "errors.csv", _errors(scene, found.rests, found.poses))
+    _write(output, "errors.csv", _errors(scene, found))
     with writing(output), replacing_own(output / PALPATION[2]) as partial:
         write_figure(partial, _picture(scene, found))
     names = list(PALPATION)
-    stiffens = found.stiffens == STIFFENS
+    stiffens = any(rest.material.stiffening > 0 for rest in found.rests)
     if stiffens and options.export is not None:
         say(console, "no scene: other simulators have no law that stiffens as the body does.", "yellow")
     for number in range(len(found.rests) if options.export is not None and not (nothing or stiffens) else 0):
@@ -147,17 +147,17 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
 def _picture(scene: Scene, found: MaterialFit) -> Figure:
     """What the first palpation's simulation leaves, next to that of half as stiff a body where that bears the force."""
     each, pose, softer = scene.palpations[0], found.poses[0], None
-    fitted = 1000 * surface_distance(scene.skin, found.rests[0], each, pose)
+    fitted = 1000 * surface_distance(found.skin, found.rests[0], each, pose)
     with suppress(NoEquilibrium):
-        softer = 1000 * surface_distance(scene.skin, half_as_stiff(found.rests[0]), each, pose)
+        softer = 1000 * surface_distance(found.skin, half_as_stiff(found.rests[0]), each, pose)
     title = f"Palpation 1 of {len(scene.palpations)}, {np.linalg.norm(each.force):.3g} N: what its simulation leaves"
     return draw_surface_errors(1000 * across(each, pose), fitted, softer, 1000 * each.hole, title)
 
 
-def _errors(scene: Scene, rests: list, poses: list[np.ndarray]) -> str:
+def _errors(scene: Scene, found: MaterialFit) -> str:
     rows = []
-    for number, (rest, each, pose) in enumerate(zip(rests, scene.palpations, poses, strict=True), start=1):
-        errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
+    for number, (rest, each, pose) in enumerate(zip(found.rests, scene.palpations, found.poses, strict=True), start=1):
+        errors = 1000 * np.sqrt(surface_error(found.skin, rest, each, pose))
         rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 

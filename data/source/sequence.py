@@ -82,6 +82,8 @@ class SequenceFile:
     def __post_init__(self) -> None:
         if (self.clouds is None) == (self.depth is None) or (self.depth is None) != (self.camera is None):
             raise ValueError("give clouds, or depth with camera.")
+        if Path(self.clouds or self.depth or "").name.count("{number}") != 1:
+            raise ValueError("write {number} once in the name of clouds or depth, as in clouds/{number}.ply.")
         if (self.times is None) == (self.fps is None):
             raise ValueError("give times or fps.")
         if any({*pin} != {"low", "high"} for pin in self.pins):
@@ -239,7 +241,7 @@ def open_sequence(path: Path) -> Sequence:
     held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
-    pins = scale * np.array([[pin["low"], pin["high"]] for pin in given.pins], float).reshape(-1, 2, 3)
+    pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
     camera = None if given.camera is None else load_camera(folder / given.camera)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
     tool = _tool(folder / given.poses, scale, np.array(given.tip, float))

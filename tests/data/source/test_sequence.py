@@ -116,6 +116,8 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
         ({"clouds": "{number}.ply"}, "names 0 frames"),
+        ({"clouds": "clouds/000.npz"}, r"write \{number\} once in the name of clouds or depth"),
+        ({"clouds": "{number}/cloud.npz"}, r"write \{number\} once in the name of clouds or depth"),
         ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, the frames from 0 to 12 s; put both on one"),
         ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
         ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),
@@ -133,6 +135,13 @@ def test_poses_in_another_unit_than_clouds_are_told(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "poses.csv", rows, "%.10g", ",", header="time_s,x,y,z,qx,qy,qz,qw", comments="")
     with pytest.raises(InputError, match="clouds and poses seem to be in different units; give both in one"):
         checked(path)
+
+
+def test_corners_of_a_box_may_come_in_any_order(tmp_path: Path) -> None:
+    swapped = {"low": [0.4, 0.1, 0.3], "high": [0.2, 0.3, -0.1]}
+    np.testing.assert_allclose(
+        open_sequence(write_sequence(tmp_path, 2, pins=[swapped])).pins, [[[0.2, 0.1, -0.1], [0.4, 0.3, 0.3]]]
+    )
 
 
 def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Path) -> None:

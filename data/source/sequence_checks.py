@@ -5,10 +5,12 @@ from scipy.spatial import KDTree
 
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import Sequence, Tool
+from palpate.data.source.sequence import UNITS, Sequence, Tool
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
+TALLEST, FINEST = 10.0, 500.0
+"""Thickness over the tissue's width, and width over a length, from which on a length is in another unit."""
 LOOKED_AT, THINNED = 150, 3000
 """Frames, and points of each, by which clocks and frames are compared."""
 NEAR = 0.01
@@ -35,6 +37,11 @@ def require_fit(sequence: Sequence) -> None:
     frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
     clouds = [sequence.cloud(frame) for frame in frames]
     _require_metres(sequence, clouds[0])
+    size, radius = float(np.ptp(clouds[0], axis=0).max()), sequence.grip_radius
+    thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
+    if not (size / FINEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
+        said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
+        raise InputError(f"{printable(sequence.path)}: {said}")
     trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in clouds]
     _require_frame(sequence, trees, sequence.tool.tips(sequence.times[frames]))
     if sequence.points is None:
@@ -42,6 +49,9 @@ def require_fit(sequence: Sequence) -> None:
         motion = np.array([tree.query(places)[0].mean() for tree in trees])
     else:
         there = sequence.points[held[0]]
+        known = there[np.isfinite(there).all(axis=1)]
+        if len(known) and np.median(KDTree(clouds[0]).query(known)[0]) > NEAR:
+            raise InputError(f"{printable(sequence.path)}: points lie off the clouds; give both in one unit and frame.")
         near = np.argsort(np.linalg.norm(there - origin, axis=1))[:AROUND]  # what is not seen comes last
         motion = np.linalg.norm(sequence.points[frames][:, near] - there[near], axis=2).mean(axis=1)
     _require_clock(sequence.tool, sequence.times[frames], motion, origin)

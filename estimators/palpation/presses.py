@@ -38,8 +38,6 @@ RIM = 1.0
 """Width of the surface's rim, over that distance, that tells nothing: heights are known from one side only there."""
 MOST_POINTS = 5000
 """Of a press."""
-TALLEST = 10.0
-"""Thickness over the tissue's width, from which on it is taken for another unit."""
 LAYERS, CELLS = 5.0, (6, 24)
 """Cells of the mesh in the thickness, and along the longest side."""
 
@@ -70,8 +68,6 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     tips = sequence.tool.tips(sequence.times[peaks])
     view = view_across(rest, sequence.eye(int(still[0]))[:3, 3], tips[0])
     radius, thickness = sequence.grip_radius, sequence.given.thickness * UNITS[sequence.given.unit]
-    if max(radius, thickness / TALLEST) > float(np.ptp(rest, axis=0).max()):
-        raise InputError(f"{where}: grip_radius or thickness is too large for the tissue; give both in `unit`.")
     # As fine as the dent asks for: a rough surface's normals would take lateral motion for a sink.
     wide = FINE * radius
     shape, contacts = CloudShape(moved(rest, view), where, wide), moved(tips, view)

@@ -1,5 +1,6 @@
 """Sequences beside a robot: what is read of them, and bad ones, each of which is a sentence."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -112,6 +113,8 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"hand_eye": None}, r"the tip stays 0\.\d+ m from the tissue: .* different frames; check hand_eye"),
         ({"fps": None}, "give times or fps"),
         ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
+        ({"grip_radius": 12.0}, r"sequence\.yaml: grip_radius or thickness is too large or too small for the tissue"),
+        ({"length": 1000.0, "unit": "mm", "grip_radius": 0.012}, "is too large or too small for the tissue; give both"),
         ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
@@ -134,6 +137,15 @@ def test_poses_in_another_unit_than_clouds_are_told(tmp_path: Path) -> None:
     rows[:, 1:4] *= 1000
     np.savetxt(tmp_path / "poses.csv", rows, "%.10g", ",", header="time_s,x,y,z,qx,qy,qz,qw", comments="")
     with pytest.raises(InputError, match="clouds and poses seem to be in different units; give both in one"):
+        checked(path)
+
+
+@pytest.mark.parametrize("damage", [lambda points: 1000 * points, lambda points: points + 0.5])
+def test_followed_points_off_the_clouds_are_told(tmp_path: Path, damage: Callable) -> None:
+    """In millimetres, or in another frame: they were taken for tissue there."""
+    path = write_sequence(tmp_path)
+    np.savez(tmp_path / "followed.npz", points=damage(np.load(tmp_path / "followed.npz")["points"]))
+    with pytest.raises(InputError, match=r"sequence\.yaml: points lie off the clouds; give both in one unit and frame"):
         checked(path)
 
 

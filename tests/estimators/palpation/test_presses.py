@@ -89,8 +89,9 @@ def test_a_closed_surface_holds_what_lies_under_it() -> None:
     [
         ({"forces": None, "thickness": None}, "palpation needs forces, and the thickness of the tissue"),
         ({"forces": "none.csv"}, "shows no press after tissue at rest"),
-        ({"thickness": 25.0}, "sequence.yaml: grip_radius or thickness is too large for the tissue; give both"),
+        ({"thickness": 25.0}, "sequence.yaml: grip_radius or thickness is too large or too small for the"),
         ({"grip_radius": 15.0}, "grip_radius or thickness is too large"),
+        ({"grip_radius": 15e-6}, "grip_radius or thickness is too large or too small"),
     ],
 )
 def test_what_is_missing_is_said(tmp_path: Path, changed: dict[str, object], said: str) -> None:

@@ -82,8 +82,6 @@ class SequenceFile:
     def __post_init__(self) -> None:
         if (self.clouds is None) == (self.depth is None) or (self.depth is None) != (self.camera is None):
             raise ValueError("give clouds, or depth with camera.")
-        if Path(self.clouds or self.depth or "").name.count("{number}") != 1:
-            raise ValueError("write {number} once in the name of clouds or depth, as in clouds/{number}.ply.")
         if (self.times is None) == (self.fps is None):
             raise ValueError("give times or fps.")
         if any({*pin} != {"low", "high"} for pin in self.pins):
@@ -236,7 +234,7 @@ def open_sequence(path: Path) -> Sequence:
         times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
     if len(files) < 2 or len(times) != len(files):
         said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
-        raise InputError(f"{where} {said}; give 2 frames at least, and a time for each.")
+        raise InputError(f"{where} {said}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
     held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
     if len(held) < 2:

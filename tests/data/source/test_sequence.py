@@ -119,8 +119,14 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
         ({"clouds": "{number}.ply"}, "names 0 frames"),
-        ({"clouds": "clouds/000.npz"}, r"write \{number\} once in the name of clouds or depth"),
-        ({"clouds": "{number}/cloud.npz"}, r"write \{number\} once in the name of clouds or depth"),
+        (
+            {"clouds": "clouds/000.npz"},
+            r"names 0 frames \(clouds/000.npz\) and 0 times; give 2 at least, their \{number\}",
+        ),
+        (
+            {"clouds": "{number}/cloud.npz"},
+            r"names 0 frames \(\{number\}/cloud.npz\).* their \{number\} in the files' names",
+        ),
         ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, the frames from 0 to 12 s; put both on one"),
         ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
         ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),

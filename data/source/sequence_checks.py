@@ -37,11 +37,6 @@ def require_fit(sequence: Sequence) -> None:
     frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
     clouds = [sequence.cloud(frame) for frame in frames]
     _require_metres(sequence, clouds[0])
-    size, radius = float(np.ptp(clouds[0], axis=0).max()), sequence.grip_radius
-    thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
-    if not (size / FINEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
-        said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
-        raise InputError(f"{printable(sequence.path)}: {said}")
     trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in clouds]
     _require_frame(sequence, trees, sequence.tool.tips(sequence.times[frames]))
     if sequence.points is None:
@@ -71,6 +66,11 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         give = f"unit: {unit}" if sequence.camera is None else "the length of its unit in metres as depth_factor"
         said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
+    radius = sequence.grip_radius
+    thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
+    if not (size / FINEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
+        said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
+        raise InputError(f"{printable(sequence.path)}: {said}")
 
 
 def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) -> None:
@@ -79,8 +79,7 @@ def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) ->
     )
     reach = max(NEAR, 2 * sequence.grip_radius)
     if apart > reach:
-        said = "frames; check hand_eye, camera_on and tip"
-        said = said if min(otherwise) > reach else "units; give both in one"
+        said = "frames; check hand_eye, camera_on and tip" if min(otherwise) > reach else "units; give both in one"
         said = f"the tip stays {apart:.3g} m from the tissue: clouds and poses seem to be in different {said}"
         raise InputError(f"{printable(sequence.path)}: {said}.")
 

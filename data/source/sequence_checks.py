@@ -9,8 +9,8 @@ from palpate.data.source.sequence import UNITS, Sequence, Tool
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
-TALLEST, FINEST = 10.0, 500.0
-"""Thickness over the tissue's width, and width over a length, from which on a length is in another unit."""
+TALLEST, THINNEST = 10.0, 5e-5
+"""Thickness over the tissue's width, and the least of radius and thickness [m], beyond which they have another unit."""
 LOOKED_AT, THINNED = 150, 3000
 """Frames, and points of each, by which clocks and frames are compared."""
 NEAR = 0.01
@@ -35,17 +35,17 @@ def require_fit(sequence: Sequence) -> None:
     """
     held, origin = sequence.held, sequence.tool.tips(sequence.times[sequence.held[:1]])[0]
     frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
-    clouds = [sequence.cloud(frame) for frame in frames]
-    _require_metres(sequence, clouds[0])
-    trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in clouds]
+    first = sequence.cloud(held[0])
+    _require_metres(sequence, first)
+    trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in map(sequence.cloud, frames)]
     _require_frame(sequence, trees, sequence.tool.tips(sequence.times[frames]))
     if sequence.points is None:
-        places = clouds[0][np.argsort(np.linalg.norm(clouds[0] - origin, axis=1))[:SCATTERED]]
+        places = first[np.argsort(np.linalg.norm(first - origin, axis=1))[:SCATTERED]]
         motion = np.array([tree.query(places)[0].mean() for tree in trees])
     else:
         there = sequence.points[held[0]]
         known = there[np.isfinite(there).all(axis=1)]
-        if len(known) and np.median(KDTree(clouds[0]).query(known)[0]) > NEAR:
+        if len(known) and np.median(KDTree(first).query(known)[0]) > NEAR:
             raise InputError(f"{printable(sequence.path)}: points lie off the clouds; give both in one unit and frame.")
         near = np.argsort(np.linalg.norm(there - origin, axis=1))[:AROUND]  # what is not seen comes last
         motion = np.linalg.norm(sequence.points[frames][:, near] - there[near], axis=2).mean(axis=1)
@@ -68,7 +68,7 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
     radius = sequence.grip_radius
     thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
-    if not (size / FINEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
+    if not (THINNEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
         said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
         raise InputError(f"{printable(sequence.path)}: {said}")
 

@@ -68,7 +68,7 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
     radius = sequence.grip_radius
     thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
-    if not (THINNEST < min(radius, thickness) and max(radius, thickness / TALLEST) < size):
+    if not (min(radius, thickness) > THINNEST and max(radius, thickness / TALLEST) < size):
         said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
         raise InputError(f"{printable(sequence.path)}: {said}")
 

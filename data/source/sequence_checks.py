@@ -69,8 +69,7 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
     radius = sequence.grip_radius
     thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
     if not (min(radius, thickness) > THINNEST and max(radius, thickness / TALLEST) < size):
-        said = "grip_radius or thickness is too large or too small for the tissue; give both in `unit`."
-        raise InputError(f"{printable(sequence.path)}: {said}")
+        raise InputError(f"{printable(sequence.path)}: grip_radius or thickness can't be the tissue's; check `unit`.")
 
 
 def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) -> None:

@@ -114,8 +114,11 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"hand_eye": None}, r"the tip stays 0\.\d+ m from the tissue: .* different frames; check hand_eye"),
         ({"fps": None}, "give times or fps"),
         ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
-        ({"grip_radius": 12.0}, r"sequence\.yaml: grip_radius or thickness is too large or too small for the tissue"),
-        ({"length": 1000.0, "unit": "mm", "grip_radius": 0.012}, "is too large or too small for the tissue; give both"),
+        ({"grip_radius": 12.0}, r"sequence\.yaml: grip_radius or thickness can't be the tissue's"),
+        (
+            {"length": 1000.0, "unit": "mm", "grip_radius": 0.012},
+            "grip_radius or thickness can't be the tissue's; check `unit`",
+        ),
         ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),

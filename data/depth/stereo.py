@@ -41,7 +41,7 @@ NOT_RECTIFIED, SAID, TOUCHED, CROPPED = 0.02, 1.5, 0.3, 0.1
 """Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px].
 Logarithm of the pictures' shape over that in the camera file, beyond which they were cropped: pixels may be oblong."""
 
-NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
+NOT_COMPARED = "left and right pictures share too few features to be known as a pair, so that no length is metric"
 ROWS_DIFFER = (
     "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
     "so that depth may be off as well; rectify the pair"
@@ -256,7 +256,7 @@ class StereoDepth(DepthSource):
         if self.network is None:
             self._match = SemiGlobal(self._size, (float(low), float(high)))
         off = self._disparity_sd / float(np.median(found))
-        self.metres = (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
+        self.metres = None if NOT_COMPARED in self.warnings else (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

@@ -267,7 +267,8 @@ def test_pictures_that_are_no_pair_are_answered_with_a_sentence(tmp_path: Path) 
         with pytest.raises(InputError, match=r"Left and right pictures of .*clip are swapped; exchange them"):
             opened(write(tmp_path / folder / "clip", [both]))
     depth, _, _ = opened(write(tmp_path / "g" / "clip", [(left, seen(texture(1000, 5)[:HEIGHT, :WIDTH]))]))
-    assert "share too few features to compare rows; look whether they are a pair" in depth.warnings[0]
+    assert "share too few features to be known as a pair, so that no length is metric" in depth.warnings[0]
+    assert depth.metres is None
     clip = write(tmp_path / "d" / "clip", 3 * [(left, right)])
     (clip / "right" / "1.png").unlink()
     depth, source, _ = opened(clip)

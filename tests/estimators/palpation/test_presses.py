@@ -85,7 +85,7 @@ def test_a_closed_surface_holds_what_lies_under_it() -> None:
 
 
 def test_a_wrench_in_another_frame_is_told(tmp_path: Path) -> None:
-    """Quaternions with w first turned the force by 48°, and E came out 2.3 times too high."""
+    """Quaternions with w first turned the force by 48°, and E was 2.3 times too high after two of the fit's steps."""
     path = write_palpation(tmp_path, PRESSES[:1], **COARSE)
     head, *rows = (tmp_path / "poses.csv").read_text().splitlines()
     cells = [row.split(",") for row in rows]

@@ -100,5 +100,7 @@ def _made(scene: SpaceScene) -> dict[str, Any]:
     around = AROUND * scene.tip_radius * np.array([[-1.0], [1.0]])
     drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
     places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
+    if len(places) < JOINED:
+        raise Blocked(f"from port {list(scene.port)} the shaft comes out of the tissue nowhere; move it out.")
     pairs = neighbours(places, NEIGHBOURS)
     return known | {"places": places, "pairs": pairs, "edges": costs.edges(*places[pairs.T])}

@@ -89,7 +89,7 @@ def test_pictures_of_a_pipe_may_hold_both_of_a_stereo_pair(how, tmp_path, monkey
     assert np.median(known) == pytest.approx(0.005 * 200 / 20, rel=0.01)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(24 * both.tobytes())))
     assert main(told) == 2
-    assert "has no right pictures; say in a layout file where they are (right), of a live" in capsys.readouterr().err
+    assert "has no right pictures; say in a layout file where they are, live by --right" in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_a_source_that_stalls(pictures) -> None:

@@ -37,9 +37,11 @@ DISPARITY_SD = 0.25
 rows are found apart, a camera that is turned that far may be turned as far across them."""
 LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
-NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
-"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
+NOT_RECTIFIED, SAID, TOUCHED, CROPPED = 0.02, 1.5, 0.3, 0.1
+"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px].
+Logarithm of the pictures' shape over that in the camera file, beyond which they were cropped: pixels may be oblong."""
 
+NOT_COMPARED = "left and right pictures share too few features to be known as a pair, so that no length is metric"
 ROWS_DIFFER = (
     "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
     "so that depth may be off as well; rectify the pair"
@@ -132,23 +134,24 @@ def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
 
     Returns:
-        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; 0 where too few agree.
+        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; none of them is a number where
+        too few agree.
     """
     finder, height, width = cv2.SIFT.create(3000, contrastThreshold=0.01), *left.shape[:2]
     found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
     if any(features is None for _, features in found):
-        return np.zeros(3)
+        return np.full(3, np.nan)
     pairs = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(found[0][1], found[1][1])
     here = np.array([found[0][0][pair.queryIdx].pt for pair in pairs]).reshape(-1, 2)
     across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
     near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
     terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
     if len(terms) < LEAST_MATCHES:
-        return np.zeros(3)
+        return np.full(3, np.nan)
     off = down[near] - (middle := np.median(down[near]))
     agree = np.abs(off - trimmed_fit(terms, off, 6, 2.0)) < ALIKE
     enough = agree.sum() >= max(LEAST_MATCHES, LEAST_SHARE * len(agree))
-    return np.linalg.lstsq(terms[agree], off[agree] + middle, rcond=None)[0] if enough else np.zeros(3)
+    return np.linalg.lstsq(terms[agree], off[agree] + middle, rcond=None)[0] if enough else np.full(3, np.nan)
 
 
 class StereoDepth(DepthSource):
@@ -168,12 +171,13 @@ class StereoDepth(DepthSource):
         """
         clip, rig, named = source.path, clip_camera(source.path, layout), printable(source.path)
         if layout.right is None:
-            said = "say in a layout file where they are (right), of a live source with --right"
-            raise InputError(f"{named} has no right pictures; {said}.")
+            raise InputError(f"{named} has no right pictures; say in a layout file where they are, live by --right.")
         if clip.is_dir() and not layout.halved and "{number}" not in layout.right:
             raise InputError(f"{named} is a folder and layout.right is '{layout.right}'; write {{number}} in it.")
         if rig is None or rig.offset is None:
             raise InputError(f"{named} has no camera with a baseline; give a camera file with one, in metres.")
+        if not layout.halved and abs(math.log(rig.width / rig.height * source.size[1] / source.size[0])) > CROPPED:
+            raise InputError(f"{named} has another shape than its camera's {rig.width}x{rig.height}; give its own.")
         self._clip, self._layout, self._size, self._pattern = clip, layout, source.size, layout.right
         self._rectification = Rectification(rig.scaled(*source.size), rig)
         self._baseline_log_sd = rig.baseline_sd / math.hypot(*rig.offset)
@@ -225,10 +229,13 @@ class StereoDepth(DepthSource):
         """What moves right pictures so that their rows lie where the left ones' do, [2, 3]; None = they do.
 
         Raises:
-            InputError: they lie too far off.
+            InputError: they lie too far off, or features match the other way round alone.
         """
         pair = self._rectification.pictures(frame.picture, self._right(frame))
-        offset, turn, stretch = row_offsets(*pair)
+        found = row_offsets(*pair)
+        if (unknown := np.isnan(found).any()) and np.isfinite(row_offsets(*pair[::-1])).all():
+            raise InputError(f"Left and right pictures of {printable(self._clip)} are swapped; exchange them.")
+        offset, turn, stretch = np.nan_to_num(found)
         x, y = ((side - 1) / 2 for side in self._size)
         most = abs(offset) + abs(turn) * x + abs(stretch) * y
         if most > NOT_RECTIFIED * self._size[1]:
@@ -236,7 +243,7 @@ class StereoDepth(DepthSource):
                 f"The pair of {printable(self._clip)} is not rectified (its rows are up to {most:.0f} px apart); "
                 "rectify it, or give rotation and translation of its calibration in the camera file."
             )
-        self.warnings = [ROWS_DIFFER.format(most)] if most > SAID else []
+        self.warnings = [NOT_COMPARED] if unknown else [ROWS_DIFFER.format(most)] if most > SAID else []
         self._disparity_sd = math.hypot(DISPARITY_SD, most)
         # A turn of the camera around its axis, which the rows tell, moves columns as well.
         moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
@@ -249,7 +256,7 @@ class StereoDepth(DepthSource):
         if self.network is None:
             self._match = SemiGlobal(self._size, (float(low), float(high)))
         off = self._disparity_sd / float(np.median(found))
-        self.metres = (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
+        self.metres = None if NOT_COMPARED in self.warnings else (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

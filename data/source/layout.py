@@ -236,7 +236,7 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
 
 def pattern_expression(pattern: str) -> re.Pattern[str]:
     """Regular expression of a pattern's relative POSIX path, with one group for the digits."""
-    before, after = pattern.split("{number}")
+    before, _, after = pattern.partition("{number}")
     return re.compile(re.escape(before) + r"(\d+)" + re.escape(after))
 
 
@@ -295,7 +295,7 @@ def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
     if layout.right in (None, *HALVES):
         return None
     if not clip.is_dir():
-        return clip.with_name(str(layout.right).replace("{name}", clip.stem))
+        return clip.parent / str(layout.right).replace("{name}", clip.stem)
     folder = (clip / str(layout.right)).resolve().parent
     return None if folder.is_relative_to(clip.resolve()) else folder
 

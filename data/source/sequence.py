@@ -234,12 +234,12 @@ def open_sequence(path: Path) -> Sequence:
         times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
     if len(files) < 2 or len(times) != len(files):
         said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
-        raise InputError(f"{where} {said}; give 2 frames at least, and a time for each.")
+        raise InputError(f"{where} {said}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
     held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
-    pins = scale * np.array([[pin["low"], pin["high"]] for pin in given.pins], float).reshape(-1, 2, 3)
+    pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
     camera = None if given.camera is None else load_camera(folder / given.camera)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
     table = read_series(folder / given.poses, POSES, "table of poses", 2)

@@ -5,10 +5,12 @@ from scipy.spatial import KDTree
 
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import Sequence, Tool
+from palpate.data.source.sequence import UNITS, Sequence, Tool
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
+TALLEST, THINNEST = 10.0, 5e-5
+"""Thickness over the tissue's width, and the least of radius and thickness [m], beyond which they have another unit."""
 LOOKED_AT, THINNED = 150, 3000
 """Frames, and points of each, by which clocks and frames are compared."""
 NEAR = 0.01
@@ -33,15 +35,18 @@ def require_fit(sequence: Sequence) -> None:
     """
     held, origin = sequence.held, sequence.tool.tips(sequence.times[sequence.held[:1]])[0]
     frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
-    clouds = [sequence.cloud(frame) for frame in frames]
-    _require_metres(sequence, clouds[0])
-    trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in clouds]
+    first = sequence.cloud(held[0])
+    _require_metres(sequence, first)
+    trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in map(sequence.cloud, frames)]
     _require_frame(sequence, trees, sequence.tool.tips(sequence.times[frames]))
     if sequence.points is None:
-        places = clouds[0][np.argsort(np.linalg.norm(clouds[0] - origin, axis=1))[:SCATTERED]]
+        places = first[np.argsort(np.linalg.norm(first - origin, axis=1))[:SCATTERED]]
         motion = np.array([tree.query(places)[0].mean() for tree in trees])
     else:
         there = sequence.points[held[0]]
+        known = there[np.isfinite(there).all(axis=1)]
+        if len(known) and np.median(KDTree(first).query(known)[0]) > NEAR:
+            raise InputError(f"{printable(sequence.path)}: points lie off the clouds; give both in one unit and frame.")
         near = np.argsort(np.linalg.norm(there - origin, axis=1))[:AROUND]  # what is not seen comes last
         motion = np.linalg.norm(sequence.points[frames][:, near] - there[near], axis=2).mean(axis=1)
     _require_clock(sequence.tool, sequence.times[frames], motion, origin)
@@ -61,6 +66,10 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         give = f"unit: {unit}" if sequence.camera is None else "the length of its unit in metres as depth_factor"
         said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
+    radius = sequence.grip_radius
+    thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
+    if not (min(radius, thickness) > THINNEST and max(radius, thickness / TALLEST) < size):
+        raise InputError(f"{printable(sequence.path)}: grip_radius or thickness can't be the tissue's; check `unit`.")
 
 
 def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) -> None:
@@ -69,8 +78,7 @@ def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) ->
     )
     reach = max(NEAR, 2 * sequence.grip_radius)
     if apart > reach:
-        said = "frames; check hand_eye, camera_on and tip"
-        said = said if min(otherwise) > reach else "units; give both in one"
+        said = "frames; check hand_eye, camera_on and tip" if min(otherwise) > reach else "units; give both in one"
         said = f"the tip stays {apart:.3g} m from the tissue: clouds and poses seem to be in different {said}"
         raise InputError(f"{printable(sequence.path)}: {said}.")
 

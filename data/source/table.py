@@ -42,7 +42,7 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     Raises:
         InputError: it can't be read, lacks a column, or holds something that is no number or larger than LARGEST.
     """
-    give = f"give a CSV file with the columns {', '.join(columns)}"
+    give = f"give a CSV file with the columns {', '.join(columns)}, separated by commas, and numbers alone below"
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
         rows = csv.DictReader(text, restval="", skipinitialspace=True)  # the value of what a short row lacks

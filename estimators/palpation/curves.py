@@ -23,8 +23,9 @@ STIFFEST = 100.0
 """Of tissue [N/mm]: metres that are given as millimetres make it a thousand times as stiff."""
 FAR = 0.9
 """Share of the largest depth from which on a curve that turns has gone as far as it is read."""
-DEEPEST, SHALLOWEST = 100.0, -1.0
-"""Depths beyond are slips of the pen of whoever recorded them, and are left out [mm]."""
+DEEPEST, SHALLOWEST, SHORTEST, LONGEST = 100.0, -1.0, 0.1, 1000.0
+"""Depths beyond the first two are slips of the pen of whoever recorded them, and are left out; a pull or press that
+goes less or further than the others is in another unit [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +115,8 @@ def read_pull(path: Path) -> Probe:
     if len(depth) < LEAST:
         give = f"give {LEAST} different ones in order of time, loading first"
         raise InputError(f"{printable(path)} has {len(depth)} values of {columns[0]} that grow; {give}.")
-    if (stiffness := float(np.polyfit(depth, force, 1)[0])) > STIFFEST:
-        said = f"resists by {stiffness:.3g} N/mm, as no tissue does"
+    if (stiffness := float(np.polyfit(depth, force, 1)[0])) > STIFFEST or not SHORTEST < np.ptp(depth) < LONGEST:
+        said = f"resists by {stiffness:.3g} N/mm over {np.ptp(depth):.3g} mm, as no tissue does"
         raise InputError(f"{printable(path)} {said}; give {columns[0]} in millimetres and force_N in newtons.")
     if stiffness < 0:
         raise InputError(f"{printable(path)}: force_N falls as {columns[0]} grows; give what resists it as positive.")

@@ -26,8 +26,8 @@ HELD = 0.03
 """Share of a press's largest force below it, within which frames around show the same press."""
 FRAMES = 20
 """Frames, the first ones, that show the tissue at rest."""
-HIDDEN = 1.3
-"""Hole around a contact over the tool's radius."""
+HIDDEN, UPRIGHT = 1.3, 0.7
+"""Hole around a contact over the tool's radius, and least cosine of a force with the normal of the tissue's plane."""
 REPEATED = {"base": (1e-6, 1e-5), "tool": (1e-4, 5e-4)}
 """Standard deviations of a camera's pose between two frames, by what carries it [m, rad]."""
 FINE = 0.2
@@ -38,8 +38,6 @@ RIM = 1.0
 """Width of the surface's rim, over that distance, that tells nothing: heights are known from one side only there."""
 MOST_POINTS = 5000
 """Of a press."""
-TALLEST = 10.0
-"""Thickness over the tissue's width, from which on it is taken for another unit."""
 LAYERS, CELLS = 5.0, (6, 24)
 """Cells of the mesh in the thickness, and along the longest side."""
 
@@ -57,8 +55,7 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     sequence, where = open_sequence(path), printable(path)
     require_fit(sequence)
     if sequence.forces is None or sequence.given.thickness is None:
-        said = "palpation needs forces, and the thickness of the tissue down to what it lies on"
-        raise InputError(f"{where}: {said}; add both.")
+        raise InputError(f"{where}: palpation needs forces, and the thickness of the tissue to its support; add both.")
     size = np.linalg.norm(sequence.forces, axis=1)
     runs, count = label(size > ONSET * size.max())
     still = np.flatnonzero(size[: int(np.argmax(runs > 0))] < QUIET * size.max())[:FRAMES]
@@ -70,8 +67,6 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     tips = sequence.tool.tips(sequence.times[peaks])
     view = view_across(rest, sequence.eye(int(still[0]))[:3, 3], tips[0])
     radius, thickness = sequence.grip_radius, sequence.given.thickness * UNITS[sequence.given.unit]
-    if max(radius, thickness / TALLEST) > float(np.ptp(rest, axis=0).max()):
-        raise InputError(f"{where}: grip_radius or thickness is too large for the tissue; give both in `unit`.")
     # As fine as the dent asks for: a rough surface's normals would take lateral motion for a sink.
     wide = FINE * radius
     shape, contacts = CloudShape(moved(rest, view), where, wide), moved(tips, view)
@@ -91,6 +86,8 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
         places = moved(points, view)[:, :2]
         points = points[shape.heights(places)[1] & (rim.query(places)[0] > RIM * wide)]
         eye, felt = sequence.eye(peak), sequence.forces[same].mean(axis=0)
+        if felt @ view[2, :3] > -UPRIGHT * np.linalg.norm(felt):
+            raise InputError(f"{where}: a force is over 45° off the tissue's normal; check its frame, and qx to qw.")
         seen = moved(points[:: len(points) // MOST_POINTS + 1], np.linalg.inv(eye))
         palpations.append(Palpation(-felt, contact, seen, eye, radius, HIDDEN * radius, *repeated))
     # Points of one patch share what noise has made of it at rest.

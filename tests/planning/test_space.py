@@ -215,6 +215,7 @@ def test_a_palpation_tells_e_and_the_second_start_finds_the_map(body, cache, cap
         ({"mesh": "none.stl"}, "there is no mesh"),
         ({"mesh": "bad.yaml"}, "is no mesh of triangles"),
         ({"start": [0.0, 0.0, 0.0]}, "start [0.0, 0.0, 0.0] lies inside the tissue"),
+        ({"port": [0.0, 0.0, 0.0]}, "from port [0.0, 0.0, 0.0] the shaft comes out of the tissue nowhere; move it out"),
         ({"goal": [60.0, 0.0, 0.0]}, "lies over 1 m from"),
         # Under the body, so that the shaft would lead through it.
         (

@@ -102,6 +102,15 @@ def test_a_clips_scene_unit_is_in_metres_by_stereo(tmp_path: Path) -> None:
     assert stream.sources["depth"] == "stereo"
 
 
+def test_a_pair_shifted_by_whole_pixels_is_one(tmp_path: Path) -> None:
+    """Its rows lie exactly level, which is not the same as too few features to tell."""
+    print_ = np.repeat(np.clip(texture(1000), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    depth, source, _ = opened(write(tmp_path / "clip", [(print_[:HEIGHT, :WIDTH], print_[:HEIGHT, 40:780])]))
+    found = depth(next(iter(source)))
+    assert np.median(found[found > 0]) == pytest.approx(FOCAL * BASELINE / 40, rel=0.004)
+    assert not depth.warnings
+
+
 @pytest.mark.parametrize("across", [True, False], ids=["side-by-side", "top-bottom"])
 def test_a_picture_may_hold_both(tmp_path: Path, across: bool) -> None:
     left, right = pair(PLANE)
@@ -137,6 +146,11 @@ def test_a_second_video_is_read_in_step(tmp_path: Path) -> None:
         assert np.median(found[found > 0]) == pytest.approx(depths[index], rel=0.01)
     with pytest.raises(InputError, match=r"pull_right.avi has no frame 9; give a right picture for every left one"):
         depth(replace(frames[3], index=9, number=9))
+    (tmp_path / "left").mkdir()
+    (tmp_path / "pull.avi").rename(tmp_path / "left" / "pull.avi")
+    depth, source, _ = opened(tmp_path / "left" / "pull.avi", replace(layout, right="../{name}_right.avi"))
+    found = depth(next(iter(source)))
+    assert np.median(found[found > 0]) == pytest.approx(0.06, rel=0.01)
 
 
 def test_a_calibrated_pair_is_rectified_and_its_depth_is_the_left_cameras(tmp_path: Path) -> None:
@@ -223,6 +237,7 @@ TURNED = [0, -1, 0, 1, 0, 0, 0, 0, 2]
 @pytest.mark.parametrize(
     ("camera", "said"),
     [
+        ({"width": 1920, "height": 1080}, "clip has another shape than its camera's 1920x1080; give its own"),
         ({"baseline": 0}, "baseline is 0; give a positive number"),
         ({"baseline": 4.6}, "its cameras are 4.6 m apart; give metres, not millimetres"),
         ({"baseline": None}, "has no camera with a baseline; give a camera file with one, in metres"),
@@ -247,6 +262,13 @@ def test_pictures_that_are_no_pair_are_answered_with_a_sentence(tmp_path: Path) 
         opened(write(tmp_path / "b" / "clip", [(left, cv2.resize(right, (370, 270)))]))
     with pytest.raises(InputError, match=r"is not rectified \(its rows are up to 30 px apart\); rectify it"):
         opened(write(tmp_path / "c" / "clip", [(left, np.roll(right, 30, axis=0))]))
+    swapped = {"e": (right, left), "f": (seen(texture(1000)[:HEIGHT, 40:780]), seen(texture(1000)[:HEIGHT, :WIDTH]))}
+    for folder, both in swapped.items():
+        with pytest.raises(InputError, match=r"Left and right pictures of .*clip are swapped; exchange them"):
+            opened(write(tmp_path / folder / "clip", [both]))
+    depth, _, _ = opened(write(tmp_path / "g" / "clip", [(left, seen(texture(1000, 5)[:HEIGHT, :WIDTH]))]))
+    assert "share too few features to be known as a pair, so that no length is metric" in depth.warnings[0]
+    assert depth.metres is None
     clip = write(tmp_path / "d" / "clip", 3 * [(left, right)])
     (clip / "right" / "1.png").unlink()
     depth, source, _ = opened(clip)

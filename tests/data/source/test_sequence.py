@@ -1,5 +1,7 @@
 """Sequences beside a robot: what is read of them, and bad ones, each of which is a sentence."""
 
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -112,10 +114,23 @@ def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | N
         ({"hand_eye": None}, r"the tip stays 0\.\d+ m from the tissue: .* different frames; check hand_eye"),
         ({"fps": None}, "give times or fps"),
         ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
+        ({"grip_radius": 12.0}, r"sequence\.yaml: grip_radius or thickness can't be the tissue's"),
+        (
+            {"length": 1000.0, "unit": "mm", "grip_radius": 0.012},
+            "grip_radius or thickness can't be the tissue's; check `unit`",
+        ),
         ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),
         ({"clouds": "{number}.ply"}, "names 0 frames"),
+        (
+            {"clouds": "clouds/000.npz"},
+            r"names 0 frames \(clouds/000.npz\) and 0 times; give 2 at least, their \{number\}",
+        ),
+        (
+            {"clouds": "{number}/cloud.npz"},
+            r"names 0 frames \(\{number\}/cloud.npz\).* their \{number\} in the files' names",
+        ),
         ({"fps": 1.0}, r"poses\.csv reaches from 0 to 1\.2 s, the frames from 0 to 12 s; put both on one"),
         ({"pins": [{"low": [0, 0, 0]}]}, "each of pins is to have low and high"),
         ({"points": "clouds/000.npz"}, r"its points have shape \(3000, 3\), not \('m', 13, 3\)"),
@@ -133,6 +148,36 @@ def test_poses_in_another_unit_than_clouds_are_told(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "poses.csv", rows, "%.10g", ",", header="time_s,x,y,z,qx,qy,qz,qw", comments="")
     with pytest.raises(InputError, match="clouds and poses seem to be in different units; give both in one"):
         checked(path)
+
+
+@pytest.mark.parametrize("damage", [lambda points: 1000 * points, lambda points: points + 0.5])
+def test_followed_points_off_the_clouds_are_told(tmp_path: Path, damage: Callable) -> None:
+    """In millimetres, or in another frame: they were taken for tissue there."""
+    path = write_sequence(tmp_path)
+    np.savez(tmp_path / "followed.npz", points=damage(np.load(tmp_path / "followed.npz")["points"]))
+    with pytest.raises(InputError, match=r"sequence\.yaml: points lie off the clouds; give both in one unit and frame"):
+        checked(path)
+
+
+def test_clouds_that_have_been_looked_at_are_not_kept(tmp_path: Path) -> None:
+    """A depth camera's 150 frames were 1.5 GB at once."""
+    path = write_sequence(tmp_path, 20)
+    for file in (tmp_path / "clouds").iterdir():
+        np.savez(file, points=np.repeat(np.load(file)["points"], 20, axis=0))
+    sequence = open_sequence(path)
+    one = sequence.cloud(0).nbytes
+    tracemalloc.start()
+    require_fit(sequence)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 12 * one
+
+
+def test_corners_of_a_box_may_come_in_any_order(tmp_path: Path) -> None:
+    swapped = {"low": [0.4, 0.1, 0.3], "high": [0.2, 0.3, -0.1]}
+    np.testing.assert_allclose(
+        open_sequence(write_sequence(tmp_path, 2, pins=[swapped])).pins, [[[0.2, 0.1, -0.1], [0.4, 0.3, 0.3]]]
+    )
 
 
 def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Path) -> None:

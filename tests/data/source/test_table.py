@@ -33,6 +33,8 @@ def test_a_number_beyond_all_use_is_told(tmp_path: Path, row: str) -> None:
     [
         (b"a,b\n1,2\n3\n", "could not convert string to float: ''"),
         (b"a,c\n1,2\n", "there is no 'b'"),
+        (b"a;b\n1,5;2\n", "there is no 'a'"),
+        (b"a,b\nmm,N\n1,2\n", "could not convert string to float: 'mm'"),
         (b"\xff\xfe\x00" * 99, "it is no text"),
         (b"a,b\n" + b"9" * 200_000 + b",1\n", "field larger than field limit (131072)"),
     ],
@@ -41,7 +43,8 @@ def test_what_is_wrong_is_told_in_a_few_words(tmp_path: Path, content: bytes, sa
     (tmp_path / "a.csv").write_bytes(content)
     with pytest.raises(InputError) as refused:
         read_columns(tmp_path / "a.csv", ("a", "b"), "table")
-    assert str(refused.value).endswith(f"a.csv is no table ({said}); give a CSV file with the columns a, b.")
+    give = "give a CSV file with the columns a, b, separated by commas, and numbers alone below."
+    assert str(refused.value).endswith(f"a.csv is no table ({said}); {give}")
 
 
 @pytest.mark.parametrize("error", [TypeError("'NoneType'"), RecursionError(), AttributeError("x")])

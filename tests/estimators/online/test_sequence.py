@@ -70,9 +70,10 @@ def test_what_the_file_stands_for_is_no_setting(tmp_path: Path) -> None:
     path = write_sequence(tmp_path, 2)
     with pytest.raises(InputError, match=r"pins in --settings is for videos; leave it out, .*sequence\.yaml tells it"):
         followed(path, pins="mask.png")
-    nowhere = [{"low": [5, 5, 5], "high": [6, 6, 6]}]
-    with pytest.raises(InputError, match="holds no free tissue in its pins' boxes"):
-        followed(write_sequence(tmp_path, 2, pins=nowhere))
+    for low in (5, -6):  # none of the tissue, and all
+        pins = [{"low": [low] * 3, "high": [6] * 3}]
+        with pytest.raises(InputError, match="holds no free tissue in its pins' boxes, or all; change them"):
+            followed(write_sequence(tmp_path, 2, pins=pins))
     points = np.load(tmp_path / "clouds/000.npz")["points"]
     for bad in (points[:10], np.vstack([points, [[50.0, 0, 0]]])):
         np.savez(tmp_path / "clouds/000.npz", points=bad)

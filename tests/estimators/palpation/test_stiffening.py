@@ -132,7 +132,12 @@ def test_forces_of_skin_that_stiffens_fifteenfold_are_told_or_not(tmp_path: Path
         (["4,1", "3,1", "2,1", "1,0"], "0 values of pull_mm that grow"),
         (["1,-1", "2,-2", "3,-3", "4,-4"], "falls as pull_mm grows"),
         (["0,0", "1,1", "2,2"], "has 3 values"),
-        (["0,0", "0.001,0.5", "0.002,1", "0.003,2"], "resists by 650 N/mm, as no tissue does; give pull_mm in milli"),
+        (["0,0", "0.001,0.5", "0.002,1", "0.003,2"], "resists by 650 N/mm over 0.003 mm, as no tissue does"),
+        (["0,0", "0.01,0.1", "0.02,0.3", "0.03,0.6"], "over 0.03 mm, as no tissue does; give pull_mm in millimetres"),
+        (
+            ["0,0", "4000,0.5", "8000,1", "12000,2"],
+            r"over 1\.2e\+04 mm, as no tissue does; give pull_mm in millimetres",
+        ),
     ],
 )
 def test_pulls_that_say_nothing_are_a_sentence(tmp_path: Path, rows: list[str], says: str) -> None:

@@ -41,7 +41,11 @@ NOT_RECTIFIED, SAID, TOUCHED, CROPPED = 0.02, 1.5, 0.3, 0.1
 """Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px].
 Logarithm of the pictures' shape over that in the camera file, beyond which they were cropped: pixels may be oblong."""
 
-NOT_COMPARED = "left and right pictures share too few features to be known as a pair, so that no length is metric"
+PAIRED, FARTHEST = 0.6, 5.0
+"""Least share of the pixels that match in pairs without features to compare, below which they may be no pair (0.9 of
+real ones match, 0.3 of one picture's halves), and depth beyond which the baseline has another unit [m]."""
+
+NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
 ROWS_DIFFER = (
     "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
     "so that depth may be off as well; rectify the pair"
@@ -255,8 +259,12 @@ class StereoDepth(DepthSource):
         low, high = np.quantile(found, QUANTILES) * WIDENED
         if self.network is None:
             self._match = SemiGlobal(self._size, (float(low), float(high)))
+        if (away := self._rectification.product / np.median(found)) > FARTHEST:
+            said = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
+            raise InputError(f"Tissue of {printable(self._clip)} {said}.")
         off = self._disparity_sd / float(np.median(found))
-        self.metres = None if NOT_COMPARED in self.warnings else (1.0, math.hypot(self._baseline_log_sd, off), "stereo")
+        paired = NOT_COMPARED not in self.warnings or np.mean([(raw.values > 0).mean() for raw in samples]) > PAIRED
+        self.metres = (1.0, math.hypot(self._baseline_log_sd, off), "stereo") if paired else None
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

@@ -46,6 +46,7 @@ def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
         rows = csv.DictReader(text, restval="", skipinitialspace=True)  # the value of what a short row lacks
+        rows.fieldnames = [name.strip() for name in rows.fieldnames or ()]
         found = [[float(row[name]) for name in columns] for row in rows]
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise InputError(f"{printable(path)} is no {what} ({reason(error)}); {give}.") from error

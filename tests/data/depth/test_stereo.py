@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from palpate.data.clip import ClipStream
+from palpate.data.depth import stereo
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
 from palpate.data.depth.sources import DepthSource
 from palpate.data.settings import PrepareSettings
@@ -88,6 +89,15 @@ def test_depth_is_metric_within_a_percent(tmp_path: Path, surface: np.ndarray) -
     assert depth.metres is not None
     assert depth.metres == (1.0, pytest.approx(math.hypot(0.01, 0.25 / 42), rel=0.05), "stereo")
     assert not depth.warnings
+
+
+def test_a_pair_whose_rows_cannot_be_compared_is_metric_if_it_matches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stereo, "row_offsets", lambda *_: np.full(3, np.nan))
+    depth, _, _ = opened(write(tmp_path / "clip", [pair(PLANE)]))
+    assert depth.metres is not None
+    assert depth.warnings == [stereo.NOT_COMPARED]
 
 
 def test_a_clips_scene_unit_is_in_metres_by_stereo(tmp_path: Path) -> None:
@@ -239,6 +249,7 @@ TURNED = [0, -1, 0, 1, 0, 0, 0, 0, 2]
     [
         ({"width": 1920, "height": 1080}, "clip has another shape than its camera's 1920x1080; give its own"),
         ({"baseline": 0}, "baseline is 0; give a positive number"),
+        ({"baseline": 100 * BASELINE}, "m away by its camera's baseline; give that in metres"),
         ({"baseline": 4.6}, "its cameras are 4.6 m apart; give metres, not millimetres"),
         ({"baseline": None}, "has no camera with a baseline; give a camera file with one, in metres"),
         ({"translation": [-0.004, 0, 0]}, "baseline and translation both tell where the right camera is; give one"),
@@ -267,7 +278,7 @@ def test_pictures_that_are_no_pair_are_answered_with_a_sentence(tmp_path: Path) 
         with pytest.raises(InputError, match=r"Left and right pictures of .*clip are swapped; exchange them"):
             opened(write(tmp_path / folder / "clip", [both]))
     depth, _, _ = opened(write(tmp_path / "g" / "clip", [(left, seen(texture(1000, 5)[:HEIGHT, :WIDTH]))]))
-    assert "share too few features to be known as a pair, so that no length is metric" in depth.warnings[0]
+    assert "share too few features to compare rows; look whether they are a pair" in depth.warnings[0]
     assert depth.metres is None
     clip = write(tmp_path / "d" / "clip", 3 * [(left, right)])
     (clip / "right" / "1.png").unlink()

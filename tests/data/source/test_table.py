@@ -11,7 +11,7 @@ from palpate.data.source.table import read_columns, reason
 
 def test_columns_come_in_the_order_that_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    path.write_bytes('﻿b,note,a\r\n1,x,2\r\n\r\nnan,"y\nz",-3e2\r\n'.encode())  # of a spreadsheet
+    path.write_bytes('﻿b, note,a \r\n1,x,2\r\n\r\nnan,"y\nz",-3e2\r\n'.encode())  # of a spreadsheet
     np.testing.assert_array_equal(read_columns(path, ("a", "b"), "table of something"), [[2, 1], [-300, np.nan]])
 
 

@@ -28,6 +28,8 @@ FRAMES = 20
 """Frames, the first ones, that show the tissue at rest."""
 HIDDEN, UPRIGHT = 1.3, 0.7
 """Hole around a contact over the tool's radius, and least cosine of a force with the normal of the tissue's plane."""
+OFF = 5e-3
+"""How far the tip may be above the tissue where the force is largest, for what poses and clouds err [m]."""
 REPEATED = {"base": (1e-6, 1e-5), "tool": (1e-4, 5e-4)}
 """Standard deviations of a camera's pose between two frames, by what carries it [m, rad]."""
 FINE = 0.2
@@ -71,9 +73,13 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     wide = FINE * radius
     shape, contacts = CloudShape(moved(rest, view), where, wide), moved(tips, view)
     mesh = shape.mesh(wide / 2)
-    contacts[:, 2], covered = shape.heights(contacts[:, :2])
+    heights, covered = shape.heights(contacts[:, :2])
     if not covered.all():
         raise InputError(f"{where}: the tool presses where clouds at rest show no tissue; give clouds of all of it.")
+    if (above := float((heights - contacts[:, 2]).max())) > OFF:
+        said = f"is {above:.2g} m off the tissue while it presses; put forces and poses on one clock, or mend `tip`"
+        raise InputError(f"{where}: the tip {said}.")
+    contacts[:, 2] = heights
     support = contacts[0, 2] + thickness
     back = np.linalg.inv(view)
     upright = back @ np.diag([1.0, -1.0, -1.0, 1.0])  # the view looks down

@@ -97,6 +97,16 @@ def test_a_wrench_in_another_frame_is_told(tmp_path: Path) -> None:
         read_presses(path)
 
 
+def test_forces_that_are_late_are_told(tmp_path: Path) -> None:
+    path = write_palpation(tmp_path, PRESSES[:1], **COARSE)
+    head, *rows = (tmp_path / "forces.csv").read_text().splitlines()
+    times, forces = zip(*(row.split(",", 1) for row in rows), strict=True)
+    late = [f"{float(time) + 0.3},{force}" for time, force in zip(times, forces, strict=True)]
+    (tmp_path / "forces.csv").write_text("\n".join([head, rows[0], *late]))
+    with pytest.raises(InputError, match=r"the tip is 0.01 m off the tissue while it presses; put forces and poses on"):
+        read_presses(path)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [

@@ -211,6 +211,18 @@ def test_a_pull_s_force_is_told_beyond_it_or_refused(tmp_path, capsys):
     assert "in which nothing indents" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("slack", "said"), [(0.0, ""), (3.0, "not a straight line")])
+def test_a_slope_says_where_a_curve_is_no_straight_line(tmp_path: Path, slack: float, said: str) -> None:
+    """Of a pull that begins with slack it is none of the stiffnesses that were there."""
+    pull, chance = np.linspace(0, 10, 120), np.random.default_rng(0)
+    rows = [f"{at},{max(at - slack, 0) / 5 + chance.normal(0, 0.01)}" for at in pull]
+    (tmp_path / "pull.csv").write_text("pull_mm,force_N\n" + "\n".join(rows))
+    assert calibrate.main(["curves", str(tmp_path / "pull.csv"), "--output", str(tmp_path / "out")]) == 0
+    found = {row["quantity"]: row for row in read_rows(tmp_path / "out" / "curves.csv")}["stiffness"]
+    assert found["verdict"] == said
+    assert (abs(float(found["value"]) - 0.2) < 0.01) == (not said)
+
+
 PRESS = {"contact": [0, 0, 0.1], "points": "observed.csv"}
 
 

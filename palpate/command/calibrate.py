@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
+BENT = 0.02
+"""What a straight line leaves, over the range of forces, from which on a curve isn't one, if it leaves no mere noise:
+that differs from row to row by more than by itself."""
 CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict")
 
 
@@ -197,7 +200,10 @@ def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[fl
     name = unknown if indenter is None else f"Young's modulus, {indenter.shape}"
     stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
     doubt = "stiffening, not determined" if stiffens else "not determined"
-    rows: list[tuple] = [(name, found.value, found.low, found.high, found.unit, "stiffening" if stiffens else None)]
+    off = probe.force - np.polyval(np.polyfit(probe.depth, probe.force, 1), probe.depth)
+    bent = indenter is None and off.std() > max(BENT * np.ptp(probe.force), np.diff(off).std())
+    said = "stiffening" if stiffens else "not a straight line" if bent else None
+    rows: list[tuple] = [(name, found.value, found.low, found.high, found.unit, said)]
     stiffness, growth = law.numbers
     numbers = [("stiffness at the least depth", stiffness, "N/mm"), ("growth of the stiffness, b", growth, "1/mm")]
     depths = law.begin + (law.end - law.begin) * np.array([1.25, 1.5, 2.0]) if predict is None else np.array(predict)

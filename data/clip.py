@@ -36,7 +36,7 @@ from palpate.data.source.layout import InputError
 STAGES = 4
 """That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
 CROPPED = 0.1
-"""Logarithm of a camera's shape over the pictures', beyond which they were cropped or turned: pixels may be oblong."""
+"""As a logarithm, by how much more oblong a camera's pixels are at the size of pictures that were cropped or turned."""
 AHEAD, WHILE_FITTING = 4, 32
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
@@ -84,9 +84,9 @@ class ClipStream:
         self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
         """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
         camera, (width, height) = camera or clip_camera(source.path, settings.layout), source.size
-        whole = None if settings.layout.halved else camera
-        if whole and abs(math.log(whole.width / whole.height * height / width)) > CROPPED:
-            said = f"pictures of {width}x{height}, and its camera is of {whole.width}x{whole.height}, another shape"
+        here = camera.scaled(width, height) if camera and not settings.layout.halved else camera
+        if camera and here and abs(math.log(here.fx / here.fy)) > abs(math.log(camera.fx / camera.fy)) + CROPPED:
+            said = f"pictures of {width}x{height}, and its camera is of {camera.width}x{camera.height}, another shape"
             raise InputError(f"{source.path} has {said}; give the camera of these pictures.")
         self._scale_error = ""
         self.scale, focal = math.nan, None

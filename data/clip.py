@@ -35,6 +35,8 @@ from palpate.data.source.layout import InputError
 
 STAGES = 4
 """That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
+CROPPED = 0.1
+"""As a logarithm, by how much more oblong a camera's pixels are at the size of pictures that were cropped or turned."""
 AHEAD, WHILE_FITTING = 4, 32
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
@@ -64,7 +66,7 @@ class ClipStream:
             masks, depth, camera: of a clip whose own lie in no file; None = as the settings say.
 
         Raises:
-            InputError: a model, preset, camera or clip file can't be used.
+            InputError: a model, preset, camera or clip file can't be used, or the camera is of another shape.
         """
         self.source, self.settings = source, settings
         self.seconds: dict[str, float] = defaultdict(float)
@@ -81,7 +83,11 @@ class ClipStream:
         chosen = Path(chosen_kind(settings.masks, source.path, settings.layout)).name
         self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
         """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
-        camera = camera or clip_camera(source.path, settings.layout)
+        camera, (width, height) = camera or clip_camera(source.path, settings.layout), source.size
+        here = camera.scaled(width, height) if camera and not settings.layout.halved else camera
+        if camera and here and abs(math.log(here.fx / here.fy)) > abs(math.log(camera.fx / camera.fy)) + CROPPED:
+            said = f"pictures of {width}x{height}, and its camera is of {camera.width}x{camera.height}, another shape"
+            raise InputError(f"{source.path} has {said}; give the camera of these pictures.")
         self._scale_error = ""
         self.scale, focal = math.nan, None
         """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
@@ -92,7 +98,6 @@ class ClipStream:
                 self._scale_error = str(error)
         self.metres, self.warnings = self._depth.metres, self._depth.warnings
         """As of `DepthSource`."""
-        width, height = source.size
         if camera is not None:
             picture = camera.scaled(width, height)
         elif focal is not None:

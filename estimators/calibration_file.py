@@ -33,6 +33,8 @@ from palpate.physics.mechanics import PARAMETERS
 SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
 diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
+FARTHEST = 5
+"""Tissue that is farther away was stated in other units than metres [m]."""
 MASS, STIFFNESS = "mass", "stiffness"
 EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
 """b by the property that contacts share."""
@@ -385,11 +387,17 @@ class Calibration:
         return KnownForce(self.measured.times[some], self.measured.force[some])
 
     def length(self, own: ClipLength) -> ClipLength:
-        """What a scene unit of a clip is, as the file states it, else as the clip itself tells."""
+        """What a scene unit of a clip is, as the file states it, else as the clip itself tells.
+
+        Raises:
+            InputError: by what the file states tissue is farther away than `FARTHEST`.
+        """
         stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
         if stated is None:
             return own
-        return replace(own, metres=own.scale * stated, log_sd=sd / stated, by=f"metres_per_depth in {self.path.name}")
+        if (unit := own.scale * stated) > FARTHEST:
+            raise InputError(f"{self.path}: by metres_per_depth {stated:g} tissue is {unit:g} m away; give metres.")
+        return replace(own, metres=unit, log_sd=sd / stated, by=f"metres_per_depth in {self.path.name}")
 
     def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
         """The scale of a clip from its own runs, or from the tissue's stiffness.

@@ -98,6 +98,8 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self._contacts: list[ContactForce] = []
+        self.unscaled = known is not None and calibration is None
+        """Whether a known force was given on its own and has told newtons of no run."""
         self.unexported = 0
         """Number of those that have no scene although scenes are written."""
         self.drawn: list[InteractionEstimate] = []
@@ -179,6 +181,7 @@ class ClipResults:
         if self._known is not None:
             try:
                 forces = columns.force_rows(run, self._known)
+                self.unscaled &= not forces
             except NoEstimate as reason:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
         if self.calibration is not None:

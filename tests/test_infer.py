@@ -738,7 +738,7 @@ def test_a_shaft_that_is_not_seen_or_not_asked_for_is_said(inputs, tmp_path, cap
     assert call(inputs, tmp_path / "out", "--no-overlay", "--shaft-diameter", "5", clips="clips/drawn.mp4") == 0
     assert record(tmp_path / "out" / "drawn")["scale"]["mm"] is None
     assert "--shaft-diameter tells no millimetres: in no frame are two straight edges" in flat(capsys.readouterr().err)
-    camera = {"fx": 150.0, "fy": 150.0, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96}
+    camera = {"fx": 150.0, "fy": 150.0, "cx": 63.5, "cy": 35.5, "width": 128, "height": 72}
     (tmp_path / "camera.json").write_text(json.dumps(camera | {"metres_per_depth": 0.1, "metres_per_depth_sd": 0.01}))
     given = ["--no-overlay", "--camera", str(tmp_path / "camera.json")]
     assert call(inputs, tmp_path / "told", *given, clips="clips/folder") == 0

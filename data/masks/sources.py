@@ -20,6 +20,8 @@ from palpate.data.source.layout import ClipLayout, InputError, companion, matche
 
 KINDS = ("annotation", "automatic", "auto")
 """Kinds of masks that need no file; auto is annotation where the clip has masks, else automatic."""
+LEAST_OF_CLASS = 0.5
+"""Least share of what a mask shows that is a class, where nothing is tool or tissue: other colours are another code."""
 FILES = (".onnx", ".yaml", ".yml", ".json")
 """Endings of files that give masks: segmentation models, and outlines."""
 
@@ -221,18 +223,24 @@ def read_class_mask(path: Path, size: tuple[int, int], classes: MaskClasses) -> 
     match exactly. Unlabelled pixels and unknown values are other.
 
     Raises:
-        MaskError: unusable file (see read_mask).
+        MaskError: unusable file (see read_mask), or one of which most shows no class of the data set at all.
     """
     mask = read_mask(path, size)
     labels = np.zeros(size, np.uint8)
     for label, names in ((TISSUE, classes.tissue), (TOOL, classes.tool)):
         for name in names:
-            if mask.ndim == 2:
-                labels[mask == CLASSES[name].grey] = label
-            else:
-                apart = np.abs(mask.astype(np.int16) - CLASSES[name].color).sum(axis=2)
-                labels[apart <= classes.tolerance] = label
+            labels[_drawn_as(name, mask, classes.tolerance)] = label
+    drawn = 0 if labels.any() else mask.reshape(*size, -1).any(axis=2).sum()
+    if drawn and np.sum([_drawn_as(name, mask, classes.tolerance) for name in CLASSES]) < LEAST_OF_CLASS * drawn:
+        raise MaskError(f"{path} holds hardly a class of CholecSeg8k; for other masks give a layout with label_mask.")
     return labels
+
+
+def _drawn_as(name: str, mask: np.ndarray, tolerance: int) -> np.ndarray:
+    """Where a mask shows a class, bool [H, W]."""
+    if mask.ndim == 2:
+        return mask == CLASSES[name].grey
+    return np.abs(mask.astype(np.int16) - CLASSES[name].color).sum(axis=2) <= tolerance
 
 
 def read_label_mask(path: Path, size: tuple[int, int], layout: ClipLayout) -> np.ndarray:

@@ -16,8 +16,9 @@ from palpate.data.source.layout import ClipLayout, from_mapping, read_clip_file,
 
 MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""
-MAX_RATIO = 1e6
-"""Largest ratio of a picture's width to its camera's focal length, and of its centre's offset to its width."""
+MAX_RATIO = 50
+"""Largest ratio of a picture's width to its camera's focal length, beyond which that is in millimetres, and of its
+centre's offset to its width."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ HALVES = ("side-by-side", "top-bottom")
 """How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 """Endings of the names of image files."""
-FRAME_RATES = (1e-6, 1e6)
+FRAME_RATES = (1e-6, 1e4)
 """Lowest and highest frame rate of a clip [1/s]."""
 LARGEST_OPENING_PX = 1001
 """Largest `mask_opening_px` [px]."""
@@ -224,10 +224,10 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     if not os.path.lexists(path):
         return {}
     values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
-    for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, math.inf)):
+    for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, 1e9)):
         value = values.get(name, 1.0)
         if not (fits(value, float) and value > 0 and least <= value <= most):
-            raise InputError(f"{path} gives {name} {shown(value)}; give a positive number.")
+            raise InputError(f"{path} gives {name} {shown(value)}; give a positive number up to {most:g}.")
     times = values.get("times", [])
     if not (fits(times, tuple[float, ...]) and all(later > earlier for earlier, later in itertools.pairwise(times))):
         raise InputError(f"{path} gives times that are not rising numbers; give one time in seconds a frame.")

@@ -155,7 +155,7 @@ def page_of(path: Path) -> str:
             _play(server, file, f"/{len(shown)}", said, motion)
             shown.append(motion is not None)
         if not any(shown):
-            raise ValueError(f"{path}: {NOTHING}")
+            raise ValueError(f"{path}: {NOTHING if path.exists() else 'There is no such file or folder; check it.'}")
         return file.as_html()
 
 

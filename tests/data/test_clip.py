@@ -13,7 +13,7 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
-from palpate.data.source.layout import ClipLayout, load_layout
+from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.data.windows import FrameWindow, future_indices, window_indices
 from tests.conftest import CHECKOUT
 from tests.data import clips
@@ -167,6 +167,20 @@ def test_depth_in_another_unit_than_its_scale_is_bad_depth_not_a_flat_wall(tmp_p
     assert "beyond the clip's scale of 0.001 (median 0.50" in frames[1].detail
     assert "depth_scale in clip.json" in frames[1].detail
     assert not any(frame.has_depth for frame in frames)
+
+
+def test_a_camera_of_another_resolution_is_scaled_and_one_of_another_shape_refused(tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=5)
+    camera = {"fx": 2 * FOCAL, "fy": 2 * FOCAL, "cx": 127.5, "cy": 95.5, "width": 256, "height": 192}
+    squeezed = camera | {"fx": FOCAL, "cx": 63.5, "width": 128}  # whose pictures were stretched since
+    for of_all in (camera, squeezed):
+        describe(folder, camera=of_all)
+        clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
+        assert (clip.picture_camera.fx, clip.picture_camera.fy) == pytest.approx((FOCAL, FOCAL))
+    describe(folder, camera=camera | {"width": 192, "height": 256})  # of a telephone that was turned
+    said = "has pictures of 128x96, and its camera is of 192x256, another shape; give the camera of these pictures"
+    with pytest.raises(InputError, match=said):
+        ClipStream(open_source(folder, ClipLayout()), SETTINGS)
 
 
 def test_distortion_is_removed_from_picture_labels_and_depth(tmp_path):

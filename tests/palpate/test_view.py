@@ -134,6 +134,7 @@ def test_what_cannot_be_shown_is_a_sentence(tmp_path: Path, capsys, monkeypatch)
     (tmp_path / "other.vtu").write_text("<a/>")
     for path, sentence in (
         (tmp_path, NOTHING),
+        (tmp_path / "absent", "absent: There is no such file or folder; check it."),
         (tmp_path / "other.vtu", "is no scene to simulate on that palpate wrote"),
     ):
         with pytest.raises(SystemExit, match="1"):

@@ -72,6 +72,7 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, known=known) as output:
         for item in (run, NONE, late):
             output.add(item)
+        assert not output.unscaled
         output.finish({"program": PROGRAM}, title="clip")
     found = read_rows(tmp_path / "clip" / "forces.csv")
     assert tuple(found[0]) == tuple(FORCES)

@@ -82,6 +82,18 @@ def test_colour_rgba_grey_and_grey_as_rgb_masks_agree(tmp_path):
         assert np.array_equal(read_class_mask(path, SIZE, CLASSES_USED), expected_labels())
 
 
+def test_masks_in_another_code_are_no_masks(tmp_path):
+    """Colours in the order of OpenCV, or 255 for a tool; nothing at all, and classes nobody asked for, are masks."""
+    tool = np.zeros(SIZE, np.uint8)
+    tool[5:15, 12:18] = 255
+    for other in (color_mask()[..., ::-1], tool):
+        with pytest.raises(MaskError, match=r"m\.png holds hardly a class .* give a layout with label_mask"):
+            read_class_mask(write(tmp_path / "m.png", other), SIZE, CLASSES_USED)
+    hook = np.where(tool == 255, CLASSES["l-hook electrocautery"].grey, 0).astype(np.uint8)
+    for nothing in (np.zeros(SIZE, np.uint8), hook):
+        assert not read_class_mask(write(tmp_path / "m.png", nothing), SIZE, CLASSES_USED).any()
+
+
 def test_other_classes_by_configuration(tmp_path):
     path = write(tmp_path / "m.png", color_mask())
     labels = read_class_mask(path, SIZE, MaskClasses(("l-hook electrocautery",), ("liver", "gallbladder")))

@@ -358,6 +358,7 @@ def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_p
         ("[" * 100_000 + "]" * 100_000, "nests too deeply"),
         ('{"fps":' * 50_000 + "1" + "}" * 50_000, "nests too deeply"),
         ('{"fps": ' + "9" * 400 + "}", "give a positive number"),
+        ('{"fps": 1e5}', "gives fps 100000.0; give a positive number up to 10000"),
         ('{"fps": ' + "9" * 5000 + "}", "is not a clip description"),
         ('{"times": [0, ' + "9" * 400 + ", 1]}", "not rising numbers"),
         *((f'{{"times": {value}}}', "not rising numbers") for value in ("[0, 1, 1e308]", "[0, 0]", '["a"]', "3")),

@@ -114,6 +114,7 @@ def test_camera_beside_the_clip_must_exist(tmp_path):
         *(("fx", value, "gives fx .{,60}; give a number") for value in ("1e308", "9" * 300, "NaN", '"1e999"')),
         *(("fx", "[" * levels + "]" * levels, "gives fx .{,60}; give a number") for levels in (400, 900)),
         ("fx", "1e-320", r"length \(9.*e-321, 10\) or centre .* is none of a picture of 4x3; give all in its pixels"),
+        ("fx", "0.0625", "none of a picture of 4x3; give all in its pixels"),  # millimetres of a lens
         ("cx", "-1e12", "give all in its pixels"),
         ("width", "1e12", "give all in its pixels"),
         ("height", "9" * 400, "gives height a number beyond .*; give a whole number"),

@@ -37,10 +37,8 @@ DISPARITY_SD = 0.25
 rows are found apart, a camera that is turned that far may be turned as far across them."""
 LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
-NOT_RECTIFIED, SAID, TOUCHED, CROPPED = 0.02, 1.5, 0.3, 0.1
-"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px].
-Logarithm of the pictures' shape over that in the camera file, beyond which they were cropped: pixels may be oblong."""
-
+NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
+"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
 PAIRED, FARTHEST = 0.6, 5.0
 """Least share of the pixels that match in pairs without features to compare, below which they may be no pair (0.9 of
 real ones match, 0.3 of one picture's halves), and depth beyond which the baseline has another unit [m]."""
@@ -180,8 +178,6 @@ class StereoDepth(DepthSource):
             raise InputError(f"{named} is a folder and layout.right is '{layout.right}'; write {{number}} in it.")
         if rig is None or rig.offset is None:
             raise InputError(f"{named} has no camera with a baseline; give a camera file with one, in metres.")
-        if not layout.halved and abs(math.log(rig.width / rig.height * source.size[1] / source.size[0])) > CROPPED:
-            raise InputError(f"{named} has another shape than its camera's {rig.width}x{rig.height}; give its own.")
         self._clip, self._layout, self._size, self._pattern = clip, layout, source.size, layout.right
         self._rectification = Rectification(rig.scaled(*source.size), rig)
         self._baseline_log_sd = rig.baseline_sd / math.hypot(*rig.offset)

@@ -247,7 +247,6 @@ TURNED = [0, -1, 0, 1, 0, 0, 0, 0, 2]
 @pytest.mark.parametrize(
     ("camera", "said"),
     [
-        ({"width": 1920, "height": 1080}, "clip has another shape than its camera's 1920x1080; give its own"),
         ({"baseline": 0}, "baseline is 0; give a positive number"),
         ({"baseline": 100 * BASELINE}, "m away by its camera's baseline; give that in metres"),
         ({"baseline": 4.6}, "its cameras are 4.6 m apart; give metres, not millimetres"),

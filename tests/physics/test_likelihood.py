@@ -30,7 +30,7 @@ def observed(logs=LOGS, noise=NOISE, points=POINTS, off=0.0) -> Observation:
 def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian():
     logs, likelihood = LOGS, Likelihood(MESH, PRESS, observed(), MECHANICS)
     around = likelihood.linearise(logs)
-    theta = theta_of(logs)
+    theta = likelihood.theta(logs)
     _, slopes = simulate_sensitivities(theta, MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)
     slopes = np.swapaxes(log_jacobian(slopes, theta)[STEPS], 0, 1)
     rows = (slopes / NOISE[:, None]).reshape(36, len(logs))

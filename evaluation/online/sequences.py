@@ -100,8 +100,8 @@ class Sequence:
     block: bool
     frames: int
     """As many by default."""
-    way: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-    """Displacement of the gripper along each axis at shares of the time [S], shape [S] each [m]."""
+    way: Callable[[np.ndarray], np.ndarray]
+    """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
     stiff: Callable[[np.ndarray], np.ndarray]
     """Which places at rest [P, 3] are stiff, bool [P]."""
 
@@ -113,7 +113,7 @@ class Sequence:
             points: of a cloud.
             frames: how many of the sequence, from its beginning.
         """
-        path = np.stack(self.way(np.arange(1, frames + 1) / self.frames), axis=1)
+        path = self.way(np.arange(1, frames + 1) / self.frames)
         states = (_block_states if self.block else _sheet_states)(path, self.stiff)
         body = _block_body(particles) if self.block else _sheet_body(particles)
         random = np.random.default_rng(0)
@@ -250,25 +250,32 @@ def _spread_out(points: np.ndarray) -> np.ndarray:
     return pool[farthest(points[0, pool], len(pool) - 1, KEYPOINTS)]
 
 
+def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Displacements of a gripper, shape [S, 3], from those along each axis [S] [m]."""
+    return np.stack([right, aside, up], axis=1)
+
+
 SEQUENCES = {
     # Away from the pins and up; the half next to the pins is stiff.
     "thin-shell-1": Sequence(
-        False, 60, lambda s: (0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
+        False, 60, lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
     ),
     # To one side, to the other and back, lifted on the way; a spot is stiff.
     "thin-shell-2": Sequence(
         False,
         100,
-        lambda s: (0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
+        lambda s: _path(0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
         lambda rest: np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04,
     ),
     # A block's free end up, and a little back.
-    "volume-1": Sequence(True, 60, lambda s: (-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2),
+    "volume-1": Sequence(
+        True, 60, lambda s: _path(-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2
+    ),
     # A block's free end aside and up.
     "volume-2": Sequence(
         True,
         60,
-        lambda s: (0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
+        lambda s: _path(0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
         lambda rest: rest[:, 1] < BLOCK[1] / 2,
     ),
 }

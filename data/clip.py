@@ -84,10 +84,12 @@ class ClipStream:
         self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
         """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
         camera, (width, height) = camera or clip_camera(source.path, settings.layout), source.size
-        here = camera.scaled(width, height) if camera and not settings.layout.halved else camera
-        if camera and here and abs(math.log(here.fx / here.fy)) > abs(math.log(camera.fx / camera.fy)) + CROPPED:
-            said = f"pictures of {width}x{height}, and its camera is of {camera.width}x{camera.height}, another shape"
-            raise InputError(f"{source.path} has {said}; give the camera of these pictures.")
+        picture = None if camera is None else camera.scaled(width, height)
+        if camera and picture and not settings.layout.halved:  # halves of one picture may be squeezed
+            oblong = [abs(math.log(each.fx / each.fy)) for each in (camera, picture)]
+            if oblong[1] > oblong[0] + CROPPED:
+                own = f"{camera.width}x{camera.height}, another shape; give the camera of these pictures"
+                raise InputError(f"{source.path} has pictures of {width}x{height}, and its camera is of {own}.")
         self._scale_error = ""
         self.scale, focal = math.nan, None
         """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
@@ -98,11 +100,9 @@ class ClipStream:
                 self._scale_error = str(error)
         self.metres, self.warnings = self._depth.metres, self._depth.warnings
         """As of `DepthSource`."""
-        if camera is not None:
-            picture = camera.scaled(width, height)
-        elif focal is not None:
+        if picture is None and focal is not None:
             picture = Camera.from_focal(focal, width, height)
-        else:
+        elif picture is None:
             picture = Camera.from_field_of_view(settings.depth.field_of_view_deg, width, height)
         self._undistortion = Undistortion(picture) if any(picture.distortion) else None
         self.picture_camera = dataclasses.replace(picture, distortion=())

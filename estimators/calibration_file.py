@@ -21,6 +21,7 @@ import numpy as np
 
 from palpate.common.settings import require_numbers
 from palpate.data.clip import ClipStream
+from palpate.data.depth.sources import FARTHEST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
@@ -33,8 +34,6 @@ from palpate.physics.mechanics import PARAMETERS
 SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
 diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
-FARTHEST = 5
-"""Tissue that is farther away was stated in other units than metres [m]."""
 MASS, STIFFNESS = "mass", "stiffness"
 EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
 """b by the property that contacts share."""

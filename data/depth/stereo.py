@@ -13,7 +13,7 @@ import numpy as np
 from palpate.common.files import digest_of
 from palpate.common.robust import trimmed_fit
 from palpate.data.depth.model import DepthModel, RawDepth
-from palpate.data.depth.sources import DepthSource, check_map, positive
+from palpate.data.depth.sources import FARTHEST, DepthSource, check_map, positive
 from palpate.data.source.camera import Camera, Rig, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.images import printable, read_image
@@ -39,9 +39,9 @@ LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
 NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
 """Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
-PAIRED, FARTHEST = 0.6, 5.0
-"""Least share of the pixels that match in pairs without features to compare, below which they may be no pair (0.9 of
-real ones match, 0.3 of one picture's halves), and depth beyond which the baseline has another unit [m]."""
+PAIRED = 0.6
+"""Least share of the pixels that match in pairs without features to compare, below which they may be no pair: 0.9 of
+real ones match, 0.3 of one picture's halves."""
 
 NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
 ROWS_DIFFER = (

@@ -200,7 +200,7 @@ def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[fl
     name = unknown if indenter is None else f"Young's modulus, {indenter.shape}"
     stiffens = law.stiffens and indenter is None  # under an indenter a curve bends by its shape alone
     doubt = "stiffening, not determined" if stiffens else "not determined"
-    off = probe.force - np.polyval(np.polyfit(probe.depth, probe.force, 1), probe.depth)
+    off = probe.force - found.value * (probe.depth - found.begins)  # the line, where no indenter is known
     bent = indenter is None and off.std() > max(BENT * np.ptp(probe.force), np.diff(off).std())
     said = "stiffening" if stiffens else "not a straight line" if bent else None
     rows: list[tuple] = [(name, found.value, found.low, found.high, found.unit, said)]

@@ -81,7 +81,7 @@ class Chamfer:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         # It is asked little, so that one made in half the time will do.
-        self._tree, self._began = KDTree(self.cloud, compact_nodes=False, balanced_tree=False), None
+        self._tree, self._began = KDTree(self.cloud, 24, compact_nodes=False, balanced_tree=False), None
         self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -99,8 +99,8 @@ class Chamfer:
         out, there = self._out.find(shown, self.cloud, gone, self._tree)
         back, here = self._back.find(self.cloud, shown, float(gone.max()))
         own, others = len(shown), len(self.cloud)
-        counts = np.bincount(here, minlength=own)
-        drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
+        counts, drawn = np.zeros(own), np.zeros((own, 3))
+        _add_up(self.cloud, here, counts, drawn)
         gradient, weight = np.zeros_like(points), np.zeros(len(points))
         gradient[self.seen] = 2 * (shown - self.cloud[there]) / own + 2 * (counts[:, None] * shown - drawn) / others
         weight[self.seen] = 2 / own + 2 * counts / others
@@ -119,6 +119,15 @@ def _nearest_of(others, points, near, apart, which):
             if away < least:
                 least, which[point] = away, other
         apart[point] = np.sqrt(least)
+
+
+@kernel
+def _add_up(points, which, counts, sums):
+    """Count the points [P, 3] that belong to each of some, which [P] says, in counts [n]; add them to sums [n, 3]."""
+    for point in range(len(points)):
+        counts[which[point]] += 1.0
+        for axis in range(3):
+            sums[which[point], axis] += points[point, axis]
 
 
 class Tracks:

@@ -32,6 +32,8 @@ BY_LIGHT = (
     "by the brightness of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 )
 
+UNSTIFFENED = "stiffening, not determined: where tissue stiffens under the dent, |F|/E is larger than this says"
+"""Of a slab: its motion without a known force looks the same (docs/reports/fem.md)."""
 
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
@@ -122,7 +124,8 @@ class Estimate:
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
         described = "" if self.given_verdict else describe(self.verdict_information)
-        return f"{described}; {BY_LIGHT}" if self.by_light else described
+        notes = BY_LIGHT * self.by_light, UNSTIFFENED * (self.slab is not None)
+        return "; ".join(filter(None, (described, *notes)))
 
     @property
     def verdict_information(self) -> np.ndarray:

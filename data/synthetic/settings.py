@@ -80,6 +80,8 @@ class SceneSettings:
     """Relaxation time of that branch, drawn log-uniformly [s]."""
     slab_inclusion: Annotated[float, 0.01, 100] = 1.0
     """E of a ball inside a slab, divided by E around it; 1 is none."""
+    slab_stiffening: Annotated[float, 0, 1e4] = 0.0
+    """b of a slab's law, by which it stiffens where it strains (`physics.fem.laws.respond`); 0 is none."""
     patch_radius: Annotated[Range, 0, 20] = (0.0, 0.0)
     """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
     vertex alone."""

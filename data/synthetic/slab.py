@@ -56,6 +56,8 @@ class SlabTissue:
     """Relaxation time τ of that branch [s]."""
     inclusion: float
     """E of a ball inside, divided by E around it; 1 = none."""
+    stiffening: float
+    """b of the law (`physics.fem.laws.respond`); 0 = it doesn't stiffen."""
 
 
 @dataclass(frozen=True)
@@ -140,14 +142,15 @@ def _material(body: Slab, scene: Scene, tissue: SlabTissue, generator: Generator
     radius, angle = generator.uniform(*BALL_RADIUS), generator.uniform(0, 2 * np.pi)
     offset = generator.uniform(0.3, 1.2) * radius
     if tissue.inclusion == 1:
-        return Material(LAW, tissue.young, tissue.poisson)
+        return Material(LAW, tissue.young, tissue.poisson, tissue.stiffening)
     # The ball's top is an eighth of the thickness below the surface.
     deep = min(radius + tissue.thickness / 8, tissue.thickness)
     middle = scene.mesh.vertices[scene.vertex] - deep * scene.direction
     middle = middle + offset * np.array([math.cos(angle), math.sin(angle), 0.0])
     centre = body.solid.rest[body.solid.elements[:, :4]].mean(axis=1)
     inside = np.linalg.norm(centre - middle, axis=1) < radius
-    return Material(LAW, tissue.young * np.where(inside, tissue.inclusion, 1.0), tissue.poisson)
+    young = tissue.young * np.where(inside, tissue.inclusion, 1.0)
+    return Material(LAW, young, tissue.poisson, tissue.stiffening)
 
 
 def _follow(

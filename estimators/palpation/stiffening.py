@@ -27,9 +27,10 @@ FLOOR = 0.004
 """Root mean square of what the best law leaves, at least, over the range of the forces."""
 ASKED = 20.0
 """Odds from which on the evidence asks for stiffening."""
-OTHER_LAW = 0.15
-"""Standard deviation of the logarithm of a force at twice the largest depth, for laws that are none of these. It grows
-with the root of the depth beyond the largest, since tissue that locks leaves these laws at once."""
+OTHER_LAW = 0.13, 0.18
+"""Standard deviations, down and up, of the logarithm of a force at twice the largest depth, for laws that are none of
+these: more of these stiffen faster than slower. They grow with the root of the depth beyond the largest, since tissue
+that locks leaves these laws at once."""
 HAZARD, STEEPEST = 0.6, 15.0
 """How often slack fibres grow taut per range of depths beyond a curve that is straight so far, and stiffness over that
 at the least depth up to which they then raise it, uniformly in its logarithm."""
@@ -84,7 +85,8 @@ class Stiffening:
         more = np.exp(chance.uniform(0, 1, len(risen)) * np.maximum(np.log(STEEPEST) - self.growth, 0))
         risen = risen + ((more - 1) * np.exp(self.growth))[:, None] * np.maximum(beyond - begins, 0)
         force = self.offset[:, None] + self.slope[:, None] * risen
-        other = np.exp(OTHER_LAW * np.sqrt(beyond) * chance.standard_normal((len(risen), 1)))
+        other = chance.standard_normal((len(risen), 1))
+        other = np.exp(np.where(other < 0, *OTHER_LAW) * other * np.sqrt(beyond))
         return np.quantile(force * other + self.noise[:, None], INTERVAL, axis=0)
 
 

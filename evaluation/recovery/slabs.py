@@ -43,7 +43,7 @@ from palpate.evaluation.recovery.scores import coverage, rms
 
 Quantity = tuple[str, int, float]
 """Its name, of how many it is, and its value."""
-COLUMNS = ("estimator", "clips", "quantity", "n", "value")
+COLUMNS = ("suite", "estimator", "clips", "quantity", "n", "value")
 CLOSE = 0.25
 """A ratio counts as found within this share of the true one."""
 LEAST = 4
@@ -53,16 +53,23 @@ PRESSED, PULLED = ("determined", "ratios"), "reaction"
 
 
 def slab_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """`slabs.csv`: a row an estimator, group of clips and quantity."""
+    """`slabs.csv`: a row a suite, estimator, group of clips and quantity."""
     found: list[Row] = []
-    for estimator in dict.fromkeys(row["estimator"] for row in rows):
-        own = [row for row in rows if row["estimator"] == estimator]
+    for suite, estimator in dict.fromkeys((row["suite"], row["estimator"]) for row in rows):
+        own = [row for row in rows if (row["suite"], row["estimator"]) == (suite, estimator)]
         for name, clips in _groups(own).items():
             explained = [row for row in clips if row.get("warned") is False]
             quantities = {name: [*_shares(clips), *_compared(clips)]}
             quantities[f"{name}, explained"] = [*_compared(explained), *_determined(explained)]
             found += [
-                {"estimator": estimator, "clips": of, "quantity": quantity, "n": n, "value": float(value)}
+                {
+                    "suite": suite,
+                    "estimator": estimator,
+                    "clips": of,
+                    "quantity": quantity,
+                    "n": n,
+                    "value": float(value),
+                }
                 for of, cells in quantities.items()
                 for quantity, n, value in cells
             ]

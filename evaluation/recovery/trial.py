@@ -37,7 +37,7 @@ held, knots, held_between       share of the field's knots there whose 90 % inte
 
 of a slab of finite elements:
 
-tissue                          true numbers in the order of `data.synthetic.slab.SlabTissue`, shape [8]
+tissue                          true numbers in the order of `data.synthetic.slab.SlabTissue`, shape [9]
 true_force                      size of the true force: of a press, or of the pull in the last frame that was fitted
 fitted                          what was fitted, one of `estimators.open.MODELS`; of finite elements θ = [E, αρ, F]
 reaction                        of a pull: F/k_s, of finite elements F/E, and the standard deviation of its logarithm

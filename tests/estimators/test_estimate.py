@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED, SYMBOLS, Estimate, combined, mixture
+from palpate.estimators.estimate import (
+    COMBINATIONS,
+    NINETY,
+    REPORTED,
+    SYMBOLS,
+    UNSTIFFENED,
+    Estimate,
+    combined,
+    mixture,
+)
 from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.mechanics import PARAMETERS
@@ -89,6 +98,8 @@ def test_what_is_determined_goes_by_standard_deviations(covariance, verdict, det
         assert (found.verdict, found.determined) == (verdict, determined)
         assert found.numbers()["determined"] == ";".join(determined)
         assert ("nothing is determined" in found.explanation) == (not determined)
+        slab = dataclasses.replace(found, slab="what moves it").explanation
+        assert slab == f"{found.explanation}; {UNSTIFFENED}"
 
 
 @pytest.mark.parametrize("told", ["", "onset_in_view"])

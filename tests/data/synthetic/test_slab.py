@@ -97,6 +97,16 @@ def test_a_stiff_ball_takes_more_force() -> None:
     assert 1.05 < np.abs(stiff.force).max() / np.abs(plain.force).max() < 4
 
 
+def test_a_slab_that_stiffens_sinks_less_under_the_same_force() -> None:
+    deep = dataclasses.replace(BRIEF, peak_displacement=(0.02, 0.02))
+    scene, plain = drawn(deep)
+    _, stiff = drawn(dataclasses.replace(deep, slab_stiffening=100.0))
+    np.testing.assert_array_equal(stiff.force, plain.force)  # what would sink a linear slab so far
+    assert depth_of(scene, stiff).max() < 0.9 * depth_of(scene, plain).max()
+    _, slight = drawn(dataclasses.replace(BRIEF, slab_stiffening=100.0))
+    np.testing.assert_allclose(slight.contact, drawn(BRIEF)[1].contact, rtol=0, atol=1e-7)  # of 1e-4
+
+
 def test_a_pull_carries_the_contact_and_takes_a_force_its_way() -> None:
     scene, motion = drawn(PULL)
     assert isinstance(motion, GrippedSlab)

@@ -26,7 +26,7 @@ RATIO = "k_d/k_s and αρ/E"
 
 
 def press(index: int, estimate: tuple[float, float, float] | None, **changes) -> Row:
-    tissue = np.array([YOUNG[index], 0.45, DENSITY, 0.06, DAMPING * (1 + index), 0.0, 0.1, 1.0 + 3 * (index % 2)])
+    tissue = np.array([YOUNG[index], 0.45, DENSITY, 0.06, DAMPING * (1 + index), 0.0, 0.1, 1.0 + 3 * (index % 2), 0.0])
     found = {"suite": "fem", "index": index, "estimator": "direct", "action": "press", "status": "ok", "tissue": tissue}
     found |= {"true_force": 0.1 + 0.02 * index, "warned": False, "verdict": "determined", **changes}
     return found if estimate is None else found | {"estimate": np.array(estimate)}
@@ -48,6 +48,7 @@ def test_two_of_three_are_pressed_and_damping_and_inclusions_take_turns() -> Non
     assert [item.slab_damping == (0.0, 0.0) for item in settings] == [False] * 3 + [True] * 3 + [False] * 3 + [True] * 3
     assert all((item.slab_branch[0] > 0) == (item.slab_damping == (0.0, 0.0)) for item in settings)
     assert [item.slab_inclusion for item in settings] == [1.0] * 6 + [4.0] * 6
+    assert {EVERY[name].settings(0).slab_stiffening for name in ("fem", "stiffening")} == {0.0, 30.0}
     assert {item.width for item in settings if item.action == "press"} == {214}
     for model in ("sheet", "fem"):
         chosen = Benchmark(Path("x"), ("fem",), ("network", "direct"), model=Path("m.onnx"), direct_model=model)
@@ -92,8 +93,8 @@ def test_finite_elements_are_compared_with_the_truth_in_its_own_units() -> None:
     assert found["pressed", "k_d/k_s within 25%"]["value"] == 1
     thick = table([(row | {"estimate": row["estimate"] * np.array([1.0, 1.3, 1.0])}) for row in rows])
     assert thick["pressed", "k_d/k_s within 25%"]["value"] == 0  # of sheets it would be 1: they have units of their own
-    relaxing = [(row | {"tissue": row["tissue"] * np.array([1, 1, 1, 1, 0, 1, 1, 1])}) for row in rows]
-    again = table([(row | {"tissue": row["tissue"] + 0.5 * np.eye(8)[5]}) for row in relaxing])
+    relaxing = [(row | {"tissue": row["tissue"] * (np.arange(9) != 4)}) for row in rows]
+    again = table([(row | {"tissue": row["tissue"] + 0.5 * np.eye(9)[5]}) for row in relaxing])
     assert again["pressed, relaxing", "F/E, held"]["value"] == pytest.approx(5 / 6)
     assert ("pressed, relaxing", "αρ/E, held") not in again
     assert ("pressed", "E over the true") not in table(

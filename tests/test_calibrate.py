@@ -15,7 +15,8 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
 from palpate.estimators.palpation.bench import Bench
-from palpate.estimators.palpation.material_fit import STIFFENS, UNKNOWN, MaterialFit
+from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.estimators.palpation.stiffening_check import STIFFENS, UNKNOWN
 from palpate.evaluation.palpation import example
 from palpate.evaluation.palpation.example import scene_files
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press

@@ -8,7 +8,9 @@ relaxation  how a force falls while the depth is held: standard linear solids
 skin        a scanned surface on coarser tetrahedra, and the closest places on it
 registration depth points laid onto a surface (ICP); several depth views of a body as one surface
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
-material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces, to which they are linearised
+gauss_newton points' distances from a simulated surface, linearised by the material and the poses, and their least sum
+stiffening_check whether a palpated body stiffens, or its mesh or law makes it look so
+material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
 scene       the file that names a surface and what was pressed on it, or a sequence beside a robot
 presses     what such a sequence shows: the surface at rest, and each press's largest force
 """

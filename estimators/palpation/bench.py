@@ -4,18 +4,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import register, thinned
-from palpate.estimators.palpation.skin import Match, Skin, cover
-from palpate.physics.fem import Equilibrium, Material, Solid, find_equilibrium, make_solid
+from palpate.estimators.palpation.skin import Match, Skin, cover, shapes_at
+from palpate.physics.fem import Equilibrium, Material, find_equilibrium, make_solid
+from palpate.physics.fem.curved import bend
 from palpate.physics.fem.laws import respond
 from palpate.physics.fem.linear_system import LinearSystem
-from palpate.physics.fem.solid import EDGES, EIGHTHS
+from palpate.physics.fem.meshing import refine
+from palpate.physics.fem.solid import EDGES
 
-FACTORED = 60_000
+FACTORED = 75_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
 which a body is refined: beyond, a fit would take too long, and memory grows faster than the body."""
+NEAR = 1.5
+"""Halves of an element's longest edge: its middle is no farther off any place that it holds."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 SHOWN = 0.02
@@ -94,20 +99,39 @@ class Bench:
             means.append(np.average(shape.energy, weights=shape.energy * rest.energy.solid.weights))
         self.stiffening = 1 / float(max(means))
 
-    def refine(self) -> None:
-        """Go on with eight times as many elements, and so with up to eight times as many unknowns.
+    def refine(self) -> csr_array:
+        """Go on with elements half as long if their middle lies within a tool's radius, or they may hold its contact.
+
+        They are divided as straight ones, in whose place the curved ones' own shape functions put the new nodes: the
+        body stays as it is.
+
+        Returns:
+            of the nodes' values in those of the new ones, shape [N', N].
 
         Raises:
-            ValueError: these may be more than FACTORED; or a curved element's parts would be flat.
+            ValueError: the unknowns would be more than FACTORED.
         """
-        skin = self.skin
-        if (most := 8 * skin.body.rest.size) > FACTORED:
-            raise ValueError(f"a finer mesh may have {most} unknowns, more than {FACTORED}.")
-        body = make_solid(skin.body.rest, skin.body.elements[:, EIGHTHS].reshape(-1, 4), order=2)
+        skin, coarse = self.skin, self.skin.body.elements[:, :4]
+        straight = make_solid(skin.body.rest[: coarse.max() + 1], coarse, order=2)
+        corners = straight.rest[coarse]
+        longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1) / 2
+        apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
+        radius = np.array([[each.tool_radius] for each in self.palpations])
+        longest[(np.array(apart) > np.maximum(radius, NEAR * longest)).all(axis=0)] = np.inf
+        # Halves of an edge may be longer than half of it by rounding.
+        nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (1 + 1e-9) * longest)
+        fine = make_solid(nodes, tetrahedra, order=2)
+        if fine.rest.size > FACTORED:
+            raise ValueError(f"a finer mesh has {fine.rest.size} unknowns, more than {FACTORED}.")
+        of = np.empty(len(fine.rest), np.int64)
+        of[fine.elements] = whole[:, None]
+        shares = shapes_at(straight, of, fine.rest)
+        body = bend(fine, shares @ skin.body.rest - fine.rest)
         self.skin = cover(body, skin.vertices, skin.triangles, skin.shares.sum(axis=1) < 0.5)
-        self.held = between(body, self.held) == 1.0
+        self.held = shares @ self.held > 1 - 1e-9
         self.forces = [self.skin.pressed(each.contact, each.tool_radius, each.force) for each in self.palpations]
         self.near = None
+        return shares
 
     def rest(
         self, young: float, poisson: float, growth: float = 0.0, *, starts: Sequence[np.ndarray | None]
@@ -154,14 +178,6 @@ class Bench:
         counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
         # A pose that is a little off carries points around a sharp edge, where distances jump.
         return counts & (self.skin.from_creases(place) > OUTLIER * self.noise)
-
-
-def between(body: Solid, values: np.ndarray) -> np.ndarray:
-    """Values at all nodes of a quadratic body, shape [N, K], by those of its first nodes, the corners at least."""
-    found = np.zeros((len(body.rest), values.shape[1]))
-    found[: len(values)] = values
-    found[body.elements[:, 4:]] = found[body.elements[:, EDGES]].mean(axis=2)
-    return found
 
 
 def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:

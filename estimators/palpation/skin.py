@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 from scipy.spatial import KDTree
 
 from palpate.physics.fem import Solid
@@ -26,7 +26,7 @@ SAMPLES = 8
 ROWS = 4
 """Of places on a triangle, over which a force is spread."""
 BENT = 4
-"""Steps to a vertex's place in a curved element; in a straight one the first changes nothing."""
+"""Steps to a vertex's place in a curved element after the first, which leads to that in a straight one."""
 FLAT = 0.1
 """Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
 SOUGHT = 5
@@ -107,22 +107,34 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
         triangles: shape [F, 3]; turned over where they face inwards as a whole.
         held: vertices that stand still, as those below a floor where the body is cut off, shape [V], bool.
     """
-    corners = body.rest[body.elements[:, :4]]
-    element, place = holding(corners, vertices, CANDIDATES)
-    nodes, inverse = body.elements[element], np.linalg.inv((corners[:, 1:] - corners[:, :1])[element])
-    quadratic = body.elements.shape[1] == 10
-    for _ in range(BENT if quadratic else 0):  # where an element's faces are curved
-        beyond = vertices - np.einsum("vn,vni->vi", _shapes(place), body.rest[nodes])
-        change = np.einsum("vj,vji->vi", beyond, inverse)
-        place = place + np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
-    values = _shapes(place) if quadratic else place
+    element, _ = holding(body.rest[body.elements[:, :4]], vertices, CANDIDATES)
+    matrix = shapes_at(body, element, vertices)
     if held is not None:
-        values = np.where(held[:, None], 0.0, values)
-    index = np.repeat(np.arange(len(vertices)), nodes.shape[1]), nodes.ravel()
-    matrix = csr_array((values.ravel(), index), shape=(len(vertices), len(body.rest)))
+        matrix = diags_array(np.where(held, 0.0, 1.0)) @ matrix
     one, two, three = vertices[triangles].transpose(1, 0, 2)
     volume = float(np.einsum("fi,fi->f", one, np.cross(two, three)).sum())
-    return Skin(body, vertices, triangles if volume >= 0 else triangles[:, ::-1], matrix)
+    return Skin(body, vertices, triangles if volume >= 0 else triangles[:, ::-1], csr_array(matrix))
+
+
+def shapes_at(body: Solid, element: np.ndarray, points: np.ndarray) -> csr_array:
+    """Shape functions of a body's nodes at points [P, 3], each in its element [P] or close to it, shape [P, N].
+
+    Where steps to a place off a curved element lead away, it is the closest that they came to.
+    """
+    nodes = body.elements[element]
+    corners, quadratic = body.rest[nodes[:, :4]], nodes.shape[1] == 10
+    inverse = np.linalg.inv(corners[:, 1:] - corners[:, :1])
+    place = best = np.tile(np.eye(4)[0], (len(points), 1))
+    least = np.full(len(points), np.inf)
+    for _ in range(2 + BENT if quadratic else 2):
+        beyond = points - np.einsum("pn,pni->pi", _shapes(place) if quadratic else place, body.rest[nodes])
+        off = np.linalg.norm(beyond, axis=1)
+        best, least = np.where((off < least)[:, None], place, best), np.minimum(off, least)
+        change = np.einsum("pj,pji->pi", beyond, inverse)
+        place = place + np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
+    index = np.repeat(np.arange(len(points)), nodes.shape[1]), nodes.ravel()
+    values = _shapes(best) if quadratic else best
+    return csr_array((values.ravel(), index), shape=(len(points), len(body.rest)))
 
 
 def _shapes(place: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ class Body:
             nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
             nodes = nodes - [self.size / 2, self.size / 2, 0]
             if longest is not None:
-                nodes, tetrahedra = refine(nodes, tetrahedra, longest)
+                nodes, tetrahedra, _ = refine(nodes, tetrahedra, longest)
         body = make_solid(nodes, tetrahedra, order=2)
         floor = float(body.rest[:, 2].min())
         if self.shape == "ball":

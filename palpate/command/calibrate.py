@@ -34,9 +34,10 @@ from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation import Indenter, fit_indentation, fit_relaxation, read_hold, read_probes
 from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
 from palpate.estimators.palpation.curves import HOLD, PROBES, PULL, Probe, kind_of, read_pull
-from palpate.estimators.palpation.material_fit import NOTHING, STIFFENS, UNKNOWN, MaterialFit, fit_material
+from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.estimators.palpation.stiffening import fit_stiffening, told
+from palpate.estimators.palpation.stiffening_check import STIFFENS, UNKNOWN
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
 from palpate.results.scene.files import scene_text

@@ -35,6 +35,11 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     face, shares = nearest(solid.rest[middles], triangles, rows_needed(triangles, spacing))
     step = np.zeros_like(solid.rest)
     step[middles] = np.einsum("pk,pkx->px", shares, triangles[face]) - solid.rest[middles]
+    return bend(solid, step)
+
+
+def bend(solid: Solid, step: np.ndarray) -> Solid:
+    """A body of straight elements with its nodes moved, shape [N, 3] [m], less far where that crushes one."""
     for _ in range(HALVINGS):
         crushed = (np.linalg.det(solid.deformation(step)) < LEAST).any(axis=1)
         if not crushed.any():

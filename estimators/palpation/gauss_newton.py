@@ -1,0 +1,284 @@
+"""Gauss–Newton on points' distances from a simulated surface, by the material's constants and the sensors' poses.
+
+Between two simulations displacements are linear in the former, and points are matched anew as often as it takes. Where
+derivatives exist they are exact (`physics.fem.equilibrium`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench
+from palpate.estimators.palpation.registration import turned
+from palpate.physics.fem import Equilibrium, NoEquilibrium
+
+POISSON = (0.0, 0.495)
+"""Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
+INNER = 20
+"""Steps between two simulations."""
+CLOSE = 0.3
+"""Change of log E and ν over their standard deviations by the noise, that needs no further simulation: it is made all
+the same, by the derivatives, and what is left is of its square."""
+ROUGH = 1.02
+"""By what factor the error may grow in a step: which points count changes, which roughens it."""
+SHORTEST = 0.01
+"""Share of a step, below which none is tried."""
+FARTHEST, WIDEST = 10.0, 0.15
+"""Factor by which a step changes E at most, and by how much ν moves between two simulations."""
+STRIDE = 0.1
+"""Of a pose's standard deviation as the tool tells it: what a step moves it by where the body leaves it open, as a ball
+its turns. Facets pull it to and fro there."""
+GROWTH = 3.0
+"""Up to which every growth of the stiffness, the logarithm of its factor where the body is strained, is as likely."""
+ROUNDS = 15
+"""Simulations of every press at most."""
+TURNED = 0.25
+"""Share of a step that the next one takes back, from which on steps are halved."""
+STIFFEST = 4.0**5
+"""Over what the linear law says, from where no equilibrium is looked for any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """How a press moves the body close to what was simulated."""
+
+    moved: np.ndarray
+    """Displacement of the surface's vertices, shape [V, 3] [m]."""
+    slopes: np.ndarray
+    """Its derivatives by relative compliance, E's inverse over that simulated, by ν and, of K = 3, by the growth of the
+    stiffness, shape [V, 3, K] [m]."""
+    nodes: np.ndarray
+    """Displacement of the body's nodes, shape [N, 3] [m]."""
+    node_slopes: np.ndarray
+    """Its derivatives likewise, shape [N, 3, K] [m]."""
+
+    def predicted(self, change: np.ndarray) -> np.ndarray:
+        """Displacement of the nodes with a change of what `slopes` are by, [K], shape [N, 3] [m]."""
+        return self.nodes + self.node_slopes @ change
+
+
+def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[State]:
+    """Of simulated bodies, as they would be with all displacements so many times larger."""
+    states: dict[int, State] = {}
+    for rest in rests:
+        if id(rest) in states:  # one press seen several times
+            continue
+        # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
+        factors = np.array([-float(np.mean(rest.material.young)), 1.0, bench.stiffening])
+        slopes = (rest.tangents() * factors)[..., : bench.unknowns]
+        on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
+        moved = bench.skin.shares @ rest.displacement
+        surface = scale * moved, scale * on_skin.reshape(-1, 3, bench.unknowns)
+        states[id(rest)] = State(*surface, scale * rest.displacement, scale * slopes)
+    return [states[id(rest)] for rest in rests]
+
+
+def _unknowns(which: int, count: int) -> np.ndarray:
+    """Indices of what a palpation's points tell of, K of the material and six, shape [K + 6]."""
+    return np.concatenate([np.arange(count), count + np.arange(6 * which, 6 + 6 * which)])
+
+
+class System:
+    """Residuals with a change of K of the material, relative 1/E, ν and, of three, the growth of the stiffness, from
+    what was simulated, linearised by it and every pose's six."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        states: Sequence[State],
+        change: np.ndarray,
+        poses: Sequence[np.ndarray],
+        ends: np.ndarray,
+        chosen: Sequence[np.ndarray] | None = None,
+    ) -> None:
+        self.bench, self.states, self.change, self.poses, self.ends = bench, states, change, list(poses), ends
+        self.count = len(change)
+        self.chosen: list[np.ndarray] = []
+        """Which points count, of each press [P]: the same ones until something is simulated again."""
+        self.skin, triangles = bench.skin, bench.skin.triangles
+        """The bench may go on with a finer one."""
+        residuals, blocks, sinks, places = [], [], [], []
+        for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
+            moved = state.moved + state.slopes @ change
+            match, cosine = bench.matched(self.skin.vertices + moved, which, pose)
+            self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
+            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
+            if np.count_nonzero(counts) < 12:
+                raise ValueError(
+                    "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
+                )
+            along = match.normal[counts] / cosine[counts, None]
+            met = match.at(triangles, self.skin.vertices + moved)[counts]
+            by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
+            # A sight turns about its eye together with its point: what moves is where it meets the surface.
+            blocks.append(np.hstack([by_material, np.cross(met, along), along]))
+            residuals.append(match.distance[counts])
+            sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
+            places.append(match.at(triangles, self.skin.vertices)[counts])
+        self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
+        """By the material's K and the six of the pose that a point was observed from, shape [R, K + 6]."""
+        self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
+        self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
+        limit, size = OUTLIER * bench.noise, np.abs(self.residual)
+        self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
+        self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
+        self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
+        self.precision = self.weight / (bench.widened * self.noise) ** 2
+        """What a residual weighs, shape [R] [1/m²]."""
+
+    def solved(self) -> System:
+        """By Gauss–Newton steps, without a simulation."""
+        system, trust = self, 1.0
+        for _ in range(INNER):
+            step, sd = system.step()
+            step = trust * step
+            before = 1 + system.change[0]
+            compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
+            more = np.clip(system.change[1:] + step[1 : self.count], *self.ends)
+            change, turns = np.array([compliance - 1, *more]), step[self.count :].reshape(-1, 6)
+            poses = [turned(pose, part) for pose, part in zip(system.poses, turns, strict=True)]
+            following = System(self.bench, self.states, change, poses, self.ends, self.chosen)
+            if following.cost > ROUGH * system.cost and trust > SHORTEST:
+                trust /= 3
+                continue
+            moved, system, trust = change - system.change, following, min(1.0, 2 * trust)
+            if (np.abs(moved) < CLOSE / 6 * sd).all():
+                break
+        return system
+
+    def _normal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix [U, U] and right-hand side [U], with what the tool tells of the poses.
+
+        ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
+        """
+        off = [0.0] * self.count
+        for pose, each in zip(self.poses, self.bench.palpations, strict=True):
+            gone = pose @ np.linalg.inv(each.pose)
+            turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
+            off += [*turn, *gone[:3, 3]]
+        normal, right = np.diag(self._precision()), -self._precision() * off
+        weighted = self.jacobian * self.precision[:, None]
+        for which in range(len(self.poses)):
+            own, unknowns = self.which == which, _unknowns(which, self.count)
+            normal[np.ix_(unknowns, unknowns)] += weighted[own].T @ self.jacobian[own]
+            right[unknowns] -= weighted[own].T @ self.residual[own]
+        return normal, right
+
+    def _precision(self) -> np.ndarray:
+        """What is known of the unknowns beforehand, shape [U]."""
+        poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
+        return np.concatenate([[0.0] * self.count, *poses])
+
+    def step(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss–Newton's, shape [U], none where it would leave its range; sd of the material's K by the noise, [K]."""
+        normal, right = self._normal()
+        sd = np.sqrt(np.diag(np.linalg.inv(normal))[: self.count])
+        normal += np.diag(self._precision()) / STRIDE**2
+        found = np.linalg.solve(normal, right)
+        (low, high), at, ahead = self.ends, self.change[1:], found[1 : self.count]
+        free = np.ones(len(right), bool)
+        free[1 : self.count] = ~((at <= low) & (ahead < 0) | (at >= high) & (ahead > 0))
+        if not free.all():
+            found = np.zeros(len(right))
+            found[free] = np.linalg.solve(normal[free][:, free], right[free])
+        return found, sd
+
+    def still(self) -> bool:
+        """Whether what was simulated is as good."""
+        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[: self.count])
+        return bool((np.abs(self.change) < CLOSE * sd).all())
+
+    def odds(self, model_error: float, growth: float) -> float:
+        """For a growth that is as likely anywhere up to GROWTH against none, by Laplace's approximation.
+
+        Args:
+            model_error: as of `covariance`.
+            growth: that was simulated.
+        """
+        best = growth + self.change[2] + np.linalg.solve(*self._normal())[2]
+        sd = float(np.sqrt(self.covariance(model_error)[2, 2]))
+        inside = ndtr((GROWTH - best) / sd) - ndtr(-best / sd)
+        return float(sd / GROWTH * np.sqrt(2 * np.pi) * inside * np.exp(min(0.5 * (best / sd) ** 2, 600.0)))
+
+    def covariance(self, model_error: float) -> np.ndarray:
+        """Of (log E, ν and, of three, the growth): the sensor's noise, and displacements that mesh and law have wrong
+        by that share."""
+        normal = self._normal()[0]
+        normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
+        inverse = np.linalg.inv(normal)
+        # Beyond so many points sums over pairs gain nothing: errors are correlated among neighbours.
+        count = len(self.sinks)
+        some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
+        own = inverse[: self.count, np.stack([_unknowns(which, self.count) for which in self.which[some]])]
+        gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.precision[some]
+        reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
+        apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
+        correlation = np.exp(-apart / (2 * reach**2))
+        lever = gain * self.sinks[some] * (count / len(some))
+        found = inverse[: self.count, : self.count] + model_error**2 * lever @ correlation @ lever.T
+        # A law that is not the body's errs in its own way under each force, which looks like stiffening.
+        apart = correlation * (self.which[some, None] == self.which[None, some])
+        found[2:, 2:] += model_error**2 * lever[2:] @ apart @ lever[2:].T
+        sign = np.diag([-1.0, 1.0, 1.0][: self.count])  # log E falls as the compliance grows
+        return sign @ found @ sign
+
+
+Fit = tuple[float, np.ndarray, list[Equilibrium], System]
+"""E, ν with the growth as simulated last, the bodies, and what was solved from there."""
+
+
+def ends(at: np.ndarray) -> np.ndarray:
+    """How far ν and, of two, the growth may change between two simulations, shape [2, K - 1]."""
+    low, high = np.array([POISSON, (0.0, 2 * GROWTH)][: len(at)]).T
+    widest = np.array([WIDEST, 1.0][: len(at)])
+    return np.stack([np.maximum(low - at, -widest), np.minimum(high - at, widest)])
+
+
+def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
+    """Simulate and solve in turn.
+
+    Args:
+        bench: the body.
+        begun: E [Pa], (ν, growth) or (ν,), and what is known so far, its steps not made yet; without bodies, by the
+            linear law, to which there is no way back.
+        report: as of `fit_material`.
+
+    Raises:
+        NoEquilibrium: as `fit_material`.
+    """
+    young, at, rests, system = begun
+    found, steps, trust, stiffer = system.solved(), 0, 1.0, 1.0
+    while True:
+        aim = stiffer * young / (1 + trust * found.change[0]), at + trust * found.change[1:]
+        starts: list[np.ndarray | None] = [None] * len(bench.palpations)
+        if rests:
+            starts = [state.predicted(trust * found.change) for state in found.states]
+        try:
+            tried = bench.rest(aim[0], *aim[1], starts=starts)
+        except NoEquilibrium:
+            if rests:
+                trust /= 3
+            else:  # no state to go back to, but a stiffer body bears more
+                stiffer *= 4
+            if trust < SHORTEST or stiffer > STIFFEST:
+                raise
+            continue
+        states = states_of(bench, tried, 1.0)
+        following = System(bench, states, np.zeros(found.count), found.poses, ends(aim[1]))
+        if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
+            trust /= 3
+            continue
+        gone = trust * found.change
+        steps, stiffer = steps + 1, 1.0
+        (young, at), rests, system = aim, tried, following
+        found = system.solved()
+        # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
+        trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
+        more = f", b {bench.stiffening * at[1]:.3g}" if len(at) > 1 else ""
+        report(f"step {steps}: E {young:.4g} Pa, ν {at[0]:.3f}{more}, {1000 * found.noise:.3g} mm left")
+        if found.still() or steps == ROUNDS:
+            return young, at, rests, found

@@ -16,7 +16,7 @@ from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.meshing import refine
 from palpate.physics.fem.solid import EDGES
 
-FACTORED = 75_000
+FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
 which a body is refined: beyond, a fit would take too long, and memory grows faster than the body."""
 OUTLIER = 3.0

@@ -16,11 +16,9 @@ from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.meshing import refine
 from palpate.physics.fem.solid import EDGES
 
-FACTORED = 75_000
+FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
 which a body is refined: beyond, a fit would take too long, and memory grows faster than the body."""
-NEAR = 1.5
-"""Halves of an element's longest edge: its middle is no farther off any place that it holds."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 SHOWN = 0.02
@@ -100,7 +98,7 @@ class Bench:
         self.stiffening = 1 / float(max(means))
 
     def refine(self) -> csr_array:
-        """Go on with elements half as long if their middle lies within a tool's radius, or they may hold its contact.
+        """Go on with elements half as long whose middle is closer to a contact than the tool's radius, or their length.
 
         They are divided as straight ones, in whose place the curved ones' own shape functions put the new nodes: the
         body stays as it is.
@@ -114,12 +112,12 @@ class Bench:
         skin, coarse = self.skin, self.skin.body.elements[:, :4]
         straight = make_solid(skin.body.rest[: coarse.max() + 1], coarse, order=2)
         corners = straight.rest[coarse]
-        longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1) / 2
+        longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1)
         apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
         radius = np.array([[each.tool_radius] for each in self.palpations])
-        longest[(np.array(apart) > np.maximum(radius, NEAR * longest)).all(axis=0)] = np.inf
+        longest[(np.array(apart) > np.maximum(radius, longest)).all(axis=0)] = np.inf
         # Halves of an edge may be longer than half of it by rounding.
-        nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (1 + 1e-9) * longest)
+        nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (0.5 + 1e-9) * longest)
         fine = make_solid(nodes, tetrahedra, order=2)
         if fine.rest.size > FACTORED:
             raise ValueError(f"a finer mesh has {fine.rest.size} unknowns, more than {FACTORED}.")

@@ -133,7 +133,7 @@ def test_a_pose_is_found_by_a_part_of_the_points() -> None:
 def test_stiffening_is_found_where_it_is_and_where_forces_tell(slab, b: float) -> None:
     """By presses of 0.4 and 2.5 N, of 3.5 N on what stiffens, whose dents are less than half as deep.
 
-    That is drawn with as many elements as such a fit ends on, eight times those of its first mesh.
+    That is drawn with elements as long as those under the tool that such a fit ends on, half of its first mesh's.
     """
     skin, held, _ = slab
     body = {"b": b, "cells": 8 if b else 4, "count": 3000}

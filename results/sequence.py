@@ -91,6 +91,9 @@ def write_sequence(
         fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
         record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
         record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": []}
+        if tissue.unseen:
+            said = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
+            record["warnings"].append(said)
         record["notice"] = "Research software, not a medical device."
         record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
         record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}

@@ -145,8 +145,7 @@ class Sequence:
         for frame in self.gripped[:-1]:
             if len(cloud := self.cloud(frame)):
                 return frame, cloud
-        said = "show no tissue while the tool holds it, but for the last at most; give clouds or depth that do"
-        raise InputError(f"{printable(self.path)}: the frames {said}.")
+        raise InputError(f"{printable(self.path)} shows no tissue while the tool holds it; give clouds that do.")
 
     @property
     def held(self) -> range:
@@ -163,8 +162,6 @@ class Sequence:
         if self.given.points is None:
             return None
         found = read_cloud(self.path.parent / self.given.points, (len(self.times), 3)) * UNITS[self.given.unit]
-        if not np.isfinite(found).any():
-            raise InputError(f"{printable(self.path.parent / self.given.points)} holds no finite point; leave it out.")
         return np.stack([moved(found[:, frame], self.eye(frame)) for frame in range(len(self.times))])
 
     @cached_property

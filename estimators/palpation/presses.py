@@ -92,8 +92,7 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
         places = moved(points, view)[:, :2]
         points = points[shape.heights(places)[1] & (rim.query(places)[0] > RIM * wide)]
         if not len(points):
-            said = f"no cloud shows tissue around the press at {sequence.times[peak]:g} s; give clouds of all of it"
-            raise InputError(f"{where}: {said}.")
+            raise InputError(f"{where}: no cloud shows the press at {sequence.times[peak]:g} s; give one that does.")
         eye, felt = sequence.eye(peak), sequence.forces[same].mean(axis=0)
         if felt @ view[2, :3] > -UPRIGHT * np.linalg.norm(felt):
             raise InputError(f"{where}: a force is over 45° off the tissue's normal; check its frame, and qx to qw.")

@@ -114,7 +114,7 @@ def test_presses_that_no_cloud_shows_are_told(tmp_path: Path) -> None:
     assert len(read_presses(path)[1][0].points) > 1000
     for number in range(8, 14):
         np.savez(tmp_path / f"clouds/{number:03d}.npz", points=nothing)
-    with pytest.raises(InputError, match=r"sequence\.yaml: no cloud shows tissue around the press at 1\.[1-3] s; give"):
+    with pytest.raises(InputError, match=r"sequence\.yaml: no cloud shows the press at 1\.[1-3] s; give"):
         read_presses(path)
 
 

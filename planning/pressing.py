@@ -74,11 +74,13 @@ class PressingCosts:
             away = self.port - some
             length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
             away = np.where(away == 0, 1e-12, away) / length
-            # Beyond where it leaves the grid of distances the shaft is free.
-            leaves = np.maximum(*((corner - some) / away for corner in self.corners)).min(axis=1)
-            counts = np.ceil(np.clip(leaves, 0, length[:, 0]) / self.radius).astype(int)
+            # Before it enters the grid of distances and beyond where it leaves it the shaft is free.
+            ends = np.sort([(corner - some) / away for corner in self.corners], axis=0)
+            first, last = np.clip([ends[0].max(axis=1), ends[1].min(axis=1)], 0, length[:, 0]) / self.radius
+            begin = np.floor(first).astype(int)
+            counts = np.maximum(np.ceil(last).astype(int) - begin, 0)
             row = np.repeat(np.arange(len(some)), counts)
-            ball = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
+            ball = np.arange(len(row)) + (begin - np.cumsum(counts) + counts)[row]
             depth = self.radius - self.distance(some[row] + self.radius * ball[:, None] * away[row])
             share = np.where(ball == 0, 1.0, 0.5)
             force, energy = np.interp(depth, depths, forces, right=np.inf), np.interp(depth, depths, energies)

@@ -220,6 +220,8 @@ class Batch:
             progress.remove_task(task)
             with suppress(store.OutputError):
                 store.settle(folder)
+        for warning in record["warnings"]:
+            say(self.console, f"{name}: {warning}")
         return Outcome(name, DONE, str(folder), counts_of(record), name)
 
     def _kept_results(self, name: str, folder: Path, given: str) -> Outcome:

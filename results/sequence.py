@@ -90,7 +90,8 @@ def write_sequence(
         texts = {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
         fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
         record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
-        record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": []}
+        empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
+        record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": [empty] * (tissue.unseen > 0)}
         record["notice"] = "Research software, not a medical device."
         record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
         record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}

@@ -27,14 +27,14 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
         shape: of a point, or of all that is known of one.
 
     Returns:
-        Shape [m, *shape], float64, in the file's own unit; not seen = NaN.
+        Shape [m, *shape], float64, in the file's own unit; not seen = NaN. A cloud may be all NaN, or m = 0.
 
     Raises:
-        InputError: it can't be read, or holds no point of that shape.
+        InputError: it can't be read, or holds points of another shape, or followed points of which none is finite.
     """
     try:
         points = np.asarray(_READERS[path.suffix.lower()](read_file(path, MOST_BYTES)), np.float64)
-        if points.shape[1:] != shape or not np.isfinite(points).any():
+        if points.shape[1:] != shape or (len(shape) > 1 and not np.isfinite(points).any()):
             raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
         why = reason(error).rstrip(".")
@@ -46,7 +46,8 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
 def _ply(content: bytes) -> np.ndarray:
     from trimesh.exchange.ply import load_ply  # takes a second
 
-    return load_ply(io.BytesIO(content))["vertices"]
+    empty = re.search(rb"\nelement vertex 0\s", content[:MOST_HEAD])  # of which load_ply reads no vertices
+    return np.empty((0, 3)) if empty else load_ply(io.BytesIO(content))["vertices"]
 
 
 def _pcd(content: bytes) -> np.ndarray:

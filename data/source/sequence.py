@@ -113,13 +113,13 @@ class Sequence:
     """Lower and upper corners of what stands still, shape [B, 2, 3] [m]."""
     grip_radius: float
     """Tissue so near to the tip moves with it [m]."""
-    held: range
+    gripped: range
     """Frames in which the tool holds tissue."""
     camera: Camera | None
     """Of depth pictures."""
 
     def cloud(self, frame: int) -> np.ndarray:
-        """Points of the tissue in a frame, shape [m, 3] [m].
+        """Points of the tissue in a frame, shape [m, 3] [m]; m = 0 where the camera saw none.
 
         Raises:
             InputError: its file can't be used.
@@ -129,11 +129,28 @@ class Sequence:
             points = read_cloud(file) * UNITS[self.given.unit]
             return moved(points[np.isfinite(points).all(axis=1)], self.eye(frame))
         depth = read_image(file, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(self.given.depth_factor)
-        if depth.shape != (camera.height, camera.width) or not (depth > 0).any():
+        if depth.shape != (camera.height, camera.width):
             said = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
             raise InputError(f"{printable(file)} {said}; give depth pictures of one channel, and their camera.")
         depth = Undistortion(camera).depth(depth) if any(camera.distortion) else depth
         return moved(back_project(depth, camera)[depth > 0].astype(np.float64), self.eye(frame))
+
+    @cached_property
+    def first(self) -> tuple[int, np.ndarray]:
+        """The first frame that shows tissue while the tool holds it, and its cloud, shape [m, 3] [m].
+
+        Raises:
+            InputError: none does but, maybe, the last, or a file can't be used.
+        """
+        for frame in self.gripped[:-1]:
+            if len(cloud := self.cloud(frame)):
+                return frame, cloud
+        raise InputError(f"{printable(self.path)} shows no tissue while the tool holds it; give clouds that do.")
+
+    @property
+    def held(self) -> range:
+        """Frames in which the tool holds tissue, from `first` on; raises as that does."""
+        return range(self.first[0], self.gripped.stop)
 
     @cached_property
     def points(self) -> np.ndarray | None:

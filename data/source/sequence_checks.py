@@ -33,15 +33,17 @@ def require_fit(sequence: Sequence) -> None:
     Raises:
         InputError: it doesn't, a sentence that says what to mend; or a file can't be used.
     """
-    held, origin = sequence.held, sequence.tool.tips(sequence.times[sequence.held[:1]])[0]
+    held, first = sequence.held, sequence.first[1]
+    origin = sequence.tool.tips(sequence.times[held[:1]])[0]
     frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
-    first = sequence.cloud(held[0])
     _require_metres(sequence, first)
-    trees = [KDTree(cloud[:: len(cloud) // THINNED + 1]) for cloud in map(sequence.cloud, frames)]
-    _require_frame(sequence, trees, sequence.tool.tips(sequence.times[frames]))
+    clouds = ((frame, first if frame == held[0] else sequence.cloud(frame)) for frame in frames)
+    trees = {frame: KDTree(each[:: len(each) // THINNED + 1]) for frame, each in clouds if len(each)}
+    _require_frame(sequence, [*trees.values()], sequence.tool.tips(sequence.times[[*trees]]))
     if sequence.points is None:
+        frames = np.array([*trees])
         places = first[np.argsort(np.linalg.norm(first - origin, axis=1))[:SCATTERED]]
-        motion = np.array([tree.query(places)[0].mean() for tree in trees])
+        motion = np.array([tree.query(places)[0].mean() for tree in trees.values()])
     else:
         there = sequence.points[held[0]]
         known = there[np.isfinite(there).all(axis=1)]
@@ -49,7 +51,8 @@ def require_fit(sequence: Sequence) -> None:
             raise InputError(f"{printable(sequence.path)}: points lie off the clouds; give both in one unit and frame.")
         near = np.argsort(np.linalg.norm(there - origin, axis=1))[:AROUND]  # what is not seen comes last
         motion = np.linalg.norm(sequence.points[frames][:, near] - there[near], axis=2).mean(axis=1)
-    _require_clock(sequence.tool, sequence.times[frames], motion, origin)
+    if len(frames) > 1:
+        _require_clock(sequence.tool, sequence.times[frames], motion, origin)
     if sequence.forces is not None:
         # Tissue pulls a tool back and pushes it out: its force is against the tool's way.
         ways, forces = (sequence.tool.tips(sequence.times) - origin)[held], sequence.forces[held]

@@ -45,8 +45,9 @@ class SequenceTissue:
         for name in OF_VIDEO:
             if getattr(settings, name) != getattr(OnlineSettings, name):
                 raise InputError(f"{name} in --settings is for videos; leave it out, {where} tells it.")
-        self._sequence, self._begin = sequence, sequence.held[0]
-        cloud = sequence.cloud(self._begin)
+        self._sequence, (self._begin, cloud) = sequence, sequence.first
+        self.unseen = self._begin - sequence.gripped[0]
+        """Frames so far without tissue in their clouds, in which the tool holds it."""
         self._tip = sequence.tool.tips(sequence.times[[self._begin]])[0]
         self._view = view_across(cloud, sequence.eye(self._begin)[:3, 3], self._tip)
         self.surface = self._meshed(moved(cloud, self._view), settings)
@@ -65,6 +66,7 @@ class SequenceTissue:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
         for frame in self._sequence.held[1:]:
             cloud = moved(self._sequence.cloud(frame), self._view)
+            self.unseen += not len(cloud)
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap

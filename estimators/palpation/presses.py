@@ -61,10 +61,10 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     size = np.linalg.norm(sequence.forces, axis=1)
     runs, count = label(size > ONSET * size.max())
     still = np.flatnonzero(size[: int(np.argmax(runs > 0))] < QUIET * size.max())[:FRAMES]
-    if not len(still):
+    rest = np.concatenate([np.empty((0, 3)), *map(sequence.cloud, still)])
+    if not len(rest):
         said = "shows no press after tissue at rest; begin before the tool touches it, and press beyond forces' noise"
         raise InputError(f"{where} {said}.")
-    rest = np.concatenate([sequence.cloud(frame) for frame in still])
     peaks = [int(np.argmax(np.where(runs == run, size, 0.0))) for run in range(1, count + 1)]
     tips = sequence.tool.tips(sequence.times[peaks])
     view = view_across(rest, sequence.eye(int(still[0]))[:3, 3], tips[0])
@@ -91,6 +91,8 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
         points = np.concatenate([sequence.cloud(int(frame)) for frame in same])
         places = moved(points, view)[:, :2]
         points = points[shape.heights(places)[1] & (rim.query(places)[0] > RIM * wide)]
+        if not len(points):
+            raise InputError(f"{where}: no cloud shows the press at {sequence.times[peak]:g} s; give one that does.")
         eye, felt = sequence.eye(peak), sequence.forces[same].mean(axis=0)
         if felt @ view[2, :3] > -UPRIGHT * np.linalg.norm(felt):
             raise InputError(f"{where}: a force is over 45° off the tissue's normal; check its frame, and qx to qw.")

@@ -122,6 +122,26 @@ def test_a_straight_press_costs_its_work_and_both_ways_the_same(scene, cache):
     assert costs.loads(np.array([[0.0, 0.0, 0.001]]))[0] == np.inf  # deeper than is known
 
 
+def test_a_shaft_is_looked_at_within_the_grid_of_distances_alone(scene, cache, monkeypatch):
+    """From 0.9 m away a query took seconds; loads are those of all balls up to the port."""
+    costs, counts = open_costs(replace(scene, port=(0.05, 0.0, 0.9)), cache)[0], []
+    tips = np.random.default_rng(0).uniform(*(1.5 * costs.corners), (300, 3))
+    tips = np.concatenate([tips, tips - [0, 0, 0.9]])  # half of these shafts go through the whole body
+    away, radius = costs.port - tips, costs.radius
+    balls = [
+        tip + radius * np.arange(np.ceil((far := np.linalg.norm(way)) / radius))[:, None] * way / far
+        for tip, way in zip(tips, away, strict=True)
+    ]
+    depth, force, energy = PRESS * radius ** np.array([[1], [2], [3]])
+    for got, told, beyond in zip(costs.loads(tips), (force, energy), (np.inf, energy[-1]), strict=True):
+        each = [np.interp(radius - costs.distance(places), depth, told, right=beyond) for places in balls]
+        np.testing.assert_allclose(got, [(loads[0] + loads.sum()) / 2 for loads in each], rtol=1e-9, atol=1e-15)
+    distance = costs.distance
+    monkeypatch.setattr(costs, "distance", lambda points: counts.append(len(points)) or distance(points))
+    costs.loads(tips[300:])
+    assert counts[0] < 300 * (np.linalg.norm(np.ptp(costs.corners, axis=0)) / radius + 2)
+
+
 @pytest.mark.parametrize("limit", [0.05, 0.3])
 def test_the_limit_holds_between_waypoints_too(scene, cache, limit):
     costs = open_costs(replace(scene, limit_N=limit, alpha=0.1), cache)[0]

@@ -70,6 +70,24 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     assert (folder / "particles.csv").read_text() == "mine"
 
 
+def test_frames_without_tissue_are_counted_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, settings = write_sequence(tmp_path / "pull", 4), tmp_path / "settings.yaml"
+    settings.write_text(SETTINGS)
+    for number in (0, 3):
+        np.savez(path.parent / f"clouds/{number:03d}.npz", points=np.empty((0, 3)))
+    given = [str(path), "--output", str(tmp_path / "out"), "--estimator", "online", "--settings", str(settings)]
+    assert main(given) == 0
+    said = "2 of 5 frames show no tissue: their clouds are empty"
+    assert f"pull: {said}" in " ".join(capsys.readouterr().err.split())
+    folder = tmp_path / "out/pull"
+    assert json.loads((folder / "run.json").read_text())["warnings"] == [said]
+    assert said in (folder / "page.html").read_text()
+    rows = list(csv.DictReader((folder / "parameters.csv").open()))
+    assert [row["frame"] for row in rows] == ["2", "3", "4"]
+    tip = meshio.read(folder / "particles_000003.ply").points  # follows the tool and followed points
+    assert np.linalg.norm(tip - meshio.read(folder / "particles_000002.ply").points, axis=1).max() > 1e-4
+
+
 def test_a_bad_sequence_does_not_stop_the_others(tmp_path: Path) -> None:
     bad, good = (write_sequence(tmp_path / name, 3) for name in "ab")
     settings = tmp_path / "settings.yaml"

@@ -59,6 +59,44 @@ def test_a_cloud_that_is_none_is_a_sentence(tmp_path: Path, name: str, content: 
         read_cloud(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a.ply", "a.pcd", "a.npz"])
+def test_a_cloud_without_points_is_one(tmp_path: Path, name: str) -> None:
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 0\n{axes}end_header\n")
+    (tmp_path / "a.pcd").write_text("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS 0\nDATA binary\n")
+    np.savez(tmp_path / "a.npz", points=np.empty((0, 3)))
+    assert read_cloud(tmp_path / name).shape == (0, 3)
+
+
+@pytest.mark.parametrize("points", ["followed.npz", None])
+def test_frames_without_tissue_are_passed_over(tmp_path: Path, points: str | None) -> None:
+    path = write_sequence(tmp_path, 8, points=points)
+    for number in (0, 3, 8):
+        np.savez(tmp_path / f"clouds/{number:03d}.npz", points=np.full((9 * (number > 0), 3), np.nan))
+    sequence = checked(path)
+    assert sequence.held == range(1, 9)
+    assert [len(sequence.cloud(frame)) for frame in (0, 3, 8)] == [0, 0, 0]
+    for number in range(8):
+        np.savez(tmp_path / f"clouds/{number:03d}.npz", points=np.empty((0, 3)))
+    with pytest.raises(InputError, match=r"sequence\.yaml shows no tissue while the tool holds it; give clouds"):
+        checked(path)
+
+
+def test_followed_points_that_are_nowhere_are_a_sentence(tmp_path: Path) -> None:
+    path = write_sequence(tmp_path, 4)
+    np.savez(tmp_path / "followed.npz", points=np.full((7, 5, 3), np.nan))
+    with pytest.raises(InputError, match=r"followed\.npz can't be read as points .*or none is finite"):
+        checked(path)
+
+
+def test_every_cloud_is_read_once_to_be_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence, read = open_sequence(write_sequence(tmp_path, 4)), []
+    cloud = Sequence.cloud
+    monkeypatch.setattr(Sequence, "cloud", lambda self, frame: read.append(frame) or cloud(self, frame))
+    require_fit(sequence)
+    assert sorted(read) == [0, 1, 2, 3, 4]
+
+
 def test_clouds_points_and_poses_are_in_the_robots_frame(tmp_path: Path) -> None:
     drawn, sequence = pull(12), checked(write_sequence(tmp_path, length=1000.0, unit="mm"))
     np.testing.assert_allclose(sequence.cloud(5), placed(drawn.clouds[4]), atol=1e-9)
@@ -84,6 +122,11 @@ def test_depth_pictures_are_clouds_of_a_camera_on_the_tool(tmp_path: Path) -> No
     )
     # 5 px right of the middle at 0.25 m is 25 mm; the tool is turned by 90 degrees and stands at (3, 2, 3) by 1 s.
     np.testing.assert_allclose(open_sequence(tmp_path / "sequence.yaml").cloud(1), [[3, 2.025, 3.25]], atol=1e-6)
+    cv2.imwrite(str(tmp_path / "depth/1.png"), np.zeros_like(depth))
+    assert open_sequence(tmp_path / "sequence.yaml").cloud(0).shape == (0, 3)
+    cv2.imwrite(str(tmp_path / "depth/1.png"), depth[:20])
+    with pytest.raises(InputError, match=r"1\.png holds no depth of 60x40, the size in camera\.yaml; give depth"):
+        open_sequence(tmp_path / "sequence.yaml").cloud(0)
 
 
 def shifted(folder: Path, by: float, reach: float = 10.0) -> None:

@@ -107,6 +107,17 @@ def test_forces_that_are_late_are_told(tmp_path: Path) -> None:
         read_presses(path)
 
 
+def test_presses_that_no_cloud_shows_are_told(tmp_path: Path) -> None:
+    path, nothing = write_palpation(tmp_path, PRESSES[:1], **COARSE), np.empty((0, 3))
+    for number in (0, 1):
+        np.savez(tmp_path / f"clouds/{number:03d}.npz", points=nothing)
+    assert len(read_presses(path)[1][0].points) > 1000
+    for number in range(8, 14):
+        np.savez(tmp_path / f"clouds/{number:03d}.npz", points=nothing)
+    with pytest.raises(InputError, match=r"sequence\.yaml: no cloud shows the press at 1\.[1-3] s; give"):
+        read_presses(path)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [

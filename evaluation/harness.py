@@ -7,7 +7,6 @@ continues an interrupted run, and writes the tables that the experiment makes of
 
 import json
 import os
-import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,26 +146,6 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
         say(console, text, style)
     say(console, f"written: {experiment.output}/{', '.join(names)}")
     return status or int(report.failed)
-
-
-Study = tuple[type[Experiment], str | None]
-"""An experiment with its text for `--help`."""
-
-
-def run_named(kinds: Mapping[str, Study], arguments: Sequence[str] | None, program: str, text: str | None) -> int:
-    """Run the one of several experiments that the first argument names.
-
-    Returns:
-        Exit status, as of `run`.
-    """
-    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
-    if name not in kinds:
-        asked = name == "--help"
-        print(
-            text if asked else f"Give one of {', '.join(kinds)}, or --help.", file=sys.stdout if asked else sys.stderr
-        )
-        return 0 if asked else 2
-    return run(kinds[name][0], rest, f"{program} {name}", kinds[name][1])
 
 
 class Store:

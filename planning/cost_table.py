@@ -99,8 +99,7 @@ def _images(kind: SoftObject, place: np.ndarray, angle: float) -> list[tuple[np.
 
 def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
     """The same for presses that differ by rounding."""
-    numbers = [*(place + 0.0), np.cos(angle), np.sin(angle)]
-    return tuple(round(float(number), 9) + 0.0 for number in numbers)
+    return tuple(np.round([*place, np.cos(angle), np.sin(angle)], 9) + 0.0)
 
 
 def digest(kind: SoftObject, radius: float) -> str:

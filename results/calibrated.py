@@ -144,23 +144,21 @@ class ClipCalibration:
             times = measured.times[run.pressing(measured.times)]
             if len(times) and run.explained:
                 found.append(_press_curve(run, times, self.scale, length))
-        known = self.known
+        if self.known is None:
+            return found
         shown = list(self._grips)
-        grips = len(shown)
         if self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs):
             depths = np.array(self._dents.depths)
             shown.append((self._dents.frames[0], np.array(self._dents.times), depths, np.zeros(len(depths))))
         for number, (frame, times, force, sd) in enumerate(shown):
-            if known is None:
-                continue
             try:
-                curve = predict_force(known.at(times), force, sd)
+                curve = predict_force(self.known.at(times), force, sd)
             except NoEstimate as reason:
                 self.reason = str(reason)
                 continue
             ends = curve.force - NINETY * curve.sd, curve.force + NINETY * curve.sd
             found.append(Curve(frame, times, curve.force, *ends, NEWTONS))
-            self.dents += found[-1:] if number == grips else []
+            self.dents += found[-1:] if number == len(self._grips) else []
         return found
 
     def compared_rows(self) -> list[dict[str, Any]]:

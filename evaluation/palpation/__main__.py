@@ -11,9 +11,10 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import sys
 from collections.abc import Sequence
 
-from palpate.evaluation.harness import run_named
+from palpate.evaluation.harness import run
 from palpate.evaluation.palpation import curves, surfaces
 
 STUDIES = {"curves": (curves.Curves, curves.__doc__), "frank": (surfaces.Frank, surfaces.__doc__)}
@@ -21,7 +22,15 @@ STUDIES = {"curves": (curves.Curves, curves.__doc__), "frank": (surfaces.Frank, 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study that the command line asks for; returns the exit status."""
-    return run_named(STUDIES, arguments, "evaluation.palpation", __doc__)
+    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
+    if name == "--help":
+        print(__doc__)
+        return 0
+    if name not in STUDIES:
+        print(f"Give one of {', '.join(STUDIES)}, or --help.", file=sys.stderr)
+        return 2
+    study, text = STUDIES[name]
+    return run(study, rest, f"evaluation.palpation {name}", text)
 
 
 if __name__ == "__main__":

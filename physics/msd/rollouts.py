@@ -38,8 +38,7 @@ def rollout(
     Raises:
         ValueError: what doesn't belong together, or a θ that isn't on the CPU, where it is computed.
     """
-    theta = _checked(theta, meshes, loads)
-    watched = _watched(loads, watch)
+    theta, watched = _checked(theta, meshes, loads, watch)
     sensitive = torch.is_grad_enabled() and theta.requires_grad
     found, _ = CompiledRollout.apply(theta, meshes, loads, watched, mechanics, sensitive)
     return found[:, :, 0] if watch is None else found
@@ -57,14 +56,15 @@ def rollout_sensitivities(
     Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
     where the compiled motion is so chaotic that rounding decides them.
     """
-    theta = _checked(theta.detach(), meshes, loads)
-    watched = _watched(loads, watch)
+    theta, watched = _checked(theta.detach(), meshes, loads, watch)
     found, slopes = CompiledRollout.apply(theta, meshes, loads, watched, mechanics, True)
     return (found[:, :, 0], slopes[:, :, 0]) if watch is None else (found, slopes)
 
 
-def _checked(theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press]) -> Tensor:
-    """θ in at least single precision, or a ValueError that names what doesn't belong together."""
+def _checked(
+    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], watch: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """θ in at least single precision and vertices to watch [B, M]; a ValueError names what doesn't belong together."""
     if not meshes or len(loads) != len(meshes):
         raise ValueError(f"{len(meshes)} meshes have {len(loads)} loads; give a load for each mesh, one at least.")
     if tuple(theta.shape) != (len(meshes), 3):
@@ -73,13 +73,8 @@ def _checked(theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press]) -> T
         raise ValueError(f"loads have {sorted({load.steps for load in loads})} steps; give all the same number.")
     if theta.device.type != "cpu":
         raise ValueError("the rollout computes on the CPU; move theta there.")
-    return theta.to(torch.promote_types(theta.dtype, torch.float32))
-
-
-def _watched(loads: Sequence[Press], watch: Tensor | None) -> Tensor:
-    """Vertices to watch, shape [B, M]."""
     if watch is None:
-        return torch.tensor([[load.vertex] for load in loads])
-    if watch.ndim != 2 or watch.shape[0] != len(loads):
+        watch = torch.tensor([[load.vertex] for load in loads])
+    elif watch.ndim != 2 or watch.shape[0] != len(loads):
         raise ValueError(f"watch has shape {tuple(watch.shape)}; give [{len(loads)}, M] for {len(loads)} meshes.")
-    return watch
+    return theta.to(torch.promote_types(theta.dtype, torch.float32)), watch

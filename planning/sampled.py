@@ -21,11 +21,9 @@ def plan_by_ompl(costs: PressingCosts, seconds: float = SECONDS) -> Plan:
         Blocked: it finds none.
     """
     try:
-        parts: list[Any] = [importlib.import_module(f"ompl.{name}") for name in ("base", "geometric", "util")]
+        base, geometric, util = (importlib.import_module(f"ompl.{name}") for name in ("base", "geometric", "util"))
     except ImportError as error:
         raise InputError('--planner ompl needs OMPL; pip install "palpate[ompl]".') from error
-
-    base, geometric, util = parts
 
     def price(*states: Any) -> float:
         starts, ends = np.array([[[state[axis] for axis in range(3)]] for state in states])

@@ -99,8 +99,8 @@ class Chamfer:
         out, there = self._out.find(shown, self.cloud, gone, self._tree)
         back, here = self._back.find(self.cloud, shown, float(gone.max()))
         own, others = len(shown), len(self.cloud)
-        counts, drawn = np.zeros(own), np.zeros((own, 3))
-        _add_up(self.cloud, here, counts, drawn)
+        counts = np.bincount(here, minlength=own)
+        drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
         gradient, weight = np.zeros_like(points), np.zeros(len(points))
         gradient[self.seen] = 2 * (shown - self.cloud[there]) / own + 2 * (counts[:, None] * shown - drawn) / others
         weight[self.seen] = 2 / own + 2 * counts / others
@@ -119,15 +119,6 @@ def _nearest_of(others, points, near, apart, which):
             if away < least:
                 least, which[point] = away, other
         apart[point] = np.sqrt(least)
-
-
-@kernel
-def _add_up(points, which, counts, sums):
-    """Count the points [P, 3] that belong to each of some, which [P] says, in counts [n]; add them to sums [n, 3]."""
-    for point in range(len(points)):
-        counts[which[point]] += 1.0
-        for axis in range(3):
-            sums[which[point], axis] += points[point, axis]
 
 
 class Tracks:

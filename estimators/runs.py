@@ -264,8 +264,8 @@ class RunSession:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            skill = f"{found.skill:.2f}{elsewhere}"
-            sentence = f"A sheet gripped by the instrument doesn't explain the motion (skill {skill})."
+            why = "; ".join(filter(None, (f"skill {found.skill:.2f}{elsewhere}", found.explanation)))
+            sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
         elif found is not None and found.slab_error > LARGEST_SLAB_ERROR:
             sentence = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
         elif found is not None and not found.determined:

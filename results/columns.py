@@ -83,8 +83,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         # The force over a spring's stiffness leans on the foundation.
         leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in output.determined else ()
         known = [name for name in GRIP if name.startswith((*output.determined, *leaning))]
-        found |= {name: getattr(output, name) for name in known} | {"frames": len(output.times)}
-    if isinstance(output, FieldEstimate):
+        found |= {name: getattr(output, name) for name in known}
+    if isinstance(output, GripEstimate | FieldEstimate):
         found |= {"explanation": output.explanation, "frames": len(output.times)}
     if output is not None:
         found |= {"status": "ok", "verdict": output.verdict, "determined": ";".join(output.determined)}

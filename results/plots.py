@@ -142,7 +142,8 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
             if name in grip.determined:
                 low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
                 heading += f", {words} {low} to {high}"
-        return heading, f"{sentence} {run.detail}", grip.verdict
+        said = f"{grip.explanation[:1].upper()}{grip.explanation[1:]}." if grip.explanation else ""
+        return heading, " ".join(filter(None, (sentence, said, run.detail))), grip.verdict
     if isinstance(found := run.main_estimate, FieldEstimate):
         words = [in_words(found.verdict)]
         if not np.isnan(found.skill):

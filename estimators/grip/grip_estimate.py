@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
-from palpate.estimators.grip.sheet import SheetMotion
+from palpate.estimators.grip.sheet import WIDENS, SheetMotion
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
 
@@ -14,6 +14,13 @@ LEAST_LEAD = 0.1
 """Over the skill of the same model with tissue far from the instrument as its grip: any motion spreads smoothly."""
 LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
+
+WIDENING = (
+    "the farther this tissue is pulled the farther its motion spreads, as where it stiffens or comes to rest late; "
+    "forces and ratios are those of a sheet that does neither"
+)
+UNSTIFFENED_PULL = "F/E is that of a slab that doesn't stiffen"
+"""Of a pull by finite elements: their law is linear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +61,8 @@ class GripEstimate:
     """Its displacement at the times, not a number where it is lost, shape [T, N, 2], float32 [px]."""
     sheet: SheetMotion | None = None
     """How the sheet moves at the times; None where it does not explain the motion to within the noise."""
+    widens: float = 0.0
+    """As of `FoundationFit`."""
     reaction_over_young: float = math.nan
     """What holds the tissue in the last frame over E, if a slab of given thickness lies beneath; nan where none was
     fitted [scene units²]."""
@@ -77,6 +86,12 @@ class GripEstimate:
         if "foundation_over_stiffness" in self.determined:
             return "foundation"
         return "relative_force" if "relative_force" in self.determined else "undetermined"
+
+    @property
+    def explanation(self) -> str:
+        """Why stiffening isn't determined; empty where a linear sheet holds for all pulls."""
+        why = WIDENING * (self.widens > WIDENS), UNSTIFFENED_PULL * ("reaction_over_young" in self.determined)
+        return "stiffening, not determined: " * any(why) + "; ".join(filter(None, why))
 
     @property
     def determined(self) -> tuple[str, ...]:

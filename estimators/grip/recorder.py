@@ -109,7 +109,7 @@ class GripRecorder:
         known |= _interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd)
         known |= {"times": np.array([item.time_s for item in kept]), "force": fit.force, "force_sd": fit.force_sd}
         rival = _rival_skill(points, spacing, distance, against)
-        found = GripEstimate(skill=_mean_skill(judged, against[half:]), rival=rival, **known)
+        found = GripEstimate(skill=_mean_skill(judged, against[half:]), rival=rival, widens=fit.widens, **known)
         if not found.explained:
             return found
         moved = np.stack([frame.moved for frame in frames])
@@ -157,12 +157,13 @@ class GripRecorder:
         again = Measuring(follower.everywhere, measure)
         try:
             return fit_foundation(self._grid, [item.seen for item in self._kept], again)
-        except NoSheet:
+        except NoSheet as refused:
             held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            return FoundationFit(pull, float(pull_sd), *held.relative_force(frames), held.log_anchor, float(sd))
+            forces = pull, float(pull_sd), *held.relative_force(frames)
+            return FoundationFit(*forces, held.log_anchor, float(sd), widens=refused.widens)
 
 
 def _interval(name: str, log: float, sd: float) -> dict[str, Any]:

@@ -72,6 +72,8 @@ STEP = 0.1
 EXCESS = MODEL_ERRORS.sheet_excess
 """Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: free forces then
 explain too much. Nor is it one where what is left of the motion goes together over many points (`sheet_together`)."""
+WIDENS = 3.0
+"""Standard deviations from which on motion spreads farther by larger pulls: of drawn sheets, see the docs."""
 
 
 class SheetMotion(NamedTuple):
@@ -87,6 +89,9 @@ class SheetMotion(NamedTuple):
 
 class NoSheet(ValueError):
     """Forces at the instrument and a sheet that is homogeneous don't explain the points to within their noise."""
+
+    widens = 0.0
+    """As of `FoundationFit`; 0 where that isn't known."""
 
 
 class PointGrid(NamedTuple):
@@ -335,6 +340,9 @@ class FoundationFit(ForceFit):
     """Its standard deviation."""
     sheet: SheetMotion | None = None
     """How the sheet moves in the frames; None where its grip is taken as it was seen."""
+    widens: float = 0.0
+    """By how many standard deviations log foundation is lower by the larger pulls than by the smaller ones: motion
+    spreads farther the more tissue is pulled, as where it stiffens, or comes to rest late."""
 
 
 def fit_foundation(grid: PointGrid, frames: list[SeenFrame], measuring: Measuring | None = None) -> FoundationFit:
@@ -354,31 +362,53 @@ def fit_foundation(grid: PointGrid, frames: list[SeenFrame], measuring: Measurin
     spread = evenly(len(frames), MOST_FITTED)
     found = _search(problem, [frames[place] for place in spread])
     excess = float(np.sqrt(found.solved[-1].scale))
+    more, design = evenly(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
+    solved = [problem.solve(design, frames[place]) for place in more]
     if excess > EXCESS:
-        raise NoSheet(f"Points are {excess:.2f} px off besides their noise.")
+        refused = NoSheet(f"Points are {excess:.2f} px off besides their noise.")
+        those = [frames[place] for place in more]
+        refused.widens = _widens(problem, those, found._replace(solved=solved), MODEL_ERRORS.foundation_followed)
+        raise refused
     judged, looked, error = problem, [frames[place] for place in spread], MODEL_ERRORS.foundation_followed
     if measuring is not None:
-        spread, design = evenly(len(frames), MOST_MEASURED), problem.design(found.log_anchor)
-        solved = [problem.solve(design, frames[place]) for place in spread]
         measured = SheetProblem(grid, MEASURED_REACH)
-        again = _measured_again(measured, found._replace(solved=solved), spread, measuring)
+        again = _measured_again(measured, found._replace(solved=solved), more, measuring)
         if again is not None:
             judged, (looked, found), error = measured, again, MODEL_ERRORS.foundation_measured
-    log_anchor = found.log_anchor
-    left = np.array([judged.left(log_anchor, *pair) for pair in zip(looked, found.solved, strict=True)])
+    variance, widens = _variance(judged, looked, found) + error**2, _widens(judged, looked, found, error)
+    return _with_forces(problem, frames, found.log_anchor, variance, widens)
+
+
+def _variance(problem: SheetProblem, frames: Sequence[SeenFrame], found: "_Found") -> float:
+    """Of the log foundation of some frames, by what is left of their motion."""
+    left = np.array([problem.left(found.log_anchor, *pair) for pair in zip(frames, found.solved, strict=True)])
     known = information(found.curvatures, frame_correlation(left))
-    variance = judged.wider(left[-1]) * median_sd(left[-1]) ** 2 / max(known, TINY)
-    return _with_forces(problem, frames, log_anchor, variance + error**2)
+    return problem.wider(left[-1]) * median_sd(left[-1]) ** 2 / max(known, TINY)
 
 
-def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: float, variance: float) -> FoundationFit:
+def _widens(problem: SheetProblem, frames: Sequence[SeenFrame], found: "_Found", error: float) -> float:
+    """As of `FoundationFit`, an error of either log foundation being the model's; 0 where all pulls are the same."""
+    force = np.array([np.linalg.norm(solved.unknowns[:-3].sum(axis=0)) for solved in found.solved])
+    larger = force > (force.min() + force.max()) / 2
+    if not larger.any():
+        return 0.0
+    parts = [list(compress(frames, which)) for which in (~larger, larger)]
+    fits = [_refined(problem, part, found.log_anchor) for part in parts]
+    variances = [_variance(problem, *pair) + error**2 for pair in zip(parts, fits, strict=True)]
+    return float((fits[0].log_anchor - fits[1].log_anchor) / np.sqrt(sum(variances)))
+
+
+def _with_forces(
+    problem: SheetProblem, frames: list[SeenFrame], log_anchor: float, variance: float, widens: float
+) -> FoundationFit:
     """What all frames tell at a log foundation of that variance, their points as they were followed."""
     free = problem.design(log_anchor)
     solved = [problem.solve(free, frame) for frame in frames]
     followed = problem.left(log_anchor, frames[-1], solved[-1])
     wider = problem.wider(followed)
     errors = MODEL_ERRORS
-    uneven = (errors.foundation_uneven, errors.force_uneven) if wider > errors.sheet_together else (0.0, 0.0)
+    refuted = wider > errors.sheet_together or widens > WIDENS
+    uneven = (errors.foundation_uneven, errors.force_uneven) if refuted else (0.0, 0.0)
     sd = 1 / np.sqrt(1 / (variance + uneven[0] ** 2) + SPREAD**-2)
     seen = [problem.whitened(*pair) for pair in zip(frames, solved, strict=True)]
     designs = (problem.design(log_anchor + step, ENERGY) for step in (-STEP, 0.0, STEP))
@@ -398,7 +428,7 @@ def _with_forces(problem: SheetProblem, frames: list[SeenFrame], log_anchor: flo
     nodes = continued(problem.points, problem.spacing, 1)
     rows = problem.following(response(float(np.exp(log_anchor)), SIZE), nodes)[:, :-3]
     sheet = SheetMotion(nodes, problem.spacing, np.stack([rows @ frame.unknowns[:-3] for frame in solved]))
-    return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd), sheet)
+    return FoundationFit(float(np.log(length)), log_sd, along, np.sqrt(relative), log_anchor, float(sd), sheet, widens)
 
 
 class _Found(NamedTuple):

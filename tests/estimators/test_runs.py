@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from typing import NamedTuple
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from palpate.data.brightness.light import FINE
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
 from palpate.data.source.coding import Coding
 from palpate.estimators import runs as module
+from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.recorder import GripRecorder
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunTracker, frame_estimate
 from palpate.physics.mechanics import Mechanics
 from tests.estimators.sessions import DEPTH, LABELS, State, clip_info, linked, prepared_frame, touched
@@ -203,3 +207,16 @@ def test_pictures_around_a_contact_are_kept_of_videos_whose_coding_is_known(codi
         assert brightness.coded.frames.tolist() == [1, 2, 4, 5]
         shown = [int(each[0, 0, 0]) for each in brightness.coded.pictures]
         assert shown == [20 * index for index in (0, 1, 2, 3, 4, 5, 6, 6, 8, 9)]
+
+
+@pytest.mark.parametrize(("widens", "why"), [(0.0, "0.20"), (9.0, "0.20; stiffening, not determined: the farther")])
+def test_a_grip_that_is_not_explained_says_whether_it_may_stiffen(widens: float, why: str) -> None:
+    grip = GripEstimate(0.02, 0.01, 0.03, 0.2, -math.inf, *np.ones((3, 2)), 20.0, 18.0, 22.0, widens=widens)
+    recorder = create_autospec(GripRecorder, instance=True)
+    recorder.estimate.return_value = grip
+    record = InteractionEstimate(0, 0, 0.0, detail="No onset.")
+    found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
+    assert found.grip is grip
+    assert found.detail.startswith(
+        f"No onset. A sheet gripped by the instrument doesn't explain the motion (skill {why}"
+    )

@@ -110,6 +110,12 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     solid = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, **SOLID)))
     assert {name: float(solid[name]) for name in SOLID} == SOLID
     assert (solid["verdict"], solid["determined"]) == ("reaction", "reaction_over_young;relative_force")
+    assert solid["explanation"] == "stiffening, not determined: F/E is that of a slab that doesn't stiffen"
+    bent = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, widens=5.0)))["explanation"]
+    assert bent.startswith(
+        "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads"
+    )
+    assert found["explanation"] == vague["explanation"] == ""
     assert solid["foundation_over_stiffness"] == solid["reaction_over_stiffness"] == ""
     refuted = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, slab_error=0.2, **SOLID)))
     assert (refuted["verdict"], refuted["reaction_over_young"]) == ("relative_force", "")

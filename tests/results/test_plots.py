@@ -172,6 +172,9 @@ def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
     (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(WIDE, **SOLID)))
     assert heading(axes) == "reaction: contact from frame 1 (0.000 s), F/E 0.0015 to 0.0027"
+    (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(GRIP, widens=5.0), detail="No onset."))
+    shown = " ".join(axes.get_title("left").split())
+    assert "or |F|. Stiffening, not determined: the farther this tissue is pulled the farther its motion" in shown
     (axes,) = fits(dataclasses.replace(NONE, grip=WIDE))
     assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
 

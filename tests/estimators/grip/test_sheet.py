@@ -129,6 +129,22 @@ def test_what_is_left_and_goes_together_over_many_points_widens_what_is_told() -
     assert plain.log_force_sd < MODEL_ERRORS.force_uneven <= waved.log_force_sd
 
 
+@pytest.mark.parametrize("measured", [False, True])
+def test_motion_that_spreads_farther_by_larger_pulls_refutes_one_sheet(measured: bool) -> None:
+    """The foundation under the two larger pulls is 40 % looser, as far as springs are concerned; or it is firmer."""
+
+    def fit(frames: list[sheet.SeenFrame]) -> sheet.FoundationFit:
+        return fitted(frames, (lambda number, *_: frames[number]) if measured else None)
+
+    tight, loose = seen(), seen(anchor=0.6 * ANCHOR)
+    wider, narrower = fit([*tight[:2], *loose[2:]]), fit([*loose[:2], *tight[2:]])
+    assert narrower.widens < -sheet.WIDENS < sheet.WIDENS < wider.widens
+    # Less the prior's share.
+    assert narrower.log_anchor_sd < 0.1 < 0.98 * MODEL_ERRORS.foundation_uneven < wider.log_anchor_sd
+    assert abs(fit(tight).widens) < 2
+    assert fit([tight[0], tight[0]]).widens == 0
+
+
 def test_frames_that_err_alike_tell_what_one_does() -> None:
     curvatures = np.full(4, 25.0)
     assert sheet.information(curvatures, np.eye(4)) == pytest.approx(100)
@@ -166,6 +182,9 @@ def stiffened(b: float) -> list[sheet.SeenFrame]:
 
 @pytest.mark.slow
 def test_tissue_that_stiffens_is_explained_by_no_sheet() -> None:
-    assert fitted(stiffened(0.0)).log_anchor == pytest.approx(math.log(ANCHOR), abs=0.05)
-    with pytest.raises(sheet.NoSheet, match="off besides their noise"):
+    linear = fitted(stiffened(0.0))
+    assert linear.log_anchor == pytest.approx(math.log(ANCHOR), abs=0.05)
+    assert abs(linear.widens) < 1
+    with pytest.raises(sheet.NoSheet, match="off besides their noise") as refused:
         fitted(stiffened(5.0))
+    assert refused.value.widens > 1.5

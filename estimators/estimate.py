@@ -32,8 +32,8 @@ BY_LIGHT = (
     "by the brightness of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 )
 
-UNSTIFFENED = "stiffening, not determined: where tissue stiffens under the dent, |F|/E is larger than this says"
-"""Of a slab: its motion without a known force looks the same (docs/reports/fem.md)."""
+UNSTIFFENED = "stiffening, not determined: where tissue stiffens |F|/E is larger than this says"
+"""Of a slab: its motion alone looks the same (docs/reports/fem.md)."""
 
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""

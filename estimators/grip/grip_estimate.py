@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL, NINETY
+from palpate.estimators.estimate import LEAST_SKILL, NINETY, UNSTIFFENED
 from palpate.estimators.grip.sheet import WIDENS, SheetMotion
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
@@ -15,12 +15,14 @@ LEAST_LEAD = 0.1
 LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
-WIDENING = (
-    "the farther this tissue is pulled the farther its motion spreads, as where it stiffens or comes to rest late; "
-    "forces and ratios are those of a sheet that does neither"
+NO_SHEET = (
+    "stiffening, not determined: to within its noise the motion is not that of a sheet of one stiffness, as where tissue "
+    "is uneven or stiffens"
 )
-UNSTIFFENED_PULL = "F/E is that of a slab that doesn't stiffen"
-"""Of a pull by finite elements: their law is linear."""
+WIDENING = (
+    "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads, as where it stiffens "
+    "or comes to rest late; forces and ratios are those of a sheet that does neither"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +92,9 @@ class GripEstimate:
     @property
     def explanation(self) -> str:
         """Why stiffening isn't determined; empty where a linear sheet holds for all pulls."""
-        why = WIDENING * (self.widens > WIDENS), UNSTIFFENED_PULL * ("reaction_over_young" in self.determined)
-        return "stiffening, not determined: " * any(why) + "; ".join(filter(None, why))
+        if "reaction_over_young" in self.determined:
+            return UNSTIFFENED
+        return WIDENING if self.widens > WIDENS else NO_SHEET * (self.explained and self.sheet is None)
 
     @property
     def determined(self) -> tuple[str, ...]:

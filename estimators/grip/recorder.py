@@ -157,13 +157,12 @@ class GripRecorder:
         again = Measuring(follower.everywhere, measure)
         try:
             return fit_foundation(self._grid, [item.seen for item in self._kept], again)
-        except NoSheet as refused:
+        except NoSheet:
             held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
             pull, pull_sd = held.log_force(frames[-1])
             errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
             sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            forces = pull, float(pull_sd), *held.relative_force(frames)
-            return FoundationFit(*forces, held.log_anchor, float(sd), widens=refused.widens)
+            return FoundationFit(pull, float(pull_sd), *held.relative_force(frames), held.log_anchor, float(sd))
 
 
 def _interval(name: str, log: float, sd: float) -> dict[str, Any]:

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from palpate.estimators.estimate import UNSTIFFENED
+from palpate.estimators.grip.grip_estimate import NO_SHEET
+from palpate.estimators.grip.sheet import SheetMotion
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.identifiability import bounds
 from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values, row
@@ -110,12 +113,14 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     solid = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, **SOLID)))
     assert {name: float(solid[name]) for name in SOLID} == SOLID
     assert (solid["verdict"], solid["determined"]) == ("reaction", "reaction_over_young;relative_force")
-    assert solid["explanation"] == "stiffening, not determined: F/E is that of a slab that doesn't stiffen"
+    assert solid["explanation"] == UNSTIFFENED
     bent = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, widens=5.0)))["explanation"]
     assert bent.startswith(
         "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads"
     )
-    assert found["explanation"] == vague["explanation"] == ""
+    assert found["explanation"] == vague["explanation"] == NO_SHEET
+    sheet = SheetMotion(np.zeros((1, 2)), 8, np.zeros((3, 1, 2)))
+    assert of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, sheet=sheet)))["explanation"] == ""
     assert solid["foundation_over_stiffness"] == solid["reaction_over_stiffness"] == ""
     refuted = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(WIDE, slab_error=0.2, **SOLID)))
     assert (refuted["verdict"], refuted["reaction_over_young"]) == ("relative_force", "")
@@ -128,5 +133,5 @@ def test_a_press_that_is_determined_comes_before_a_grip() -> None:
     assert found["verdict"] == of_run(GOOD)["verdict"] == "determined"
     loose = dataclasses.replace(ESTIMATE, covariance=np.eye(3))
     vague = of_run(dataclasses.replace(GOOD, estimate=loose, grip=GRIP))
-    assert (vague["verdict"], vague["explanation"]) == ("foundation", "")
+    assert (vague["verdict"], vague["explanation"]) == ("foundation", NO_SHEET)
     assert vague["stiffness"] == of_run(GOOD)["stiffness"]

@@ -13,10 +13,11 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.estimators.estimate import LEAST_SKILL, NINETY, NoEstimate
 from palpate.estimators.grip import recorder as module
-from palpate.estimators.grip.grip_estimate import LEAST_LEAD, GripEstimate
+from palpate.estimators.grip.grip_estimate import LEAST_LEAD, NO_SHEET, GripEstimate
 from palpate.estimators.grip.lattice import GripFrame, fit_sheet
 from palpate.estimators.grip.pull_fit import PullFit
 from palpate.estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
+from palpate.estimators.grip.sheet import NoSheet
 from palpate.physics.mesh import Mesh, grid_mesh
 from tests.estimators.sessions import prepared_frame, touched
 
@@ -102,6 +103,7 @@ def test_a_pull_tells_how_its_motion_dies_away_and_how_the_force_grows(pull: Gri
     assert middle == pytest.approx(pull.foundation_over_stiffness)
     # A sheet whose springs are worth three a node: √(3/ratio) nodes of 8 px.
     assert 8 * math.sqrt(3 / pull.foundation_over_stiffness) == pytest.approx(DECAY, rel=0.6)
+    assert pull.explanation == ""
     # The grip moves evenly, and the sheet is linear.
     np.testing.assert_allclose(pull.force, pull.times / pull.times[-1], atol=0.08)
     assert (pull.force[-1], pull.force_sd[-1]) == pytest.approx((1.0, 0.0))
@@ -114,6 +116,17 @@ def test_where_a_moving_background_would_explain_the_pull_only_relative_forces_a
     assert (found.verdict, found.determined) == ("relative_force", ("relative_force",))
     assert found.foundation_over_stiffness_low < 3 / (decay / 8) ** 2 < found.foundation_over_stiffness_high
     np.testing.assert_allclose(found.force, found.times / found.times[-1], atol=0.1)  # 0.08 where it dies away soon
+
+
+def test_of_a_refused_sheet_stiffening_is_not_determined(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: Any) -> None:
+        raise NoSheet("Points are off.")
+
+    monkeypatch.setattr(module, "fit_foundation", refused)
+    found = run(12, 1.5).estimate()
+    assert found.sheet is None
+    assert found.explanation == NO_SHEET
+    assert dataclasses.replace(found, skill=0.1).explanation == ""
 
 
 def test_tissue_that_moves_elsewhere_is_not_explained_by_the_tool() -> None:

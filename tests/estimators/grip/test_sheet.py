@@ -185,6 +185,5 @@ def test_tissue_that_stiffens_is_explained_by_no_sheet() -> None:
     linear = fitted(stiffened(0.0))
     assert linear.log_anchor == pytest.approx(math.log(ANCHOR), abs=0.05)
     assert abs(linear.widens) < 1
-    with pytest.raises(sheet.NoSheet, match="off besides their noise") as refused:
+    with pytest.raises(sheet.NoSheet, match="off besides their noise"):
         fitted(stiffened(5.0))
-    assert refused.value.widens > 1.5

@@ -14,7 +14,7 @@ from palpate.physics.fem.curved import bend
 from palpate.physics.fem.laws import respond
 from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.meshing import refine
-from palpate.physics.fem.solid import EDGES
+from palpate.physics.fem.solid import EDGES, EIGHTHS
 
 FACTORED = 60_000
 """Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
@@ -98,8 +98,9 @@ class Bench:
         self.stiffening = 1 / float(max(means))
 
     def refine(self) -> csr_array:
-        """Go on with elements half as long whose middle is closer to a contact than the tool's radius, or their length.
+        """Go on with elements half as long, all of them where that isn't too many unknowns.
 
+        Else those whose middle is closer to a contact than the tool's radius, or than they are long.
         They are divided as straight ones, in whose place the curved ones' own shape functions put the new nodes: the
         body stays as it is.
 
@@ -116,8 +117,11 @@ class Bench:
         apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
         radius = np.array([[each.tool_radius] for each in self.palpations])
         longest[(np.array(apart) > np.maximum(radius, longest)).all(axis=0)] = np.inf
-        # Halves of an edge may be longer than half of it by rounding.
-        nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (0.5 + 1e-9) * longest)
+        if 8 * skin.body.rest.size <= FACTORED:
+            nodes, whole = straight.rest, np.repeat(np.arange(len(coarse)), 8)
+            tetrahedra = skin.body.elements[:, EIGHTHS].reshape(-1, 4)
+        else:  # halves of an edge may be longer than half of it by rounding
+            nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (0.5 + 1e-9) * longest)
         fine = make_solid(nodes, tetrahedra, order=2)
         if fine.rest.size > FACTORED:
             raise ValueError(f"a finer mesh has {fine.rest.size} unknowns, more than {FACTORED}.")

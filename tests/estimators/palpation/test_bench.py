@@ -21,7 +21,10 @@ def bench() -> Bench:
     return Bench(*BODY.skin(4, BODY.size / 20), [seen], "linear")
 
 
-def test_elements_are_halved_under_the_tool_and_fill_the_same_body_under_the_same_force(bench: Bench) -> None:
+def test_elements_are_halved_under_the_tool_and_fill_the_same_body_under_the_same_force(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benches, "FACTORED", 8 * bench.skin.body.rest.size - 1)
     coarse, forces, contact = bench.skin, bench.forces[0], bench.palpations[0].contact
     (before,) = bench.linear(1e4, 0.4)
     shares = bench.refine()
@@ -52,6 +55,14 @@ def test_elements_are_halved_under_the_tool_and_fill_the_same_body_under_the_sam
         for body, rest in ((coarse, before), (skin, after))
     ]
     assert 1.05 < dents[1] / dents[0] < 1.3
+
+
+def test_a_small_body_has_all_its_elements_halved(bench: Bench) -> None:
+    coarse = bench.skin.body
+    shares, fine = bench.refine(), bench.skin.body
+    assert len(fine.elements) == 8 * len(coarse.elements)
+    np.testing.assert_allclose(fine.rest[: len(coarse.rest)], coarse.rest, atol=1e-15)
+    np.testing.assert_allclose((shares @ coarse.rest), fine.rest, atol=1e-15)
 
 
 @pytest.mark.parametrize(("cells", "off"), [(3, 0.011), (4, 5e-4)])

@@ -215,7 +215,7 @@ class VideoFile(FrameSource):
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size = picture_size(path, image)
         self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
-        self._exact, self._stampless = path.suffix.lower() in EXACT_COUNT_SUFFIXES, path.suffix.lower() == ".avi"
+        self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
 
     @functools.cached_property
     def coding(self) -> Coding | None:
@@ -228,27 +228,17 @@ class VideoFile(FrameSource):
             capture = self._open()
             while (image := capture.read()[1]) is not None:
                 yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, image
-        else:
-            yield from ((frame.time or 0.0, frame.to_ndarray(format="bgr24")) for frame in self._frames())
-
-    def _frames(self) -> Iterator[av.VideoFrame]:
-        """The same as PyAV decodes them."""
+            return
         begin, end = (instant - 0.5 / self.fps for instant in self._span)
         with suppress(av.FFmpegError, IndexError), av.open(str(self._file)) as container:
             if begin > 0:
                 container.seek(round(begin * av.time_base))  # to a frame before that can be decoded alone
-            container.streams.video[0].thread_type = "AUTO"  # of a picture in slices H.264 tells no damage
             for frame in container.decode(video=0):
                 time_s = frame.time or 0.0
                 if time_s >= end:
                     return
                 if time_s >= begin:
-                    yield frame
-
-    @functools.cached_property
-    def _damaged(self) -> list[float]:
-        """Time stamps [s] of frames whose data are damaged, which decoders patch without a word."""
-        return [frame.time or 0.0 for frame in self._frames() if frame.is_corrupt]
+                    yield time_s, frame.to_ndarray(format="bgr24")
 
     def _open(self) -> cv2.VideoCapture:
         try:
@@ -283,10 +273,7 @@ class VideoFile(FrameSource):
             uncovered = round(self.length - (stamp + longest) * self.fps)
             missing = uncovered if uncovered > max(2, 0.1 * self.fps) else 0
         if missing > 0:
-            unknown = "; if some lack before the end, times after them are too early" if self._stampless else ""
-            self.warnings.append(f"truncated: {decoded} of {decoded + missing} frames decoded{unknown}")
-        elif at := self._damaged:
-            self.warnings.append(f"damaged: {len(at)} of {decoded} frames, the first at {at[0]:.2f} s; copy it again")
+            self.warnings.append(f"truncated: {decoded} of {decoded + missing} frames decoded")
         for step in range(1, missing + 1):
             error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
             yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)

@@ -185,53 +185,6 @@ def test_truncated_video_loses_no_row(tmp_path):
     assert source.warnings == [f"truncated: {decoded} of 40 frames decoded"]
 
 
-def write_h264(path: Path, frames: int, codec: str) -> Path:
-    """Pictures that have nothing in common, so that they are of like sizes in the file."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for index in range(frames):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(index), format="rgb24")))
-        container.mux(stream.encode())
-    return path
-
-
-def damage(path: Path, count: int) -> Path:
-    """Overwrite so many bytes in the middle of a file."""
-    content = bytearray(path.read_bytes())
-    begin = len(content) // 2
-    content[begin : begin + count] = np.random.default_rng(1).bytes(count)
-    path.write_bytes(content)
-    return path
-
-
-@pytest.mark.parametrize(("name", "codec"), [("a.avi", "XVID"), ("b.mp4", "mp4v"), ("c.mp4", "libx264")])
-def test_frames_of_damaged_data_are_counted(tmp_path, name, codec):
-    """All decode, patched from what is around."""
-    make = make_video if codec != "libx264" else write_h264
-    source = VideoFile(damage(make(tmp_path / name, 40, codec), 40))
-    frames = list(source)
-    assert [frame.error for frame in frames] == [""] * 40
-    said = re.fullmatch(r"damaged: (\d+) of 40 frames, the first at (\d\.\d+) s; copy it again", *source.warnings)
-    assert said is not None
-    assert 1 <= int(said[1]) <= 3
-    whole = VideoFile(make(tmp_path / f"whole_{name}", 40, codec))
-    differ = [
-        not np.array_equal(*each) for each in zip(*([each.image for each in of] for of in (frames, whole)), strict=True)
-    ]
-    assert float(said[2]) == pytest.approx(differ.index(True) / 25, abs=0.1)
-    assert whole.warnings == []
-
-
-def test_frames_lost_in_the_middle_of_an_avi_are_counted_and_its_times_doubted(tmp_path):
-    source = VideoFile(damage(make_video(tmp_path / "a.avi", 40), 1500))
-    lost = [frame.index for frame in source if frame.error]
-    assert 0 < len(lost) < 39
-    assert lost == [*range(40 - len(lost), 40)]
-    said = f"truncated: {40 - len(lost)} of 40 frames decoded; if some lack before the end, times after them are too"
-    assert source.warnings == [f"{said} early"]
-
-
 @pytest.mark.parametrize("content", [b"", b"no video at all", None])
 def test_unreadable_videos_get_a_sentence(tmp_path, content):
     path = tmp_path / "v.mp4"

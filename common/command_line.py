@@ -79,8 +79,8 @@ def whole_number(least: int, most: int = LARGEST_NUMBER) -> Callable[[str], int]
     return whole
 
 
-def real_number(wanted: str, least: float) -> Callable[[str], float]:
-    """Type of an option that takes numbers from `least` to LARGEST; `wanted` describes them in the error message.
+def real_number(wanted: str, least: float, most: float = LARGEST) -> Callable[[str], float]:
+    """Type of an option that takes numbers from `least` to `most`; `wanted` describes them in the error message.
 
     The type raises ArgumentTypeError, as argparse wants it.
     """
@@ -90,7 +90,7 @@ def real_number(wanted: str, least: float) -> Callable[[str], float]:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not least <= value <= LARGEST:
+        if not least <= value <= most:
             raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
         return value
 

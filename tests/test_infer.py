@@ -595,6 +595,8 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         ["--smoothing", "-1"],
         ["--thickness", "0"],
         ["--force-limit", "0"],
+        ["--shaft-diameter", "0.005"],
+        ["--shaft-diameter", "5000"],
     ):
         with pytest.raises(SystemExit, match=r"^2$"):
             direct(tmp_path, tmp_path / "out", *options)
@@ -749,6 +751,17 @@ def test_a_shaft_that_is_not_seen_or_not_asked_for_is_said(inputs, tmp_path, cap
     assert "--shaft-diameter has no effect where the camera file tells metres; leave it out" in flat(
         capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("metres", [100.0, 1e-4])
+def test_a_camera_file_in_another_unit_than_metres_is_a_sentence(metres, inputs, tmp_path, capsys):
+    camera = {"fx": 150.0, "fy": 150.0, "cx": 63.5, "cy": 35.5, "width": 128, "height": 72, "metres_per_depth": metres}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    given = ["--no-overlay", "--camera", str(tmp_path / "camera.json")]
+    assert call(inputs, tmp_path / "out", *given, clips="clips/folder") == 1
+    said = flat(capsys.readouterr().err)
+    assert f"folder: by metres_per_depth {metres:g} tissue is" in said
+    assert "m away; give metres." in said
 
 
 # --- several clips at once, and shares of them ---

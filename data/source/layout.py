@@ -23,8 +23,8 @@ from palpate.common.settings import described, fits, require_numbers, shown
 
 Settings = TypeVar("Settings")
 
-CLIP_FILE = "clip.json"
-"""Optional file of a clip folder: fps, camera, depth scale and time stamps."""
+CLIP_FILE, CLIP_KEYS = "clip.json", ("fps", "times", "camera", "depth_scale")
+"""Optional file of a clip folder, and what it may hold."""
 HALVES = ("side-by-side", "top-bottom")
 """How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
@@ -218,12 +218,14 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     Keys, all optional: `fps` [1/s], `times` [s] of the frames in order, `camera`, `depth_scale`.
 
     Raises:
-        InputError: unreadable file, an impossible frame rate or scale, or times that do not rise.
+        InputError: unreadable file, an unknown key, an impossible frame rate or scale, or times that do not rise.
     """
     path = clip / CLIP_FILE
     if not os.path.lexists(path):
         return {}
     values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
+    for name in sorted(values.keys() - {*CLIP_KEYS}):
+        raise InputError(f"{path} has the unknown key {shown(name)}; known are {', '.join(CLIP_KEYS)}.")
     for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, 1e9)):
         value = values.get(name, 1.0)
         if not (fits(value, float) and value > 0 and least <= value <= most):

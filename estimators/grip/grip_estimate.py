@@ -16,12 +16,12 @@ LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
 NO_SHEET = (
-    "stiffening, not determined: to within its noise the motion is not that of a sheet of one stiffness, as where tissue "
-    "is uneven or stiffens"
+    "stiffening, not determined: to within its noise the motion is not that of a sheet of one stiffness, as where "
+    "tissue is uneven or stiffens"
 )
 WIDENING = (
-    "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads, as where it stiffens "
-    "or comes to rest late; forces and ratios are those of a sheet that does neither"
+    "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads, as where it "
+    "stiffens or comes to rest late; forces and ratios are those of a sheet that does neither"
 )
 
 

@@ -43,7 +43,7 @@ TYPES = {
     "path": path_option,
     "threads": whole_number(0, MOST_THREADS),
     "thickness": real_number("a thickness; give a positive length", 1e-6),
-    "diameter": real_number("a shaft's diameter; give 1 mm or more, such as 5 or 8", 1.0),
+    "diameter": real_number("a shaft's diameter; give 1 to 30 mm, such as 5 or 8", 1.0, 30.0),
     "limit": real_number("a limit of force; give a positive number", 1e-9),
     "pixels": real_number("a width in pixels; give 0 or more", 0.0),
     "noise": real_number(f"a noise above the simulator's own error; give {LEAST_SIGMA:g} or more", LEAST_SIGMA),

@@ -364,6 +364,7 @@ def test_a_video_whose_pictures_declare_more_than_anybody_takes_holds_none(tmp_p
         *((f'{{"times": {value}}}', "not rising numbers") for value in ("[0, 1, 1e308]", "[0, 0]", '["a"]', "3")),
         *((f'{{"fps": {each}}}', "gives fps .*; give a positive number") for each in ("1e-320", "1e308", "-1", "NaN")),
         *((f'{{"fps": {value}}}', "gives fps .{,40}; give") for value in ("9" * 400, "[" * 900 + "]" * 900)),
+        ('{"fps": 30, "time": [0.0]}', "has the unknown key 'time'; known are fps, times, camera, depth_scale"),
         (f'"{"x" * 2**24}"', r"larger than 16384 kB"),
     ],
 )

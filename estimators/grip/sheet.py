@@ -59,6 +59,8 @@ LOOKS = 4
 ENOUGH = 0.5
 """Of the points that count such a share must be found in a frame, and such a share of the frames must be left, or
 points stay as they were followed."""
+VAGUE = 0.2
+"""Standard deviation from which on a difference of two log foundations isn't judged: their likelihoods are skew."""
 MOST_FITTED, MOST_MEASURED = 4, 8
 """So many frames, evenly spread, tell the foundation roughly, and so many once points are measured again: the motion
 grows steadily."""
@@ -382,15 +384,15 @@ def _variance(problem: SheetProblem, frames: Sequence[SeenFrame], found: "_Found
 
 
 def _widens(problem: SheetProblem, frames: Sequence[SeenFrame], found: "_Found", error: float) -> float:
-    """As of `FoundationFit`, an error of either log foundation being the model's; 0 where all pulls are the same."""
+    """As of `FoundationFit`, by the error of the model in either; 0 where pulls are the same or tell little."""
     force = np.array([np.linalg.norm(solved.unknowns[:-3].sum(axis=0)) for solved in found.solved])
     larger = force > (force.min() + force.max()) / 2
     if not larger.any():
         return 0.0
     parts = [list(compress(frames, which)) for which in (~larger, larger)]
     fits = [_refined(problem, part, found.log_anchor) for part in parts]
-    variances = [_variance(problem, *pair) + error**2 for pair in zip(parts, fits, strict=True)]
-    return float((fits[0].log_anchor - fits[1].log_anchor) / np.sqrt(sum(variances)))
+    sd = float(np.sqrt(sum(_variance(problem, *pair) + error**2 for pair in zip(parts, fits, strict=True))))
+    return (fits[0].log_anchor - fits[1].log_anchor) / sd if sd < VAGUE else 0.0
 
 
 def _with_forces(

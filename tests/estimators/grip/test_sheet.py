@@ -145,6 +145,15 @@ def test_motion_that_spreads_farther_by_larger_pulls_refutes_one_sheet(measured:
     assert fit([tight[0], tight[0]]).widens == 0
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_pulls_that_tell_little_are_not_compared(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.estimators.grip.test_sheet.PULLS", np.array([0.4, 0.8, 3.0, 3.4]))
+    frames = seen(seed=seed)
+    assert fitted(frames).widens == 0
+    monkeypatch.setattr(sheet, "VAGUE", np.inf)
+    assert fitted(frames).widens != 0
+
+
 def test_frames_that_err_alike_tell_what_one_does() -> None:
     curvatures = np.full(4, 25.0)
     assert sheet.information(curvatures, np.eye(4)) == pytest.approx(100)

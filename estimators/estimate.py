@@ -124,8 +124,7 @@ class Estimate:
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
         described = "" if self.given_verdict else describe(self.verdict_information)
-        notes = BY_LIGHT * self.by_light, UNSTIFFENED * (self.slab is not None)
-        return "; ".join(filter(None, (described, *notes)))
+        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light, UNSTIFFENED * (self.slab is not None))))
 
     @property
     def verdict_information(self) -> np.ndarray:

@@ -16,13 +16,9 @@ LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
 NO_SHEET = (
-    "stiffening, not determined: to within its noise the motion is not that of a sheet of one stiffness, as where "
-    "tissue is uneven or stiffens"
+    "stiffening, not determined: the motion is no sheet's of one stiffness, as of uneven or stiffening tissue"
 )
-WIDENING = (
-    "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads, as where it "
-    "stiffens or comes to rest late; forces and ratios are those of a sheet that does neither"
-)
+WIDENING = "stiffening, not determined: larger pulls spread farther, as where tissue stiffens or comes to rest late"
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,9 +115,7 @@ def test_a_grip_is_told_where_nothing_else_is_determined() -> None:
     assert (solid["verdict"], solid["determined"]) == ("reaction", "reaction_over_young;relative_force")
     assert solid["explanation"] == UNSTIFFENED
     bent = of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, widens=5.0)))["explanation"]
-    assert bent.startswith(
-        "stiffening, not determined: the farther this tissue is pulled the farther its motion spreads"
-    )
+    assert bent.startswith("stiffening, not determined: larger pulls spread farther")
     assert found["explanation"] == vague["explanation"] == NO_SHEET
     sheet = SheetMotion(np.zeros((1, 2)), 8, np.zeros((3, 1, 2)))
     assert of_run(InteractionEstimate(0, 5, 0.0, grip=dataclasses.replace(GRIP, sheet=sheet)))["explanation"] == ""

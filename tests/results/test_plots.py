@@ -174,7 +174,7 @@ def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     assert heading(axes) == "reaction: contact from frame 1 (0.000 s), F/E 0.0015 to 0.0027"
     (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(GRIP, widens=5.0), detail="No onset."))
     shown = " ".join(axes.get_title("left").split())
-    assert "or |F|. Stiffening, not determined: the farther this tissue is pulled the farther its motion" in shown
+    assert "or |F|. Stiffening, not determined: larger pulls spread farther" in shown
     (axes,) = fits(dataclasses.replace(NONE, grip=WIDE))
     assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
 

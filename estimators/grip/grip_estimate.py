@@ -15,9 +15,7 @@ LEAST_LEAD = 0.1
 LARGEST_SLAB_ERROR = 0.1
 """Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
-NO_SHEET = (
-    "stiffening, not determined: the motion is no sheet's of one stiffness, as of uneven or stiffening tissue"
-)
+NO_SHEET = "stiffening, not determined: the motion is no sheet's of one stiffness, as of uneven or stiffening tissue"
 WIDENING = "stiffening, not determined: larger pulls spread farther, as where tissue stiffens or comes to rest late"
 
 

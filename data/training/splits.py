@@ -17,6 +17,8 @@ SPLITS = ("train", "val", "test")
 """Names of the splits."""
 FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
+ROUNDED = 0.015
+"""By how much shares that are rounded, as thirds to 0.33, may miss 1 together."""
 LEAST_VIDEOS = 3
 """Least number of videos of a data set that is split by video; others are split in time."""
 LARGEST_BATCH = 2**16
@@ -95,8 +97,9 @@ class LoadingSettings:
                 f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give 1 to {LARGEST_BATCH} and 0 "
                 f"to {MOST_THREADS}."
             )
-        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or not self.fractions[0] > 0:
-            raise ValueError(f"fractions are {list(self.fractions)}; give the shares of train, val and test.")
+        off = abs(sum(self.fractions) - 1)
+        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or self.fractions[0] <= 0 or not off < ROUNDED:
+            raise ValueError(f"fractions are {list(self.fractions)}; give shares of train, val and test that add to 1.")
 
 
 def video_of(clip: Path) -> str:

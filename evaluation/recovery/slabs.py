@@ -62,14 +62,7 @@ def slab_table(rows: Sequence[Row]) -> pd.DataFrame:
             quantities = {name: [*_shares(clips), *_compared(clips)]}
             quantities[f"{name}, explained"] = [*_compared(explained), *_determined(explained)]
             found += [
-                {
-                    "suite": suite,
-                    "estimator": estimator,
-                    "clips": of,
-                    "quantity": quantity,
-                    "n": n,
-                    "value": float(value),
-                }
+                dict(zip(COLUMNS, (suite, estimator, of, quantity, n, float(value)), strict=True))
                 for of, cells in quantities.items()
                 for quantity, n, value in cells
             ]

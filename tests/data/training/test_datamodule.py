@@ -173,8 +173,10 @@ def test_a_bad_clip_is_left_out_with_a_warning(tmp_path):
 
 
 def test_impossible_settings_are_refused(tmp_path):
-    for wrong in ({"batch_size": 0}, {"num_workers": -1}, {"fractions": (0.0, 0.5, 0.5)}, {"fractions": (0.5, 0.5)}):
+    shares = (0.0, 0.5, 0.5), (0.5, 0.5), (0.7, 0.4, 0.2), (7.0, 2.0, 1.0), (1.3, -0.2, -0.1), (0.7, 0.2, float("nan"))
+    for wrong in ({"batch_size": 0}, {"num_workers": -1}, *({"fractions": each} for each in shares)):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             LoadingSettings(**wrong)
+    assert LoadingSettings(fractions=(0.33, 0.33, 0.33)).fractions == (0.33, 0.33, 0.33)
     with pytest.raises(ValueError, match=r"samples\.geometry differs from geometry"):
         ClipDataModule(str(tmp_path), geometry=GRID)

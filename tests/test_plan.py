@@ -47,6 +47,17 @@ def test_what_can_t_be_written_is_told_before_presses_are_simulated(tmp_path, ca
 
 
 @pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("young", [5.0, 5000.0])
+def test_tissue_that_seems_to_be_in_kilopascals_is_said(tmp_path, capsys, young):
+    scene = yaml.safe_load(SHIPPED.read_text())
+    next(iter(scene["objects"].values()))["young"] = young
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    assert plan.main([str(tmp_path / "scene.yaml"), "--output", str(tmp_path / "out")]) == 0
+    said = "scene.yaml: young is 5 Pa, softer than tissue; give Pa, not kPa"
+    assert (said in " ".join(capsys.readouterr().err.split())) == (young < 50)
+
+
+@pytest.mark.usefixtures("quick")
 def test_a_blocked_goal_is_a_sentence(tmp_path, capsys):
     blocked = yaml.safe_load(SHIPPED.read_text()) | {"goal": [0.03, 0.0]}
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(blocked))

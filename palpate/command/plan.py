@@ -35,6 +35,8 @@ from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, as_path, waypoints
 from palpate.results.store import OutputError, make_output, writing
 
+SOFTEST = 50.0
+"""Tissue is stiffer [Pa]."""
 NAMES = ("plan.json", "plan.png")
 PLANNERS, SHARE = ("roadmap", "ompl"), real_number("a number from 0 on", 0.0)
 SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
@@ -57,6 +59,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         scene = read_plan_scene(options.scene, options.alpha)
         cache = options.cache or options.output / "presses"
+        youngs = [each.young for each in ([scene] if isinstance(scene, SpaceScene) else scene.objects.values())]
+        if (young := min(youngs, default=SOFTEST)) < SOFTEST:
+            say(console, f"{options.scene}: young is {young:g} Pa, softer than tissue; give Pa, not kPa", "yellow")
         with writing(options.output):
             require_own(*(options.output / name for name in (SPACE_NAMES if isinstance(scene, SpaceScene) else NAMES)))
         if isinstance(scene, SpaceScene):

@@ -21,7 +21,7 @@ import numpy as np
 
 from palpate.common.settings import require_numbers
 from palpate.data.clip import ClipStream
-from palpate.data.depth.sources import FARTHEST
+from palpate.data.depth.sources import FARTHEST, NEAREST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NINETY, NoEstimate
@@ -58,9 +58,20 @@ class ClipLength:
 
     @classmethod
     def of(cls, clip: ClipStream) -> ClipLength:
-        """As the clip itself tells it."""
+        """As the clip itself tells it; raises as `stated` does."""
         metres, log_sd, by = clip.metres or (None, 0.0, "")
-        return cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
+        own = cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
+        return own.stated(metres, log_sd, by, str(clip.source.path)) if own.stored and metres else own
+
+    def stated(self, metres: float, log_sd: float, by: str, where: str) -> ClipLength:
+        """The same where a file, named by `where`, states the length of a unit of depth [m].
+
+        Raises:
+            InputError: tissue would lie nearer or farther away than NEAREST and FARTHEST.
+        """
+        if (unit := self.scale * metres) > FARTHEST or unit < NEAREST:
+            raise InputError(f"{where}: by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres.")
+        return replace(self, metres=unit, log_sd=log_sd, by=by)
 
     @property
     def record(self) -> dict[str, Any]:
@@ -389,14 +400,12 @@ class Calibration:
         """What a scene unit of a clip is, as the file states it, else as the clip itself tells.
 
         Raises:
-            InputError: by what the file states tissue is farther away than `FARTHEST`.
+            InputError: as of `ClipLength.stated`.
         """
         stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
         if stated is None:
             return own
-        if (unit := own.scale * stated) > FARTHEST:
-            raise InputError(f"{self.path}: by metres_per_depth {stated:g} tissue is {unit:g} m away; give metres.")
-        return replace(own, metres=unit, log_sd=sd / stated, by=f"metres_per_depth in {self.path.name}")
+        return own.stated(stated, sd / stated, f"metres_per_depth in {self.path.name}", str(self.path))
 
     def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
         """The scale of a clip from its own runs, or from the tissue's stiffness.

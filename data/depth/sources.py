@@ -20,8 +20,8 @@ RANGE_QUANTILES = (0.001, 0.999)
 """Quantiles at the ends of a frame's range of relative inverse depth."""
 LARGEST_MAP_RATIO = 16
 """Largest ratio of a stored map's pixels to its picture's; larger maps are not even unpacked."""
-FARTHEST = 5.0
-"""Tissue that would be farther away was measured in another unit than metres [m]."""
+NEAREST, FARTHEST = 1e-3, 5.0
+"""Tissue that would be nearer or farther away was measured in another unit than metres [m]."""
 
 
 class DepthSource(ABC):

@@ -98,6 +98,8 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
     assert (stated.metres, stated.log_sd) == pytest.approx((0.2, 0.1))
     with pytest.raises(InputError, match="by metres_per_depth 100 tissue is 80 m away; give metres"):
         read(tmp_path, **FORCE, metres_per_depth=100).length(ClipLength(0.8, stored=True))
+    with pytest.raises(InputError, match=r"by metres_per_depth 0\.001 tissue is 0\.0008 m away; give metres"):
+        read(tmp_path, **FORCE, metres_per_depth=0.001).length(ClipLength(0.8, stored=True))
     bare = read(tmp_path, **FORCE)
     assert bare.length(ClipLength(2.0, 2.0, by="stereo")).metres == 2.0
     assert bare.length(ClipLength(2.0, stored=True)).metres is None

@@ -9,8 +9,8 @@ constant_rmse_log is the error of the best constant for exactly the clips of a r
 the mean over another split, can't reach it.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
-grips.csv has the answer (see `evaluation.recovery.grips`). The suite fem shows soft solids, whose truth is no θ; what
-estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
+grips.csv has the answer (see `evaluation.recovery.grips`). The suites fem and stiffening show soft solids, whose truth is
+no θ; what estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
 
 suites:
 """
@@ -68,8 +68,8 @@ class Benchmark(Experiment):
     gan_model: Path | None = None
     """ONNX file of the estimator gan: one estimate a frame"""
     direct_model: Literal["sheet", "fem"] = "sheet"
-    """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the suite
-    fem alone"""
+    """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the
+    suites fem and stiffening alone"""
     clips: int = 60
     """clips of each suite, a third a regime"""
     seed: int = 0

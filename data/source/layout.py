@@ -224,8 +224,8 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     if not os.path.lexists(path):
         return {}
     values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
-    for name in sorted(values.keys() - {*CLIP_KEYS}):
-        raise InputError(f"{path} has the unknown key {shown(name)}; known are {', '.join(CLIP_KEYS)}.")
+    if unknown := sorted(values.keys() - {*CLIP_KEYS}):
+        raise InputError(f"{path} has the unknown key {shown(unknown[0])}; known are {', '.join(CLIP_KEYS)}.")
     for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, 1e9)):
         value = values.get(name, 1.0)
         if not (fits(value, float) and value > 0 and least <= value <= most):

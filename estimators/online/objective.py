@@ -81,7 +81,7 @@ class Chamfer:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         # It is asked little, so that one made in half the time will do.
-        self._tree, self._began = KDTree(self.cloud, 24, compact_nodes=False, balanced_tree=False), None
+        self._tree, self._began = KDTree(self.cloud, leafsize=24, compact_nodes=False, balanced_tree=False), None
         self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

@@ -112,15 +112,16 @@ class Bench:
         """
         skin, coarse = self.skin, self.skin.body.elements[:, :4]
         straight = make_solid(skin.body.rest[: coarse.max() + 1], coarse, order=2)
-        corners = straight.rest[coarse]
-        longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1)
-        apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
-        radius = np.array([[each.tool_radius] for each in self.palpations])
-        longest[(np.array(apart) > np.maximum(radius, longest)).all(axis=0)] = np.inf
         if 8 * skin.body.rest.size <= FACTORED:
             nodes, whole = straight.rest, np.repeat(np.arange(len(coarse)), 8)
             tetrahedra = skin.body.elements[:, EIGHTHS].reshape(-1, 4)
-        else:  # halves of an edge may be longer than half of it by rounding
+        else:
+            corners = straight.rest[coarse]
+            longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1)
+            apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
+            radius = np.array([[each.tool_radius] for each in self.palpations])
+            longest[(np.array(apart) > np.maximum(radius, longest)).all(axis=0)] = np.inf
+            # Halves of an edge may be longer than half of it by rounding.
             nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (0.5 + 1e-9) * longest)
         fine = make_solid(nodes, tetrahedra, order=2)
         if fine.rest.size > FACTORED:

@@ -8,7 +8,7 @@ forces    of every run of contact: mean, peak, what is unknown (forces.json)
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)
 bag       forces and verdicts for ROS (--bag)
-scene     what was estimated, to simulate further (--export), for USD, SOFA, VTK and PLY
+vtu       deformation of a contact for ParaView and SOFA (--export)
 sequence  of a sequence beside a robot: particles in its frame
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is

@@ -111,7 +111,7 @@ class Batch:
             "newtons twice": known is not None and self.known is not None,
             "limit without force": limited and name not in MAPPING,
             "limit without newtons": limited and known is not None and not known.tells,
-            "export of gan": options.export is not None and name == "gan",
+            "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
             "shard of a scale": options.shard and known is not None and known.of_one_clip,

@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import Video
@@ -28,13 +30,11 @@ from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
-from palpate.results.scene.files import scene_text
-from palpate.results.scene.kinds import scene_of
-from palpate.results.scene.scene import FORMATS
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
 from palpate.results.verdicts import state
+from palpate.results.vtu import deformation_of, write_series
 
 MOST_UNDRAWN = 4
 """Pictures that wait to be drawn."""
@@ -57,7 +57,7 @@ class ClipResults:
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
-        export: format of the scenes that are written, one of `results.scene.scene.FORMATS`.
+        export: whether the deformation of every contact is written as .vtu files.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
@@ -78,7 +78,7 @@ class ClipResults:
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
         seconds: tuple[float, float] = ALWAYS,
-        export: str | None = None,
+        export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
         self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
@@ -101,7 +101,7 @@ class ClipResults:
         self.unscaled = known is not None and calibration is None
         """Whether a known force was given on its own and has told newtons of no run."""
         self.unexported = 0
-        """Number of those that have no scene although scenes are written."""
+        """Number of contacts whose deformation could not be exported."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.stretched = False
@@ -201,10 +201,10 @@ class ClipResults:
         with writing(self.folder.parent):
             self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
-            if self._export is not None:
-                path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
+            if self._export:
+                times = np.array([frame.time_s for frame in self.estimates[run.onset :]]) - run.onset_time_s
                 try:
-                    path.write_text(scene_text(scene_of(run), self._export), encoding="utf-8")
+                    write_series(self._partial, f"scene_{run.onset_frame}", deformation_of(run, times))
                 except NoEstimate:
                     self.unexported += 1
             if self._forces is not None:

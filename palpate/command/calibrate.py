@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,11 +41,9 @@ from palpate.estimators.palpation.stiffening import fit_stiffening, told
 from palpate.estimators.palpation.stiffening_check import STIFFENS, UNKNOWN
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
-from palpate.results.scene.files import scene_text
-from palpate.results.scene.kinds import palpation_scene
-from palpate.results.scene.scene import FORMATS
 from palpate.results.store import OutputError, make_output, writing
 from palpate.results.surface_plot import draw_surface_errors
+from palpate.results.vtu import palpation_deformation, write_series
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +57,7 @@ CURVES = ("file", "curve", "quantity", "value", "low", "high", "unit", "verdict"
 
 SIZE, POISSON = real_number("a positive number", 1e-6), real_number("from 0 to 0.5", 0.0)
 TYPES = {"path": path_option, "size": SIZE, "poisson": POISSON}
-CHOICES = {"scenes": tuple(FORMATS), "indenters": ("sphere", "flat", "cone")}
+CHOICES = {"indenters": ("sphere", "flat", "cone")}
 """What calibrate.yaml calls types and choices."""
 
 
@@ -129,12 +128,11 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     with writing(output), replacing_own(output / PALPATION[2]) as partial:
         write_figure(partial, _picture(scene, found))
     names = list(PALPATION)
-    stiffens = any(rest.material.stiffening > 0 for rest in found.rests)
-    if stiffens and options.export is not None:
-        say(console, "no scene: other simulators have no law that stiffens as the body does.", "yellow")
-    for number in range(len(found.rests) if options.export is not None and not (nothing or stiffens) else 0):
-        names.append(f"scene_{number + 1}.{FORMATS[options.export]['ending']}")
-        _write(output, names[-1], scene_text(palpation_scene(found, number), options.export))
+    with TemporaryDirectory() as folder:
+        for number in range(len(found.rests) if options.export and not nothing else 0):
+            for name in write_series(Path(folder), f"scene_{number + 1}", palpation_deformation(found, number)):
+                _write(output, name, (Path(folder) / name).read_bytes())
+                names.append(name)
     say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
@@ -215,7 +213,7 @@ def _curve(probe: Probe, indenter: Indenter | None, pull: bool, predict: list[fl
     return rows
 
 
-def _write(output: Path, name: str, text: str) -> None:
+def _write(output: Path, name: str, content: str | bytes) -> None:
     make_output(output)
     with writing(output):
-        write_own(output / name, text)
+        write_own(output / name, content)

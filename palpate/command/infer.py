@@ -21,7 +21,6 @@ from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
-from palpate.results.scene.scene import FORMATS
 from palpate.results.store import BAGS
 
 
@@ -55,7 +54,6 @@ CHOICES = {
     "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
-    "scenes": tuple(FORMATS),
     "bags": tuple(BAGS),
 }
 """What infer.yaml calls types and choices."""

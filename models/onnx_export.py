@@ -8,7 +8,6 @@ coverage within the file itself: nothing but the file is needed.
 
 import json
 import logging
-import os
 import platform
 import warnings
 from collections.abc import Callable, Sequence
@@ -22,8 +21,8 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from palpate.common.files import as_json, read_file, replacing
-from palpate.common.output import ForeignFile
+from palpate.common.files import as_json
+from palpate.common.output import replacing_own
 from palpate.models.calibration import LOG_DAMPING, Calibration, LightCalibration, Widths
 from palpate.models.generator import Generator, ParameterHead
 from palpate.models.onnx_session import (
@@ -36,7 +35,6 @@ from palpate.models.onnx_session import (
     LIGHT_MEAN,
     LOG_COVARIANCE,
     LOG_MEAN,
-    MAX_FILE_BYTES,
     METADATA_KEY,
     POSTERIOR,
     ExportedModel,
@@ -154,9 +152,8 @@ def write(
         ForeignFile, ParityError: as of `export`.
     """
     onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
-    require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(output) as partial:
+    with replacing_own(output) as partial:
         onnx.save(model, partial, format="protobuf")
         difference = difference_of(partial)
         if not difference <= PARITY_TOLERANCE:  # or it is no number
@@ -165,22 +162,6 @@ def write(
                 f"{PARITY_TOLERANCE:g}; nothing was written to {output}."
             )
     return difference
-
-
-def require_own_model(path: Path) -> None:
-    """Refuse to replace a file that is no exported network.
-
-    Raises:
-        ForeignFile: it is none.
-    """
-    if not os.path.lexists(path):
-        return
-    try:
-        found = onnx.load_model_from_string(read_file(path, MAX_FILE_BYTES)).metadata_props
-    except Exception as error:  # protobuf or onnx fails, depending on the damage
-        raise ForeignFile(path) from error
-    if METADATA_KEY not in {entry.key for entry in found} or path.is_symlink():
-        raise ForeignFile(path)
 
 
 def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tuple[int, int, int]) -> float:

@@ -3,7 +3,7 @@
 run       a batch of clips: finding them, going on after a failure, the closing table
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
-calibrated  a clip in newtons (--calibration), and compared with measured forces
+calibrated  a clip in newtons (--force-scale), and compared with measured forces
 forces    of every run of contact: mean, peak, what is unknown (forces.json)
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)

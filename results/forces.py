@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape

@@ -136,8 +136,6 @@ def _untold(results: ClipResults) -> Iterator[str]:
     """What isn't known of runs of contact, in sentences."""
     if results.unexported:
         yield WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
-    if results.unscaled:
-        yield WARNINGS["unscaled"]
     yield from results.doubts[:1]
     if results.doubts[1:]:
         yield WARNINGS["doubts"].format(count=len(results.doubts) - 1)

@@ -8,6 +8,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -131,10 +132,11 @@ def write_series(folder: Path, name: str, found: Deformation) -> list[str]:
     """Write `name.ply`, `name_K.vtu` for every frame K and their index `name.pvd`; returns the files' names."""
     from meshio import Mesh  # takes a quarter of a second
 
-    faces = {"triangle": found.triangles.astype(np.int32)}
+    faces: dict[str, Any] = {"triangle": found.triangles.astype(np.int32)}
     Mesh(found.points, faces).write(folder / f"{name}.ply")
     solid = found.tetrahedra
-    inner = {} if solid is None else {f"tetra{'' if solid.shape[1] == 4 else 10}": solid.astype(np.int32)}
+    kind = "" if solid is None else "tetra" if solid.shape[1] == 4 else "tetra10"
+    inner: dict[str, Any] = {} if solid is None else {kind: solid.astype(np.int32)}
     fields = {key: each.astype(np.int32 if each.dtype == bool else np.float64) for key, each in found.fields.items()}
     files = [f"{name}_{frame:04d}.vtu" for frame in range(len(found.times))]
     for file, time, moved in zip(files, found.times.tolist(), found.displacement, strict=True):

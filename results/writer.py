@@ -19,12 +19,11 @@ import numpy as np
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import Video
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.known_force import KnownForce
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
-from palpate.results.alarm import ForceAlarm, upper_force
+from palpate.results.alarm import ForceAlarm
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
@@ -50,8 +49,7 @@ class ClipResults:
         size: width and height of the source frames [px].
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
-        known: force that was measured in a part of the clip.
-        calibration: gathers what the clip tells in newtons.
+        calibration: gives newtons.
         fields: whether the estimator gives fields of stiffness.
         maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
@@ -71,7 +69,6 @@ class ClipResults:
         fps: float,
         *,
         overlay: bool = True,
-        known: KnownForce | None = None,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
         maps: bool = False,
@@ -81,7 +78,7 @@ class ClipResults:
         export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
-        self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
+        self.folder, self._size, self._export, self._bag = folder, size, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
         self.encoder = Video.encoder if overlay else None
@@ -98,8 +95,6 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self._contacts: list[ContactForce] = []
-        self.unscaled = known is not None and calibration is None
-        """Whether a known force was given on its own and has told newtons of no run."""
         self.unexported = 0
         """Number of contacts whose deformation could not be exported."""
         self.drawn: list[InteractionEstimate] = []
@@ -116,6 +111,7 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
+                known = None if calibration is None else calibration.known
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
@@ -144,9 +140,7 @@ class ClipResults:
         if self.calibration is not None:
             self.calibration.see(prepared)
         if self.alarm is not None:
-            upper_end = upper_force if self.calibration is None else self.calibration.upper_force
-            upper = None if estimate.estimate is None else upper_end(estimate.estimate)
-            estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
+            estimate = self.alarm.watch(estimate, self.calibration and self.calibration.upper_force)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
             self._rows.writerow(columns.row(self.columns, estimate.values))
@@ -178,14 +172,11 @@ class ClipResults:
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
         forces: list[dict[str, Any]] = []
-        if self._known is not None:
+        if self.calibration is not None:
             try:
-                forces = columns.force_rows(run, self._known)
-                self.unscaled &= not forces
+                forces = self.calibration.add(run)
             except NoEstimate as reason:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
-        if self.calibration is not None:
-            self.calibration.add(run)
         if self.alarm is not None:
             self.alarm.end_run()
         if run.field is not None:

@@ -477,7 +477,7 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
     capsys.readouterr()
     (tmp_path / "known.yaml").write_text("stiffness: 8.0\nstiffness_unit: N/scene unit\n")
-    given = ["--calibration", str(tmp_path / "known.yaml"), "--overwrite"]
+    given = ["--force-scale", str(tmp_path / "known.yaml"), "--overwrite"]
     assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
@@ -543,7 +543,7 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
     said = read_messages(tmp_path / f"of {inputs[1].parent.name}" / "same" / BAGS[kind])
     assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
     assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
-    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1
+    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--force-scale", "/wrench") == 1
     assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
     assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
     assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
@@ -567,7 +567,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
     for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
-        (["--known-force", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
+        (["--force-scale", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network or direct."),
         (
@@ -575,8 +575,8 @@ def test_wrong_usage(inputs, tmp_path, capsys):
             "which --estimator online does not give; take network or direct.",
         ),
         (
-            ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
-            "measured.yaml tells none; give known_s there, or leave --calibration out.",
+            ["--force-scale", str(inputs / "measured.yaml"), "--force-limit", "1"],
+            "measured.yaml has no scale; give known_s there, or leave --force-scale out.",
         ),
         (
             ["--estimator", "online", "--bag", "ros2"],
@@ -657,7 +657,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     known = f"clip: one\nforce_N: 2.0\nforce_sd_N: 0.02\nforce_time_s: {truth['onset_s'] + 0.1}\n"
     (tmp_path / "known.yaml").write_text(known)
     given = [str(tmp_path / "other"), str(tmp_path / "one"), "--estimator", "direct", "--onset", "stamp"]
-    given += ["--no-overlay", "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    given += ["--no-overlay", "--output", str(tmp_path / "out"), "--force-scale", str(tmp_path / "known.yaml")]
     assert infer.main([*given, "--bag", "ros2"]) == 0
     (one,), (other,) = (rows(tmp_path / "out" / name, "calibrated.csv") for name in ("one", "other"))
     assert (float(one["force"]), float(other["force"])) == pytest.approx((2.0, 2.0), rel=1e-6)
@@ -703,7 +703,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
 )
 def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text(known)
-    given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--force-scale", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
     assert said in flat(capsys.readouterr().err)
 
@@ -712,7 +712,7 @@ def test_a_shaft_s_diameter_tells_newtons_a_metre_and_millimetres(synthetic, don
     """The drawn shaft's radius is `SHAFT_RADIUS` scene units; its length enters with its uncertainty."""
     truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
     (tmp_path / "known.yaml").write_text(f"force_N: 2.0\nforce_time_s: {truth['onset_s'] + 0.1}\n")
-    given = ["--no-overlay", "--calibration", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
+    given = ["--no-overlay", "--force-scale", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
     assert direct(synthetic, tmp_path / "out", *given) == 0
     folder, (found,) = tmp_path / "out" / "video01_00000", runs(done)
     scale = record(folder)["scale"]
@@ -934,7 +934,7 @@ def test_a_killed_worker_fails_what_is_left_and_keeps_the_rest(named_alike, inpu
 
 def test_the_clip_that_scales_the_others_is_done_first_and_shares_are_refused(inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text("clip: folder\nforce_N: 2.0\nforce_time_s: 0.2")
-    options = ("--no-overlay", "--calibration", str(tmp_path / "known.yaml"))
+    options = ("--no-overlay", "--force-scale", str(tmp_path / "known.yaml"))
     assert call(inputs, tmp_path / "one", *options) == 0
     assert call(inputs, tmp_path / "two", *options, "--jobs", "2") == 0
     assert tables(tmp_path / "two") == tables(tmp_path / "one")

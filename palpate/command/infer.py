@@ -7,6 +7,7 @@ clips stay, and the same command continues).
 """
 
 import argparse
+from typing import Any
 
 from palpate.common.command_line import add_listed, path_option, real_number, whole_number
 from palpate.common.files import read_beside
@@ -59,6 +60,15 @@ CHOICES = {
 """What infer.yaml calls types and choices."""
 
 
+WORDS = {"presets": ", ".join(preset_names()), "smoothing": SMOOTHING}
+"""Words that stand for their braces in infer.yaml."""
+
+
+def declared() -> dict[str, dict[str, Any]]:
+    """Return the options of infer.yaml by name."""
+    return read_beside(__file__)["options"]
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the program and return its exit status."""
     return run(_parser().parse_args(arguments))
@@ -67,6 +77,6 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     texts = read_beside(__file__)
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
-    add_listed(parser, texts["options"], TYPES, CHOICES, presets=", ".join(preset_names()), smoothing=SMOOTHING)
+    add_listed(parser, declared(), TYPES, CHOICES, **WORDS)
     parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
     return parser

@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.calibration_file import MASS, SHEET_FACTOR, STIFFNESS, Calibration, ClipLength, read_calibration
+from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS, ClipLength
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}

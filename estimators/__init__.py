@@ -14,7 +14,6 @@ force_scale     newtons for scene units by a known force or stiffness; calibrati
 palpated        Young's modulus from what a palpation left
 model_errors    what fits get wrong besides what residuals tell, as measured on drawn clips
 cloud_shape     the surface that a cloud shows, in sequences beside a robot
-dent            what tells a press that no tool shows
 model_settings  an exported network's preparation, and what both networks' estimators share
 session         runs a session over a clip: the one way in which frames become estimates
 """

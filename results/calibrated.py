@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.prepared import PreparedFrame
 from palpate.estimators.calibration_file import Calibration
-from palpate.estimators.dent import DentRecorder
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.grip.grip_estimate import GripEstimate
@@ -69,25 +67,16 @@ class ClipCalibration:
     """Of calibrated.csv, likewise."""
     curves: list[Curve] = field(default_factory=list)
     """Estimated forces where some were measured, likewise."""
-    dents: list[Curve] = field(default_factory=list)
-    """Those of them that the depth of a dent tells."""
     reason: str = ""
     """Why there is no scale."""
 
     def __post_init__(self) -> None:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
         self._pulls: list[Curve] = []
-        rest = self.calibration.fields.rest_s
-        self._dents = DentRecorder(rest) if self.home and rest is not None else None
         self.known = self.calibration.known if self.home else None
         """Forces that tell the scale of this clip's grips."""
         self.measured = self.calibration.measured if self.home and not self.calibration.every_clip else None
         """Forces to compare with."""
-
-    def see(self, prepared: PreparedFrame) -> None:
-        """The next frame."""
-        if self._dents is not None:
-            self._dents.push(prepared.frame.number, prepared.frame.time_s, prepared.depth)
 
     def add(self, run: InteractionEstimate) -> list[dict[str, Any]]:
         """Keep the next run of contact; return the force of a pull over time by column of FORCES.
@@ -133,7 +122,7 @@ class ClipCalibration:
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
         if self._pulls or any(curve.unit == NEWTONS for curve in self.curves):
-            self.reason = ""  # a dent or a pull has newtons where no press does
+            self.reason = ""  # a pull has newtons where no press does
 
     def upper_force(self, found: Estimate) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
@@ -166,15 +155,7 @@ class ClipCalibration:
             times = measured.times[run.pressing(measured.times)]
             if len(times) and run.explained:
                 found.append(_press_curve(run, times, self.scale, length))
-        dented = self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs)
-        if dented and self.known is not None:
-            depths, times = np.array(self._dents.depths), np.array(self._dents.times)
-            try:
-                known = predict_force(self.known.at(times), depths, np.zeros(len(depths)))
-                self.dents = [Curve.of(self._dents.frames[0], times, known)]
-            except NoEstimate as reason:
-                self.reason = str(reason)
-        return [*found, *self._pulls, *self.dents]
+        return [*found, *self._pulls]
 
     def compared_rows(self) -> list[dict[str, Any]]:
         """Estimated and measured forces by column of COMPARED."""

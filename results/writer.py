@@ -137,10 +137,9 @@ class ClipResults:
 
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
-        if self.calibration is not None:
-            self.calibration.see(prepared)
         if self.alarm is not None:
-            estimate = self.alarm.watch(estimate, self.calibration and self.calibration.upper_force)
+            upper_end = None if self.calibration is None else self.calibration.upper_force
+            estimate = self.alarm.watch(estimate, upper_end)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
             self._rows.writerow(columns.row(self.columns, estimate.values))
@@ -218,10 +217,10 @@ class ClipResults:
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
-            rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
+            rows = () if newtons is None else newtons.rows
             # Of a slab |F| over stiffness is no length.
             length = None if "thickness" in record.get("estimator", {}) else self.length
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

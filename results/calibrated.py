@@ -73,6 +73,7 @@ class ClipCalibration:
     def __post_init__(self) -> None:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
         self._pulls: list[Curve] = []
+        self._unknown_pull = ""
         self.known = self.calibration.known if self.home else None
         """Forces that tell the scale of this clip's grips."""
         self.measured = self.calibration.measured if self.home and not self.calibration.every_clip else None
@@ -92,7 +93,7 @@ class ClipCalibration:
         try:
             known = predict_force(self.known.at(times), found.force, found.force_sd)
         except NoEstimate as reason:
-            self.reason = str(reason)
+            self._unknown_pull = str(reason)
             raise
         curve = Curve.of(run.onset_frame, times, known)
         self._pulls.append(curve)
@@ -107,7 +108,7 @@ class ClipCalibration:
         try:
             self.scale = self._found(pressed, length)
         except NoEstimate as reason:
-            self.reason = self.reason or str(reason)
+            self.reason = str(reason)
         for frame, time_s, run in self._runs:
             values = {"onset_frame": frame, "onset_time_s": time_s}
             if run is None:
@@ -121,8 +122,8 @@ class ClipCalibration:
             self.rows.append(values)
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
-        if self._pulls or any(curve.unit == NEWTONS for curve in self.curves):
-            self.reason = ""  # a pull has newtons where no press does
+        pulled = self._pulls or any(curve.unit == NEWTONS for curve in self.curves)
+        self.reason = "" if pulled else self._unknown_pull or self.reason
 
     def upper_force(self, found: Estimate) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.

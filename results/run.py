@@ -324,7 +324,6 @@ class Batch:
         wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
-        wanted |= {store.EARLIER: False}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:

@@ -120,7 +120,7 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
         large where nothing is known, the difference is relative where numbers are above 1.
 
     Raises:
-        ForeignFile: `output` exists and is no exported network.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
@@ -240,7 +240,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     Raises:
         ModelFileError: the file is no exported posterior.
         ValueError: the file is calibrated already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)
@@ -307,7 +307,7 @@ def add_light(source: Path, output: Path, posterior: ContactPosterior, weights_s
     Raises:
         ModelFileError: the source is no exported posterior.
         ValueError: it has one of brightness sequences already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)
@@ -343,7 +343,7 @@ def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -
     Raises:
         ModelFileError: the source is no exported posterior.
         ValueError: it has none by light, or is calibrated already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)

@@ -28,7 +28,8 @@ from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
-from palpate.data.source.frames import discover, name_of, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit

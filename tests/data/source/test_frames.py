@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.source import frames
+from palpate.data.source import discovery
 from palpate.data.source.camera import load_camera
-from palpate.data.source.frames import FrameFolder, VideoFile, discover, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import FrameFolder, VideoFile, open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from tests.conftest import CHECKOUT
@@ -210,7 +211,7 @@ def test_discover_finds_clips_at_any_depth_in_natural_order(tmp_path):
 
 def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
     """As of a link to `/`; the clips before it are no answer."""
-    monkeypatch.setattr(frames, "MOST_FOLDERS", 20)
+    monkeypatch.setattr(discovery, "MOST_FOLDERS", 20)
     for index in range(19):
         (tmp_path / "many" / f"{index}").mkdir(parents=True)
     make_folder(tmp_path / "many" / "0", (1, 2))

@@ -5,6 +5,7 @@ No frame is lost silently: one that can't be read comes as a `Frame` without an 
 
 import functools
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,16 +19,21 @@ from palpate.common.doors import plain
 from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
 from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.decoding import LARGEST_FPS, VideoTrack
-from palpate.data.source.images import printable, read_image
-from palpate.data.source.layout import ClipLayout, InputError, frame_files, read_clip_file
+from palpate.data.source.images import picture_size, printable, read_image
+from palpate.data.source.layout import (
+    ClipLayout,
+    InputError,
+    companion_folders,
+    frame_files,
+    read_clip_file,
+    stereo_pair,
+)
 from palpate.data.source.lerobot import file_of, name_in_data_set, span_of
 
 LEAST_FRAME_BYTES = 10
 """Smallest size of a frame in a file [bytes]; it bounds the number of frames that a header can announce."""
 LARGEST_FRAME_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
-LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
-"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +100,7 @@ class FrameSource(ABC):
 class Pictures(FrameSource):
     """A clip of single pictures whose numbers and time stamps are known before they are read."""
 
+    _notes: Sequence[str] = ()
     _numbers: Sequence[int]
     _times: Sequence[float]
 
@@ -111,7 +118,7 @@ class Pictures(FrameSource):
         raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
 
     def __iter__(self) -> Iterator[Frame]:
-        self.warnings, failed = [], 0
+        self.warnings, failed = [*self._notes], 0
         first, last = self._numbers[0], self._numbers[-1]
         known = zip(self._numbers, self._times, self._pictures(), strict=True)
         for index, (number, time_s, (file, found)) in enumerate(known):
@@ -152,10 +159,17 @@ class FrameFolder(Pictures):
             files = frame_files(folder, layout)
             if not files:
                 raise InputError(f"{printable(folder)} holds no frame images ({layout.image}); give one that does.")
+            _refuse_pairs(folder, [file for _, file in files])
             begin = self._times[-1] + 1 / self.fps if self._times else None
             self._times += _folder_times(folder, files, self.fps, begin)
             self.files += files
         _check_numbers(self.files)
+        patterns = " ".join(filter(None, (*layout.mask_patterns, layout.depth)))
+        unread = [each.name for each in companion_folders(path) if f"{each.name}/" not in patterns]
+        if unread:
+            self._notes = [
+                f"files in {' and '.join(map(plain, unread))} are not read; name them in a layout (--layout)"
+            ]
         self.length, self._numbers = len(self.files), [number for number, _ in self.files]
         self.size = self._first_size()
 
@@ -273,20 +287,6 @@ def halves(source: FrameSource, layout: ClipLayout) -> FrameSource:
     return Halves(source, layout.right == "side-by-side") if layout.halved else source
 
 
-def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
-    """(width, height) of a clip's pictures.
-
-    Raises:
-        InputError: they are too small, or too long for their height.
-    """
-    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
-        raise InputError(
-            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
-            f"and at most {LARGEST_ASPECT}:1."
-        )
-    return width, height
-
-
 def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, begin: float | None) -> Sequence[float]:
     """Time stamps of a folder's frames [s], starting at `begin` where other frames come before.
 
@@ -299,6 +299,15 @@ def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, b
     elif len(times) != len(files):
         raise InputError(f"{folder} has {len(files)} frames and its clip.json {len(times)} times; make them agree.")
     return times if begin is None else [begin + time_s - times[0] for time_s in times]
+
+
+def _refuse_pairs(folder: Path, files: Sequence[Path]) -> None:
+    """Raise an InputError where left and right pictures lie in one folder."""
+    pair = stereo_pair(files)
+    if pair is not None:
+        left, right = (re.sub(r"\d+(?=\D*$)", "{number}", file.name) for file in pair)
+        problem = f"holds left and right pictures ({pair[0].name}, {pair[1].name}); give a layout (--layout)"
+        raise InputError(f"{printable(folder)} {problem} with image: '{left}' and right: '{right}'.")
 
 
 def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from palpate.data.source.decoding import LARGEST_FPS
-from palpate.data.source.frames import Frame, FrameSource, VideoFile, picture_size
+from palpate.data.source.frames import Frame, FrameSource, VideoFile
+from palpate.data.source.images import picture_size
 from palpate.data.source.layout import InputError
 
 STALLED = 2.0

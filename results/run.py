@@ -101,7 +101,7 @@ class Batch:
         """Folders of clips' results, given out before several processes write into the same output."""
         self.providers: dict[str, str] = {}
         """What was said of where networks run."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
+        names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None

@@ -59,7 +59,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
     """
     record = store.read_record(folder)
     template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
-    files = [name for name in store.own_files(folder) if (folder / name).is_file()]
+    # A series of .vtu files is listed by its index.
+    files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
     shown = summary_of(folder) | more(folder, record) | {"template": template}
     shown["files"] = [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files]
     return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}

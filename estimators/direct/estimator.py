@@ -131,6 +131,7 @@ class DirectSession(RunSession):
             NoEstimate: fewer than three observations, or no noise level.
         """
         estimator, count = self.estimator, len(contact.observation)
+        within = self._within * contact.intervals
         noise = contact.noise if estimator.noise is None else estimator.noise
         if not (math.isfinite(noise) and noise > 0):
             raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
@@ -143,11 +144,11 @@ class DirectSession(RunSession):
         if estimator.thickness is not None:
             if not with_sequence:
                 raise NoEstimate("A slab needs the depth around the contact, and too few frames show it.")
-            return fit_slab(contact, estimator.thickness, self._within, estimator.noise)
+            return fit_slab(contact, estimator.thickness, within, estimator.noise)
         if estimator.observation != CONTACT and with_sequence:
-            found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
+            found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
         else:
-            problem = ContactProblem(contact, self.mechanics, noise, self._within)
+            problem = ContactProblem(contact, self.mechanics, noise, within)
             found = fit_contact(problem, problem.motion.box(estimator.log_box))
         return found, simulated_motion(contact, found, self.mechanics)
 

@@ -34,7 +34,8 @@ def outcome(frames: list[PreparedFrame], *, stored: bool = True) -> list[tuple[i
 def test_measurements_around_repeats_are_neighbours() -> None:
     found = list(bridge_gaps(clip([1, 1, None, None, 1]), True))
     assert [frame.frame.number for frame in found] == [0, 1, 4]
-    assert found[2].follows(1) and not found[2].follows(0)
+    assert found[2].follows(1)
+    assert not found[2].follows(0)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.3, 2])

@@ -10,6 +10,7 @@ alarm     whether the force has reached a limit (--force-limit)
 bag       forces and verdicts for ROS (--bag)
 vtu       deformation of a contact for ParaView and SOFA (--export)
 sequence  of a sequence beside a robot: particles in its frame
+agreement  frames' records, no surer than their contact says when it has ended
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py

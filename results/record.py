@@ -34,7 +34,7 @@ FORMAT_VERSION = 1
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
 WARNINGS: dict[str, str] = read_beside(__file__)
 """What the user should know about a clip's results, a sentence each."""
-PERSISTENT = ("unreadable", "no_mask", "bad_depth")
+PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
 

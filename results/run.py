@@ -397,7 +397,7 @@ def _kept(
 ) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
     for frame in stream:
-        frames.append(frame)
+        frames.extend((*frame.skipped, frame))
         yield frame
         done()
 

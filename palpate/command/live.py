@@ -49,7 +49,7 @@ WAITING, UNDECIDED = 1, 16
 LOOPBACK = "127.0.0.1"
 REMEMBERED = 1 << 16
 """So many frames' lateness counts."""
-NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask")
+NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated")
 """Statuses that later frames don't change."""
 MOST_UNSENT = 100
 """Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""

@@ -23,7 +23,7 @@ from av.video.reformatter import ColorTrc, Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
 from palpate.data.source.images import printable, require_pixels
-from palpate.data.source.interlace import LARGEST_OFFSET, FieldOffset, deinterlaced
+from palpate.data.source.interlace import LARGEST_OFFSET, FieldOffset, filtered
 from palpate.data.source.layout import InputError
 
 Kind = TypeVar("Kind")
@@ -178,7 +178,7 @@ class VideoTrack:
         size: width and height of the first picture; None where none can be decoded [px].
         fps: frame rate [1/s].
         length: expected number of frames; 0 = unknown.
-        parity: tff or bff of a video that is deinterlaced, else empty.
+        fields: name and options of FFmpeg's filter that deinterlaces, or removes the flag of what is not interlaced.
         notes: what is done to the pictures, and what is doubtful about them.
     """
 
@@ -196,7 +196,8 @@ class VideoTrack:
         """
         self.file, self.span, self.fps = file, span, fallback_fps
         self.size: tuple[int, int] | None = None
-        self.length, self.parity, self.notes = 0, "", []
+        self.length, self.notes = 0, []
+        self.fields: tuple[str, str] | None = None
         self._damage = _Damage()
         with opened(file) as (container, track):
             self._aspect = float(track.sample_aspect_ratio or 1)
@@ -224,11 +225,12 @@ class VideoTrack:
         self._set_rate(sorted(stamps - {None}))
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
+        self.fields = ("setfield", "prog") if flagged else None  # flagged frames are converted field by field
         if offset.value is None:
             if flagged or stored[1] in INTERLACED_HEIGHTS:
                 self.notes.append("too little moves in the frames examined to tell whether the video is interlaced")
         elif abs(offset.value) > LARGEST_OFFSET:
-            self.parity = "tff" if offset.value > 0 else "bff"
+            self.fields = "bwdif", f"send_frame:{'tff' if offset.value > 0 else 'bff'}:all"
             self.notes.append("interlaced: odd and even rows show different instants; the video is deinterlaced")
         if hdr:
             self.notes.append(f"colours are coded for high dynamic range ({hdr}) and read as standard ones")
@@ -278,14 +280,14 @@ class VideoTrack:
     def _picture(self, frame: av.VideoFrame, reformatter: VideoReformatter) -> np.ndarray:
         size = self._square(frame.width, frame.height)
         how = Interpolation.BILINEAR if size == (frame.width, frame.height) else Interpolation.BICUBIC
-        return _upright(reformatter.reformat(frame, *size, "rgb24", interpolation=how, threads=1).to_ndarray(), frame)
+        return _upright(reformatter.reformat(frame, *size, "rgb24", interpolation=how).to_ndarray(), frame)
 
     def __iter__(self) -> Iterator[Timed[np.ndarray | None]]:
         """RGB pictures, uint8 [H, W, 3], in order; None in place of a damaged one."""
         with opened(self.file) as (container, track):
             frames, reformatter = self._stored(container, track), VideoReformatter()
-            if self.parity:
-                frames = deinterlaced(frames, self.parity)
+            if self.fields:
+                frames = filtered(frames, *self.fields)
             for number, time_s, frame in numbered(((_time(frame), frame) for frame in frames), 1 / self.fps):
                 self._damage.pictures += frame.is_corrupt
                 yield Timed(number, time_s, None if frame.is_corrupt else self._picture(frame, reformatter))

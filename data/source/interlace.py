@@ -75,13 +75,16 @@ def filtered(frames: Iterable[av.VideoFrame], name: str, options: str) -> Iterat
     """Frames after one of FFmpeg's filters, as many as come in; it begins anew where their size changes."""
     graph, shape = None, None
     for frame in frames:
-        if shape != (shape := (frame.width, frame.height, frame.format.name)):
-            yield from () if graph is None else _pulled(graph, None)
-            graph, (width, height, kind) = Graph(), shape
-            buffer = graph.add_buffer(width=width, height=height, format=kind, time_base=frame.time_base)
+        if graph is None or shape != (frame.width, frame.height, frame.format.name):
+            if graph is not None:
+                yield from _pulled(graph, None)
+            graph, shape = Graph(), (frame.width, frame.height, frame.format.name)
+            width, height, unit = frame.width, frame.height, frame.time_base
+            buffer = graph.add_buffer(width=width, height=height, format=frame.format, time_base=unit)
             graph.link_nodes(buffer, graph.add(name, options), graph.add("buffersink")).configure()
         yield from _pulled(graph, frame)
-    yield from () if graph is None else _pulled(graph, None)
+    if graph is not None:
+        yield from _pulled(graph, None)
 
 
 def _pulled(graph: Graph, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:

@@ -5,7 +5,7 @@
     python -m estimators.network.light_calibration --model contact.onnx --one-graph --output press.onnx
 
 The first adds what `train.py fit -c configs/light.yaml` wrote to a file of `estimators.network.calibration`. The second
-calibrates such a file by results of `evaluation.plain_video --estimator network` with it: what the drawn sequences
+calibrates such a file by results of `benchmarks.plain_video --estimator network` with it: what the drawn sequences
 don't have (coders, cameras, other laws of light) shifts its means and widens its covariances, by as much as on
 validation videos. Their truth is used for this and nothing else; no weight of the network changes. The third writes
 what `estimators.network.causal_graph` makes of a file that ships: presses by their light, frame by frame, for programs
@@ -45,7 +45,7 @@ def calibration_of(model: Path, folders: Sequence[Path]) -> LightCalibration:
 
     Args:
         model: the file with which they were made.
-        folders: output folders of `evaluation.plain_video`.
+        folders: output folders of `benchmarks.plain_video`.
 
     Raises:
         ValueError: results of another file, none that can be read, or too few.
@@ -53,7 +53,7 @@ def calibration_of(model: Path, folders: Sequence[Path]) -> LightCalibration:
     digest = file_sha256(model)
     for folder in folders:
         if read_mapping(folder / RECORD, "a record of an evaluation").get("model_sha256") != digest:
-            raise ValueError(f"{folder} was not made with {model}; run evaluation.plain_video with that file.")
+            raise ValueError(f"{folder} was not made with {model}; run benchmarks.plain_video with that file.")
     known = [row for row in rows_in(folders) if row.get("explained")]
     errors, sds = (
         np.array([[row[f"{name}_{end}"] for name in QUANTITIES] for row in known]).reshape(-1, len(QUANTITIES))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.recovery.trial import observed_contacts
 from palpate.data.contact import depth_change as changes
 from palpate.data.contact.dents import EARLIER, EARLY, LATE, MIN_REST, RECOVERS, DentContacts
 from palpate.data.contact.depth_sequence import REACH
@@ -21,7 +22,6 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
 from palpate.data.tracks.following import Shown
 from palpate.estimators.contract import ClipInfo
-from palpate.evaluation.recovery.trial import observed_contacts
 from tests.data.clips import make_clip
 
 UNSEEN = SceneSettings(width=214, height=120, frames=36, tool_in_view=False, depth_noise=0.001)

@@ -1,0 +1,211 @@
+"""Measures on drawn clips what the fits' own models get wrong, and writes `estimators/model_errors.yaml`.
+
+    python -m benchmarks.model_errors --part grip --clips 24 --seed 9201
+
+The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
+their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
+root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
+them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
+leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
+video takes presses in RGB videos, facing and oblique (`benchmarks.plain_video`, fifteen seconds a clip), in turns by
+either law of light. Of video it also measures by how much both ratios' errors grow with the damping ratio, which the
+fit subtracts.
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from rich.console import Console
+from scipy.optimize import least_squares
+
+from benchmarks.harness import Row
+from benchmarks.plain_video import PlainVideo, measured_video
+from benchmarks.recovery.suites import LARGEST_SEED, suite_clip_seed
+from benchmarks.recovery.trial import Trial, run_trial
+from palpate.common.command_line import progress_bars, say
+from palpate.common.files import replacing
+from palpate.common.options import options, require_within
+from palpate.common.robust import median_sd
+from palpate.common.settings import LARGEST
+from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
+from palpate.estimators.model_errors import FILE, read_entries
+from palpate.estimators.open import EstimatorOptions
+from palpate.models.calibration_fit import mean_squares
+
+SPLIT = "validation"
+VIDEO = "video"
+PARTS = {"grip": ("retraction", "foundation", "regions"), VIDEO: (VIDEO, "video-oblique")}
+"""Suites of every part."""
+DIRECT = "direct"
+LOOKS: tuple[Literal["matte", "endoscope"], ...] = ("matte", "endoscope")
+"""By which laws plain videos are drawn, in turns."""
+ENDS = "error", "sd", "model_sd"
+"""What a plain video's row has of a quantity."""
+ENOUGH = 20
+"""So many clips change a value: a standard deviation is then known to a sixth."""
+HEAD = (
+    "# What a fit's own model gets wrong: standard deviations, of natural logarithms where nothing else is said, and\n"
+    "# the thresholds that go with them. `python -m benchmarks.model_errors` measures them and writes this file.\n"
+)
+
+Errors = dict[str, list[tuple[float, float]]]
+"""By entry: errors of the clips, and the variances that their residuals tell."""
+Slopes = dict[str, float]
+"""By entry: of its errors along another quantity."""
+Entries = dict[str, dict[str, Any]]
+"""Of the file, by name."""
+
+
+def model_sd(off: float, residual: float) -> float:
+    """Standard deviation that is left of root mean square errors where residuals tell some, to two digits."""
+    left = math.sqrt(max(off**2 - residual**2, 0.0))
+    return float(f"{left:.2g}")
+
+
+def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
+    """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
+
+    Args:
+        rows: of clips.
+        values: standard deviations that the estimates counted, by entry.
+
+    Returns:
+        Errors, and slopes of those that grow with something, which these don't.
+    """
+    found: Errors = {}
+    for row in rows:
+        if "foundation" not in row or "force" not in row:
+            continue
+        # The largest error of a model that an interval has room for is the one that it counts.
+        kinds = ("as_seen", "uneven", "measured")
+        kind = next((kind for kind in kinds if row["foundation"][2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
+        for quantity, (true, log, sd, *_) in ((name, row[name]) for name in ("foundation", "force")):
+            name = f"{quantity}_{kind}"
+            if name in values:
+                found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
+    return found, {}
+
+
+def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
+    """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `grip_errors`.
+
+    A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
+    (`estimators.direct.brightness_fit`); by that factor errors are divided. Both ratios' errors go along with log ζ,
+    times the square of what is left: the slope of that is what their entries `…_slope` take off.
+    """
+    known, found, slopes = [row for row in rows if row.get("explained")], {}, {}
+    if not known:
+        return found, slopes
+    left = np.square(np.array([row["left"] for row in known]) / USUALLY_LEFT)
+    # As it seemed before anything was taken off.
+    seemed = np.array([row["log_damping_ratio"] for row in known]) / (1 - values["brightness_damping_slope"] * left)
+    quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness", "scale": "stiffness"}
+    for kind, quantity in quantities.items():
+        error, sd, counted = np.array([[row[f"{quantity}_{end}"] for end in ENDS] for row in known]).T
+        name, slope = f"brightness_{kind}", f"brightness_{kind}_slope"
+        factor, along = counted / values[name], left * seemed
+        if slope in values:
+            error = error + values[slope] * along
+            slopes[slope] = steepness(along, error, factor)
+            error = error - slopes[slope] * along
+        found[name] = list(zip(error / factor, (sd**2 - counted**2) / factor**2, strict=True))
+    return found, slopes
+
+
+def steepness(along: np.ndarray, errors: np.ndarray, sds: np.ndarray) -> float:
+    """Slope of errors [N] along a quantity [N], of which a few may be far off, to two digits; sds are in proportion."""
+    scale = max(median_sd(errors / sds), 1e-9)
+    found = least_squares(lambda slope: (errors - slope * along) / (sds * scale), 0.0, loss="soft_l1").x[0]
+    return float(f"{found:.2g}")
+
+
+def updated(entries: Entries, errors: Errors, slopes: Slopes, command: str, date: str) -> Entries:
+    """Entries with what was measured; their values are that where enough clips were."""
+    found = {name: dict(entry) for name, entry in entries.items()}
+    for name, pairs in errors.items():
+        errors_of, variances = np.transpose(pairs)
+        off, stated = (float(f"{math.sqrt(mean):.3g}") for mean in mean_squares(errors_of, variances))
+        measured = {"off": off, "stated": stated, "sd": model_sd(off, stated), "clips": len(pairs)}
+        found[name]["measured"] = measured | {"command": command, "date": date}
+        if len(pairs) >= ENOUGH:
+            found[name] |= {"value": measured["sd"], "source": "measured"}
+    for name, slope in slopes.items():
+        clips = len(errors[name.removesuffix("_slope")])
+        found[name]["measured"] = {"slope": slope, "clips": clips, "command": command, "date": date}
+        if clips >= ENOUGH:
+            found[name] |= {"value": slope, "source": "measured"}
+    return found
+
+
+def write_entries(path: Path, entries: Entries) -> None:
+    """Write the file."""
+    with replacing(path) as partial:
+        text = yaml.safe_dump(entries, sort_keys=False, width=110, allow_unicode=True)
+        partial.write_text(HEAD + text, encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """What is measured."""
+
+    part: Literal["grip", "video"]
+    """whose errors"""
+    seed: int
+    """of the clips"""
+    clips: int = 24
+    """clips of each suite"""
+    output: Path = FILE
+    """the file (default: that of the estimators)"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST))
+
+    @property
+    def wanted(self) -> list[tuple[str, int]]:
+        """Suites and numbers of the clips."""
+        return [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure a part; returns the exit status."""
+    asked: ModelErrors = options(ModelErrors, arguments, "benchmarks.model_errors", __doc__)
+    console = Console(stderr=True)
+    entries = read_entries(asked.output if asked.output.exists() else FILE)
+    values = {name: float(entry["value"]) for name, entry in read_entries().items()}
+    rows: list[Row] = []
+    with progress_bars(console) as progress:
+        bar = progress.add_task("clips", total=len(asked.wanted))
+        for suite, index in asked.wanted:
+            seed = suite_clip_seed(SPLIT, asked.seed, index)
+            if asked.part == VIDEO:
+                drawn = PlainVideo(asked.output, suite=suite, look=LOOKS[index % len(LOOKS)])
+                rows.append(measured_video(drawn.settings, seed))
+            else:
+                rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, threads=1)}}))
+            progress.advance(bar)
+    errors, slopes = {"grip": grip_errors, VIDEO: video_errors}[asked.part](rows, values)
+    if not errors:
+        say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
+        return 1
+    command = f"python -m benchmarks.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
+    write_entries(asked.output, updated(entries, errors, slopes, command, datetime.date.today().isoformat()))
+    for name, pairs in errors.items():
+        say(console, f"{name}: {len(pairs)} clips")
+    say(console, f"written: {asked.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -102,6 +102,11 @@ def load_program(module: str) -> ModuleType:
         signal.signal(signal.SIGINT, before)
 
 
+def program() -> str:
+    """Name of the running program as it was typed, such as `infer.py` or `palpate infer`."""
+    return os.path.basename(sys.argv[0])
+
+
 def by_interrupt(error: BaseException | None) -> bool:
     """Whether an interruption stands at the beginning of what went wrong."""
     while error is not None and not isinstance(error, KeyboardInterrupt):

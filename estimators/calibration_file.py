@@ -1,7 +1,7 @@
 """The file of `infer.py --calibration`: what is known in newtons, and what was measured to compare with.
 
-Two kinds are read: this program's own (fields of `CalibrationFile`), and calibration.json of `calibrate.py palpation`
-with a sheet's thickness in it.
+Two kinds are read: this program's own (fields of `CalibrationFile`), and calibration.json of
+`palpate calibrate palpation` with a sheet's thickness in it.
 
 The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and F
 is c·F. A property that contacts share gives c elsewhere: either the mass of a vertex, as in the simulator (Bini 2026,
@@ -316,7 +316,7 @@ class CalibrationFile:
     """Its standard deviation."""
     stiffness_unit: Literal["N/m", "N/scene unit"] = "N/m"
     palpation: str | None = None
-    """calibration.json or curves.csv of calibrate.py, next to this file: E, of which k_s is three quarters, times
+    """calibration.json or curves.csv of palpate calibrate, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: float | None = None
     """Of the sheet that the tissue's surface is [m]."""
@@ -457,7 +457,7 @@ def read_calibration(path: Path) -> Calibration:
         if "thickness_m" not in values:
             raise InputError(
                 f"{printable(path)} holds no thickness_m, without which E tells no stiffness of a sheet; give "
-                "calibrate.py palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
+                "palpate calibrate palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
             )
         values = {"palpation": path.name, "thickness_m": values["thickness_m"]}
     given = from_mapping(CalibrationFile, values, printable(path))

@@ -20,7 +20,7 @@ MOST_BYTES = 2**24
 
 
 def palpated_young(path: Path) -> tuple[float, float]:
-    """E [Pa] and the standard deviation of its logarithm from what calibrate.py wrote.
+    """E [Pa] and the standard deviation of its logarithm from what palpate calibrate wrote.
 
     Raises:
         InputError: the file tells neither.
@@ -34,7 +34,7 @@ def palpated_young(path: Path) -> tuple[float, float]:
     if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
         raise InputError(
             f"{printable(path)} holds no E with an interval ({', '.join(names)}); give calibration.json of "
-            "calibrate.py palpation."
+            "palpate calibrate palpation."
         )
     young, low, high = (float(values[name]) for name in names)
     return young, abs(math.log(high / low)) / (2 * NINETY)
@@ -42,13 +42,13 @@ def palpated_young(path: Path) -> tuple[float, float]:
 
 def _of_curves(path: Path) -> tuple[float, float]:
     """Mean of log E over probes of one piece of tissue, and how well that is known."""
-    give = "give curves.csv of calibrate.py curves --indenter … --size …"
+    give = "give curves.csv of palpate calibrate curves --indenter … --size …"
     try:
         text = io.StringIO(read_file(path, MOST_BYTES).decode("utf-8-sig"), newline="")
         rows = [row for row in csv.DictReader(text) if row["unit"] == "kPa"]
         found = np.array([[float(row[name]) for name in ("value", "low", "high")] for row in rows]).reshape(-1, 3)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{printable(path)} is no table of calibrate.py; {give}.") from error
+        raise InputError(f"{printable(path)} is no table of palpate calibrate; {give}.") from error
     if not len(found) or not (np.isfinite(found) & (found > 0)).all():
         raise InputError(f"{printable(path)} holds no modulus in kPa, or one that can't be; {give}.")
     logs = np.log(1000 * found)

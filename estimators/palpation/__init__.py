@@ -17,7 +17,7 @@ presses     what such a sequence shows: the surface at rest, and each press's la
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.estimators.palpation.curves": ("Hold", "Probe", "read_hold", "read_probes"),
         "palpate.estimators.palpation.indentation": ("Indenter", "fit_indentation"),

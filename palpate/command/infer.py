@@ -11,6 +11,7 @@ import argparse
 from palpate.common.command_line import add_listed, path_option, real_number, whole_number
 from palpate.common.files import read_beside
 from palpate.common.onnx_devices import DEVICES
+from palpate.common.provenance import __version__
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.depth.preset import preset_names
@@ -19,7 +20,6 @@ from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.network.estimator import RATES
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
-from palpate.results.record import program_version
 from palpate.results.run import run
 from palpate.results.scene.scene import FORMATS
 from palpate.results.store import BAGS
@@ -70,5 +70,5 @@ def _parser() -> argparse.ArgumentParser:
     texts = read_beside(__file__)
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
     add_listed(parser, texts["options"], TYPES, CHOICES, presets=", ".join(preset_names()), smoothing=SMOOTHING)
-    parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
+    parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     return parser

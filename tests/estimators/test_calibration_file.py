@@ -124,7 +124,7 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
         ({"measured": "no.csv"}, "no.csv is no table of forces"),
         ({"palpation": "no.json", "thickness_m": 0.1}, "no.json can't be read as a palpation's calibration.json"),
-        ({"palpation": "no.csv", "thickness_m": 0.1}, "no.csv is no table of calibrate.py"),
+        ({"palpation": "no.csv", "thickness_m": 0.1}, "no.csv is no table of palpate calibrate"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, fields: dict[str, Any], told: str) -> None:

@@ -89,7 +89,7 @@ def _pair(known: Mapping[str, Any]) -> dict[str, Any]:
 def _beside(rotation: Any, translation: Any) -> dict[str, Any]:
     """Where the right camera is."""
     moved = np.array(_numbers(translation, 3))
-    metres = moved / 1000 if np.linalg.norm(moved) > LARGEST_BASELINE else moved
+    metres = moved / 1000 if np.abs(moved).max() > LARGEST_BASELINE else moved
     return {"rotation": _numbers(rotation, 9), "translation": metres.tolist()}
 
 

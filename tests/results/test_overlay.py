@@ -94,7 +94,7 @@ def test_notes_say_what_the_numbers_cannot() -> None:
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
     ]
     assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1))) == [
-        "Stiffness, damping and force are determined.",
+        "Stiffness, damping and force are determined; ± is the 90 % interval.",
         f"Unit: {UNITS['stiffness']}.",
     ]
     assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == ["0 tool pixels."]

@@ -185,8 +185,8 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     at, far = _far(contact, run.simulated, estimate.noise)
     tracked = np.isfinite(contact.along).any()
     if tracked:
-        error = {"yerr": NINETY * estimate.noise, "label": "observed, 90 % interval of the noise"}
-        axes.errorbar(times, sign * contact.along, fmt="o", ms=5, color=OBSERVED, **error)
+        half, name = NINETY * estimate.noise, "observed, 90 % interval of the noise"
+        axes.errorbar(times, sign * contact.along, half, fmt="o", ms=5, color=OBSERVED, label=name)
     label = f"simulated with the fit{'' if tracked else ' to the shading, which observes no displacement'}"
     axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label=label)
     if far.any():

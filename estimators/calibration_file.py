@@ -316,7 +316,7 @@ class CalibrationFile:
     """Its standard deviation."""
     stiffness_unit: Literal["N/m", "N/scene unit"] = "N/m"
     palpation: str | None = None
-    """calibration.json or curves.csv of palpate calibrate, next to this file: E, of which k_s is three quarters, times
+    """calibration.json of `palpate calibrate`, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: float | None = None
     """Of the sheet that the tissue's surface is [m]."""

@@ -28,7 +28,8 @@ from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
-from palpate.data.source.frames import discover, name_of, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
@@ -100,7 +101,7 @@ class Batch:
         """Folders of clips' results, given out before several processes write into the same output."""
         self.providers: dict[str, str] = {}
         """What was said of where networks run."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
+        names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None

@@ -228,9 +228,7 @@ class ClipResults:
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
             rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
-            # Of a slab |F| over stiffness is no length.
-            length = None if "thickness" in record.get("estimator", {}) else self.length
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

@@ -555,7 +555,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (["--depth", "depthpro"], "--depth-model"),
         (
             ["--model", "parameters.onnx"],
-            "--estimator direct needs no network; give --model fem, or leave --model parameters.onnx out.",
+            "--estimator direct needs no network; leave --model parameters.onnx out.",
         ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
@@ -593,7 +593,6 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         ["--noise", "0"],
         ["--noise", "much"],
         ["--smoothing", "-1"],
-        ["--thickness", "0"],
         ["--force-limit", "0"],
         ["--shaft-diameter", "0.005"],
         ["--shaft-diameter", "5000"],

@@ -42,7 +42,6 @@ TYPES = {
     "jobs": whole_number(1, MOST_THREADS),
     "path": path_option,
     "threads": whole_number(0, MOST_THREADS),
-    "thickness": real_number("a thickness; give a positive length", 1e-6),
     "diameter": real_number("a shaft's diameter; give 1 to 30 mm, such as 5 or 8", 1.0, 30.0),
     "limit": real_number("a limit of force; give a positive number", 1e-9),
     "pixels": real_number("a width in pixels; give 0 or more", 0.0),

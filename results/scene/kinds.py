@@ -2,7 +2,6 @@
 
 press      a sheet of springs under a force
 pull       a sheet on a foundation, from which an instrument pulls
-slab       finite elements beneath tissue, under a force
 palpation  a palpated body of finite elements, at rest under a force
 field      particles of the online estimator, as they were known last
 """
@@ -14,7 +13,6 @@ from scipy.spatial import Delaunay
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import fitted_press
-from palpate.estimators.direct.slab_motion import DENSITY, LAW, PATCH, POISSON, TOLERANCE
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import lattice_springs
@@ -23,7 +21,7 @@ from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics import fem
 from palpate.physics.fem.curved import bent
-from palpate.physics.fem.solid import EDGES, EIGHTHS, Solid, outer_faces
+from palpate.physics.fem.solid import EIGHTHS, Solid, outer_faces
 from palpate.physics.load import Press
 from palpate.physics.mechanics import PARAMETERS, SCHEMES, Mechanics
 from palpate.physics.mesh import Mesh
@@ -52,8 +50,6 @@ def scene_of(run: InteractionEstimate) -> Scene:
         return _field(run.field)
     if run.grip is not None and run.main_estimate is run.grip:
         return _pull(run.grip)
-    if found is not None and contact is not None and found.slab is not None:
-        return _slab(found, contact)
     if found is None or contact is None or run.mechanics is None:
         raise NoEstimate("No sheet of springs was fitted.")
     return _press(found, contact, run.mechanics)
@@ -65,7 +61,7 @@ def simulated(scene: Scene) -> np.ndarray:
     Raises:
         NoEquilibrium: finite elements can't bear the load, as with other numbers than were estimated.
     """
-    moves = _pressed, _pulled, _dented, _rested, _driven
+    moves = _pressed, _pulled, _rested, _driven
     return dict(zip(KINDS, moves, strict=True))[scene.kind](scene)
 
 
@@ -136,19 +132,6 @@ def _pulled(scene: Scene) -> np.ndarray:
     return found.displacement.reshape(len(gripped), -1, 3).swapaxes(0, 1)
 
 
-def _slab(found: Estimate, contact: Interaction) -> Scene:
-    motion, fine, force = found.slab, found.slab.fine, float(found.theta[2])
-    shares = fine.patch(PATCH, motion.place)
-    linear, factor = np.zeros(len(shares)), fitted_press(contact, found, motion.step, motion.longest).factor
-    linear[: len(motion.slab.solid.rest)] = motion.slab.patch(PATCH, motion.place)
-    nodes = np.flatnonzero(shares)
-    press = Press(nodes, shares[nodes], np.asarray(contact.direction, np.float64), factor)
-    values = _theta(found) | _load(press, force, len(shares)) | _shape(fine.solid, fine.held, LAW)
-    values |= {"load_linear": linear, "poisson": POISSON, "density": DENSITY, "time_step": motion.step}
-    values["damping"] = values["damping"] / DENSITY
-    return make_scene("slab", **values)
-
-
 def palpation_scene(found: MaterialFit, number: int) -> Scene:
     """That of a palpation, counted from 0, of a fit that determines E."""
     rest, half = found.rests[number], NINETY * np.array([0.0, -1.0, 1.0])
@@ -169,27 +152,6 @@ def _solids(scene: Scene) -> list[Solid]:
         fem.make_solid(points[: elements[:, 4:].min()], elements[:, :4], order=order) for order in (1, 2)
     )
     return [linear, bent(straight, points - straight.rest)]
-
-
-def _dented(scene: Scene) -> np.ndarray:
-    """As `SlabMotion` has it: linear elements by the law, and what quadratic ones change in small motions."""
-    parts, press, elements, (linear, quadratic) = scene.parts, scene.press, scene.parts["elements"], _solids(scene)
-    inertia = fem.Inertia(scene.number("density"), scene.number("damping"))
-    step, how = scene.number("time_step"), {"force": scene.number("force"), "tolerance": TOLERANCE}
-
-    def followed(solid: Solid, law: str, load: Press) -> np.ndarray:
-        held = np.repeat(parts["held"][: len(solid.rest)] > 0, 3, axis=1)
-        material = fem.Material(law, scene.number("stiffness"), scene.number("poisson"))
-        return fem.simulate(solid, material, held, load, step, inertia=inertia, **how).displacement[1:]
-
-    nodes = parts["load_linear"].nonzero()[0]
-    corners = Press(nodes, parts["load_linear"][nodes, 0], press.direction, press.factor)
-    change = followed(linear, fem.LAWS[scene.number("law")], corners) - followed(linear, "linear", corners)
-    found = followed(quadratic, "linear", press)
-    found[:, : change.shape[1]] += change
-    middles, first = np.unique(elements[:, 4:], return_index=True)
-    found[:, middles] += change[:, elements[:, EDGES].reshape(-1, 2)[first]].mean(axis=2)
-    return found
 
 
 def _rested(scene: Scene) -> np.ndarray:

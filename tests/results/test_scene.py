@@ -10,20 +10,17 @@ import numpy as np
 import pytest
 
 from palpate.estimators.direct.estimator import fitted_press
-from palpate.estimators.direct.slab_motion import DENSITY, SlabMotion
-from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.palpation import FitSettings, fit_material
 from palpate.estimators.records import InteractionEstimate
-from palpate.physics.fem.slab import slab_beneath
 from palpate.physics.fem.solid import qualities
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS, Mechanics
 from palpate.results.scene.files import read_scene, scene_text
 from palpate.results.scene.kinds import palpation_scene, scene_of, simulated
 from palpate.results.scene.scene import FORMATS, Scene
-from tests.estimators.direct import slabs
 from tests.estimators.estimates import CONTACT, COVARIANCE, GOOD, MECHANICS, NONE, THETA
 from tests.estimators.grip.test_recorder import run as pulled_run
 from tests.estimators.online.test_driven import CAMERA, GEOMETRY, driven, first_frame
@@ -75,20 +72,6 @@ def _pull() -> Known:
     return Known(scene_of(dataclasses.replace(NONE, grip=found)), np.pad(found.sheet.moved, ((0, 0), (0, 0), (0, 1))))
 
 
-def _slab() -> Known:
-    """At nodes of the surface on its pixels, when frames show them."""
-    contact, under = slabs.contact_of(), (slabs.MESH, slabs.VERTEX, slabs.NORMAL, slabs.THICKNESS, (6, 6, 2))
-    coarse, fine = (slab_beneath(*under, order=order) for order in (1, 2))
-    theta, corners = np.array(slabs.THETA) * (1, 1, 0.3), coarse.top[1:-1, 1:-1]
-    columns, rows = np.meshgrid(coarse.columns[1:-1], coarse.rows[1:-1], indexing="ij")
-    pixels = np.stack([rows.ravel(), columns.ravel()], axis=1)
-    motion = SlabMotion(contact, coarse, pixels, slabs.TIMES, fine=fine, place=(17.4, 15.8))
-    found = Estimate(theta, COVARIANCE, misfit=1.0, largest_misfit=1.5, slab=motion)
-    run = dataclasses.replace(NONE, interaction=contact, estimate=found)
-    when = np.rint(slabs.TIMES / motion.step).astype(int) - 1
-    return Known(scene_of(run), motion.at(np.log(np.abs(theta)))[0], corners.ravel(), when)
-
-
 def _palpation() -> Known:
     found = fit_material(*BODY.skin(4, BODY.size / 20), [observed(1.0)], FitSettings())
     return Known(palpation_scene(found, 0), found.rests[0].displacement[None])
@@ -118,7 +101,7 @@ def _learnt() -> Known:
     return _field(0.15, "PBD-RM-ON")
 
 
-CASES = [*PRESSES, "pull", "slab", "palpation", "field", "volume", "learnt"]
+CASES = [*PRESSES, "pull", "palpation", "field", "volume", "learnt"]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -139,7 +122,6 @@ def test_the_motion_comes_back_within_a_hundredth(name: str, tmp_path: Path) -> 
     [
         ("patch", "stiffness"),
         ("pull", "foundation"),
-        ("slab", "damping"),
         ("palpation", "stiffness"),
         ("learnt", "stiffness"),
     ],
@@ -153,7 +135,7 @@ def test_other_numbers_move_otherwise(name: str, part: str) -> None:
 def test_what_is_estimated_has_its_interval() -> None:
     """Ends of 90 %, of what is determined; the rest is said by conventions and flags."""
     half = np.exp(NINETY * np.sqrt(np.diag(COVARIANCE))[:, None] * [[-1, 1], [-1, 1], [1, -1]])
-    for name, theta in (("step", THETA), ("slab", np.array(slabs.THETA) * (1, 1 / DENSITY, 0.3))):
+    for name, theta in (("step", THETA),):
         spread = np.concatenate([known(name).scene.parts[each] for each in PARAMETERS])
         np.testing.assert_allclose(spread, theta[:, None] * np.hstack([np.ones((3, 1)), half]), rtol=1e-12)
     pull, learnt, palpation = (known(name).scene.parts for name in ("pull", "learnt", "palpation"))
@@ -245,7 +227,7 @@ COMPONENTS = {
 """Of SOFA 24.06 and later, with those of their attributes that scenes give, by its documentation."""
 
 
-@pytest.mark.parametrize("name", ["patch", "pull", "slab", "palpation", "field", "volume"])
+@pytest.mark.parametrize("name", ["patch", "pull", "palpation", "field", "volume"])
 def test_sofa_knows_every_component_and_attribute(name: str) -> None:
     root, parts = sofa(name), known(name).scene.parts
     for component in root.findall("Node/*"):
@@ -258,7 +240,7 @@ def test_sofa_knows_every_component_and_attribute(name: str) -> None:
         assert numbers(root, "TetrahedronFEMForceField", "youngModulus") == parts["stiffness"][0, 0]
 
 
-@pytest.mark.parametrize("name", ["patch", "pull", "slab", "palpation", "field", "volume"])
+@pytest.mark.parametrize("name", ["patch", "pull", "palpation", "field", "volume"])
 def test_usd_and_vtk_themselves_read_the_scene(name: str, tmp_path: Path) -> None:
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     vtk = pytest.importorskip("vtk", reason="vtk is not installed")

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from palpate.data.source.camera import Rig, clip_camera
-from palpate.data.source.frames import FrameSource, discover, halves, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import FrameSource, halves, open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.estimators.known_force import force_reader
 from tests.data.bags import RATE, write_bag

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,18 +32,16 @@ from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.plots import write_figure
-from palpate.results.scene.files import scene_text
-from palpate.results.scene.kinds import palpation_scene
-from palpate.results.scene.scene import FORMATS
 from palpate.results.store import OutputError, make_output, writing
 from palpate.results.surface_plot import draw_surface_errors
+from palpate.results.vtu import palpation_deformation, write_series
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PALPATION = ("calibration.json", "errors.csv", "errors.png")
 TYPES = {"path": path_option, "size": real_number("a positive number", 1e-6)}
-CHOICES = {"kinds": ("palpation",), "scenes": tuple(FORMATS)}
+CHOICES = {"kinds": ("palpation",)}
 """What calibrate.yaml calls types and choices."""
 
 
@@ -98,9 +97,11 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     with writing(output), replacing_own(output / PALPATION[2]) as partial:
         write_figure(partial, _picture(scene, found))
     names = list(PALPATION)
-    for number in range(len(found.rests) if options.export is not None and not nothing else 0):
-        names.append(f"scene_{number + 1}.{FORMATS[options.export]['ending']}")
-        _write(output, names[-1], scene_text(palpation_scene(found, number), options.export))
+    with TemporaryDirectory() as folder:
+        for number in range(len(found.rests) if options.export and not nothing else 0):
+            for name in write_series(Path(folder), f"scene_{number + 1}", palpation_deformation(found, number)):
+                _write(output, name, (Path(folder) / name).read_bytes())
+                names.append(name)
     say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
@@ -131,7 +132,7 @@ def _errors(scene: Scene, found: MaterialFit) -> str:
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
-def _write(output: Path, name: str, text: str) -> None:
+def _write(output: Path, name: str, content: str | bytes) -> None:
     make_output(output)
     with writing(output):
-        write_own(output / name, text)
+        write_own(output / name, content)

@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.calibration_file import MASS, SHEET_FACTOR, STIFFNESS, Calibration, ClipLength, read_calibration
+from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS, ClipLength
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
@@ -101,9 +102,8 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({**FORCE, "force_N": -1.0}, "force_N is -1.0; give a positive number."),
         ({**FORCE, "force_sd_N": -1.0}, "force_sd_N is -1.0; give 0 or more."),
         ({**FORCE, "known_s": [0, 1]}, "force_N and known_s each tell newtons; give one."),
-        ({"known_s": [0, 1]}, "known_s and rest_s are parts of measured; give that."),
+        ({"known_s": [0, 1]}, "known_s is a part of measured; give that."),
         ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
-        ({"measured": "forces.csv", "rest_s": [0, 1]}, "rest_s needs known_s, whose dents tell the scale."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
         (STIFF | {"homogeneous": "stiffness"}, "homogeneous is for a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),

@@ -180,7 +180,7 @@ def test_imports_go_downwards(room: str) -> None:
         for module, path in modules().items()
         if room_of(module) == room
         for name in sorted(imported(path))
-        if name.split(".")[0] in ("infer", "train", "calibrate", "plan", "tests", *FLOORS)
+        if name.split(".")[0] in ("infer", "train", "tests", *FLOORS)
         and (not is_inside(name, "palpate") or room_of(name) not in FLOORS[room] | {room})
     ]
     assert upward == []

@@ -14,7 +14,7 @@ sequence  of a sequence beside a robot: particles in its frame
 agreement  frames' records, no surer than their contact says when it has ended
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
-plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
+plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of palpate calibrate
 overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
 field_file  stiffness in fields.npz
 """

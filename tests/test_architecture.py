@@ -182,7 +182,7 @@ def test_imports_go_downwards(room: str) -> None:
         for module, path in modules().items()
         if room_of(module) == room
         for name in sorted(imported(path))
-        if name.split(".")[0] in ("infer", "train", "calibrate", "plan", "tests", *FLOORS)
+        if name.split(".")[0] in ("infer", "train", "tests", *FLOORS)
         and (room_of(name) not in FLOORS[room] | {room} or not name.startswith(("palpate", "benchmarks")))
     ]
     assert upward == []

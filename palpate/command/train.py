@@ -35,7 +35,7 @@ from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
-from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
+from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
@@ -109,7 +109,7 @@ class SentenceParser(LightningArgumentParser):
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
         missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = "train.py {fit,validate,test,export} --help lists all options"
+        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
         remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
         raise UsageError(f"{sentence}; {remedy}.") from ex
 
@@ -359,7 +359,7 @@ def fit_part(name: str, arguments: list[str]) -> None:
         arguments: command line after `fit`.
     """
     settings_class, train, weights = PARTS[name]
-    parser = SentenceParser(prog="train.py fit", description=f"Train the {name} posterior.", allow_abbrev=False)
+    parser = SentenceParser(prog=f"{program()} fit", description=f"Train the {name} posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
     parser.add_class_arguments(settings_class, name)
     chosen = parser.parse_args(arguments)
@@ -412,5 +412,5 @@ def main(arguments: list[str] | None = None) -> int:
         return INTERRUPTED
     else:
         return 0
-    print(plain(f"train.py: {said}"), file=sys.stderr)
+    print(plain(f"{program()}: {said}"), file=sys.stderr)
     return status

@@ -3,9 +3,8 @@
     python -m benchmarks.recovery --suite clean --estimator direct --clips 60 --seed 0 --output runs/benchmark
 
 Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
-continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv and details.csv
-(see `benchmarks.recovery.details`). A clip that can't be estimated is counted and shown. In table.csv
-constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
+continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv. A clip
+that can't be estimated is counted and shown. In table.csv constant_rmse_log is the error of the best constant for exactly the clips of a row; the estimator constant, whose θ is
 the mean over another split, can't reach it.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
@@ -29,7 +28,6 @@ from typing import Any, ClassVar, Literal
 from rich.progress import Progress
 
 from benchmarks.harness import OK, Experiment, Report, Row, run
-from benchmarks.recovery.details import detail_table
 from benchmarks.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from benchmarks.recovery.grips import grip_table
 from benchmarks.recovery.scores import Scores, score_all, table
@@ -90,7 +88,7 @@ class Benchmark(Experiment):
 
     keys: ClassVar = ("suite", "index", "estimator")
     work: ClassVar = staticmethod(run_trial)
-    writes: ClassVar = ("table.csv", "details.csv", "grips.csv")
+    writes: ClassVar = ("table.csv", "grips.csv")
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
@@ -180,8 +178,8 @@ class Benchmark(Experiment):
         found = [rows[key] for key in order if key in rows]
         presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
         judged = score_all(presses, self.bound, self.onset)
-        tables = {"table.csv": table(judged), "details.csv": detail_table(judged)} if judged else {}
-        shown = [frame[frame["n"] > 0] for frame in list(tables.values())[:1]]
+        tables = {"table.csv": table(judged)} if judged else {}
+        shown = [frame[frame["n"] > 0] for frame in tables.values()]
         if grips:
             tables["grips.csv"] = grip_table(grips)
             shown.append(tables["grips.csv"])
@@ -195,7 +193,7 @@ class Benchmark(Experiment):
 def _estimated(scores: Scores) -> list[tuple[str, str]]:
     """How many clips of a suite were estimated, and why others weren't."""
     count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
-    text = f"{scores.estimator} on {scores.suite}: {count}, σ {scores.noise[0]:.3g}"
+    text = f"{scores.estimator} on {scores.suite}: {count}, tracking noise {scores.noise[0]:.3g}, RMS {scores.noise[1]:.3g}"
     return [(text, ""), *_failures(scores.failed)]
 
 

@@ -43,7 +43,6 @@ def test_tables_are_written(tmp_path, evaluated):
     assert {(row["estimator"], row["suite"]) for row in rows} == {
         (estimator, suite) for estimator in ("direct", "constant") for suite in ("clean", "8bit")
     }
-    assert (tmp_path / "details.csv").is_file()
 
 
 def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, monkeypatch):

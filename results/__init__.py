@@ -5,6 +5,7 @@ writer    one clip's folder, complete or not there; store: whose folder is whose
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--force-scale), and compared with measured forces
 forces    of every run of contact: mean, peak, what is unknown (forces.json)
+paper     tables and figures of `train.py test`
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)
 bag       forces and verdicts for ROS (--bag)

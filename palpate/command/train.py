@@ -48,13 +48,12 @@ from palpate.data.training.datamodule import ClipDataModule
 from palpate.estimators.network.light_training import WEIGHTS as LIGHT_WEIGHTS
 from palpate.estimators.network.light_training import LightSettings, train_light
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
-from palpate.evaluation.paper.analysis import EvaluationError
-from palpate.evaluation.paper.figures import draw_next_depth
-from palpate.evaluation.paper.report import FILES, write_evaluation
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError, export
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from palpate.results.paper.figures import draw_next_depth
+from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
     "best": {"monitor": "val/physics"},

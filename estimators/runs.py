@@ -4,8 +4,9 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Generator, Iterator
+from concurrent.futures import Executor, Future
 
 import numpy as np
 
@@ -175,6 +176,9 @@ class RunSession:
         """Whether that light is looked at although depth is measured."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
+        self.fitter: Executor | None = None
+        """Executor of the fits by shading, for live sources; None = later frames wait for them."""
+        self._fits: deque[Future[InteractionEstimate]] = deque()
         self._runs = RunTracker(clip, self.mechanics.seconds)
         self._grip: GripRecorder | None = None
 
@@ -188,8 +192,9 @@ class RunSession:
             self.seconds[stage] += time.perf_counter() - start
 
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
-        """Yield the record of the run that the clip's end has cut off."""
+        """Yield the record of the run that the clip's end has cut off, after those that are still being fitted."""
         yield from self._ended(self._runs.finish())
+        yield from (fit.result() for fit in self._fits)
 
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
@@ -215,17 +220,24 @@ class RunSession:
         return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """Yield the record of a run that has ended: of the press, and of the grip where the press is undetermined."""
-        if run is None:
-            return
-        recorder, self._grip = self._grip, None
+        """Yield the record of a run that has ended, once it is fitted."""
+        if run is not None:
+            recorder, self._grip = self._grip, None
+            if self.fitter is not None and self.by_light and run.lit:
+                self._fits.append(self.fitter.submit(self._recorded, run, recorder))
+            else:
+                yield self._recorded(run, recorder)
+        while self._fits and self._fits[0].done():
+            yield self._fits.popleft().result()
+
+    def _recorded(self, run: Run, recorder: GripRecorder | None) -> InteractionEstimate:
+        """Return the record of a run: of the press, and of the grip where the press is undetermined."""
         if run.passed:
-            yield run.estimate(detail=run.unobserved)
-            return
+            return run.estimate(detail=run.unobserved)
         record = self._pressed(run)
         if recorder is not None and record.verdict in ("", "undetermined"):
             record = self._gripped(record, recorder, run.builder is None)
-        yield record
+        return record
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)

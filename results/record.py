@@ -21,7 +21,7 @@ from palpate.data.source.images import MOST_BYTES
 from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
-from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
+from palpate.estimators.network.estimator import FAST, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -145,8 +145,7 @@ def _untold(results: ClipResults) -> Iterator[str]:
 
 def _left_out(clip: ClipStream) -> list[str]:
     """What the rate fast leaves out of a clip, in sentences."""
-    seldom = clip.guesses_depth or clip.sources["masks"] == "automatic"
-    return ([SELDOM] if seldom else []) + ([LEAVES_OUT] if clip.guesses_depth else [])
+    return [SELDOM] if clip.guesses_depth or clip.sources["masks"] == "automatic" else []
 
 
 def warnings_of(

@@ -156,7 +156,7 @@ class Batch:
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"][0], 1 / source.fps)
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"], 1 / source.fps)
             written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()

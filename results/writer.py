@@ -25,7 +25,7 @@ from palpate.results import columns, store
 from palpate.results.alarm import ForceAlarm, upper_force
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
-from palpate.results.forces import ALWAYS, ContactForce, forces_record
+from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
 from palpate.results.scene.files import scene_text
@@ -53,10 +53,10 @@ class ClipResults:
         known: force that was measured in a part of the clip.
         calibration: gathers what the clip tells in newtons.
         fields: whether the estimator gives fields of stiffness.
-        maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
+        maps: whether a run of contact may have a map of stiffness or a fit at its end, for which its frames wait.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
-        seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
+        seconds: time after the onset of contact up to which an estimate by depth constrains the force [s].
         export: format of the scenes that are written, one of `results.scene.scene.FORMATS`.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
@@ -77,7 +77,7 @@ class ClipResults:
         maps: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
-        seconds: tuple[float, float] = ALWAYS,
+        seconds: float = math.inf,
         export: str | None = None,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
@@ -90,7 +90,10 @@ class ClipResults:
         """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
+        self._maps = maps
         self.estimates: list[FrameEstimate] = []
+        self._unwritten: list[int] = []
+        """Frames whose rows wait for the end of their run of contact, by index."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
         self.counts: Counter[str] = Counter()
@@ -149,7 +152,10 @@ class ClipResults:
             estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
-            self._rows.writerow(columns.row(self.columns, estimate.values))
+            if self._maps and (self._unwritten or estimate.contact):
+                self._unwritten.append(len(self.estimates) - 1)
+            else:
+                self._rows.writerow(columns.row(self.columns, estimate.values))
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
             shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
@@ -170,10 +176,20 @@ class ClipResults:
         video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
         self.seconds["overlay"] += time.perf_counter() - start
 
-    def _draw_waiting(self, stiffness: StiffnessMap | None) -> None:
-        """Append the pictures that wait for a map, or for the news that there is none."""
+    def _write_waiting(self, run: InteractionEstimate | None, stiffness: StiffnessMap | None) -> None:
+        """Append the rows and pictures that wait for the end of a run; its fit by shading stands in all its frames."""
+        whole = None if run is None or run.estimate is None or not run.estimate.by_light else run.estimate
+        filled: dict[int, FrameEstimate] = {}
+        for index in self._unwritten:
+            frame = self.estimates[index]
+            if whole is not None and frame.contact and frame.estimate is None:
+                frame = filled[frame.frame] = self.estimates[index] = replace(
+                    frame, estimate=whole, verdict=whole.verdict
+                )
+            self._rows.writerow(columns.row(self.columns, frame.values))
+        self._unwritten.clear()
         for frame in self._waiting.drain() if self._waiting is not None else ():
-            self._draw(frame, stiffness)
+            self._draw(frame._replace(estimate=filled.get(frame.estimate.frame, frame.estimate)), stiffness)
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
@@ -199,7 +215,7 @@ class ClipResults:
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
-            self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
+            self._write_waiting(run, stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export is not None:
                 path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
@@ -219,7 +235,7 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
-            self._draw_waiting(None)
+            self._write_waiting(None, None)
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:

@@ -12,5 +12,4 @@ tissue_points  places in a picture as points in space; refinement: where a young
 depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
 interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
 features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
-light_features  its brightness sequence likewise
 """

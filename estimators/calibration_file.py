@@ -308,8 +308,6 @@ class CalibrationFile:
     """Measured forces, a CSV file next to this one with the columns time_s (in the clip's time) and force_N."""
     known_s: tuple[float, float] | None = None
     """The part of `measured` that tells the scale [s]; the rest is compared. None = all of it is compared only."""
-    rest_s: tuple[float, float] | None = None
-    """When nothing presses, in a clip that shows no tool [s]: the deepest dent against it tells the force then."""
     stiffness: float | None = None
     """Stiffness k_s of the tissue's sheet of springs, at all contacts."""
     stiffness_sd: float = 0.0
@@ -340,10 +338,8 @@ class CalibrationFile:
             raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}, or measured.")
         if (self.force_N is None) != (self.force_time_s is None):
             raise ValueError("force_N and force_time_s belong together; give both.")
-        if (self.known_s or self.rest_s) is not None and self.measured is None:
-            raise ValueError("known_s and rest_s are parts of measured; give that.")
-        if self.rest_s is not None and self.known_s is None:
-            raise ValueError("rest_s needs known_s, whose dents tell the scale.")
+        if self.known_s is not None and self.measured is None:
+            raise ValueError("known_s is a part of measured; give that.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
         otherwise = bool(given) and given[0] not in ("force_N", "known_s")
@@ -354,10 +350,8 @@ class CalibrationFile:
         deviations = ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd")
         values = ("force_N", "stiffness", "thickness_m", "metres_per_depth")
         require_numbers(self, positive=values, not_negative=deviations)
-        for name in ("known_s", "rest_s"):
-            part = getattr(self, name)
-            if part is not None and not part[0] < part[1]:
-                raise ValueError(f"{name} is {list(part)}; give a beginning before an end.")
+        if self.known_s is not None and not self.known_s[0] < self.known_s[1]:
+            raise ValueError(f"known_s is {list(self.known_s)}; give a beginning before an end.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,18 +31,11 @@ class Chosen:
     """Fields of `DepthSettings`."""
     smoothing: float | None = None
     """Width over which the resting shape is smoothed [grid px]; None = the estimator's."""
-    contact: str | None = None
-    """How contacts are found, as of `GeometrySettings`; None = the estimator's."""
-
-    @property
-    def found(self) -> dict[str, Any]:
-        """Fields of `GeometrySettings` that the user chooses for any estimator."""
-        return {} if self.contact is None else {"contact": self.contact}
 
     def without_model(self) -> PrepareSettings:
         """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
         smoothing = SMOOTHING if self.smoothing is None else self.smoothing
-        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found)
+        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract")
         chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.layout}
         return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
 

@@ -208,7 +208,7 @@ class RunSession:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
         with self.timed("grip"):
-            if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
+            if run is None or not self._follows(run):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame, self._thickness) if frame.visible else None

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.prepared import PreparedFrame
 from palpate.estimators.calibration_file import Calibration, ClipLength, ForceScale, Physical, PressedRun
-from palpate.estimators.dent import DentRecorder
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce, predict_force
@@ -62,25 +60,16 @@ class ClipCalibration:
     """Of calibrated.csv, likewise."""
     curves: list[Curve] = field(default_factory=list)
     """Estimated forces where some were measured, likewise."""
-    dents: list[Curve] = field(default_factory=list)
-    """Those of them that the depth of a dent tells."""
     reason: str = ""
     """Why there is no scale."""
 
     def __post_init__(self) -> None:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
         self._grips: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
-        rest = self.calibration.fields.rest_s
-        self._dents = DentRecorder(rest) if self.home and rest is not None else None
         self.known = self.calibration.known if self.home else None
         """Forces that tell the scale of this clip's grips."""
         self.measured = self.calibration.measured if self.home else None
         """Forces to compare with."""
-
-    def see(self, prepared: PreparedFrame) -> None:
-        """The next frame."""
-        if self._dents is not None:
-            self._dents.push(prepared.frame.number, prepared.frame.time_s, prepared.depth)
 
     def add(self, run: InteractionEstimate) -> None:
         """The next run of contact."""
@@ -111,7 +100,7 @@ class ClipCalibration:
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
             if any(curve.unit == NEWTONS for curve in self.curves):
-                self.reason = ""  # a dent or a grip tells newtons where no press does
+                self.reason = ""  # a grip tells newtons where no press does
 
     def upper_force(self, found: Estimate) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
@@ -146,11 +135,7 @@ class ClipCalibration:
                 found.append(_press_curve(run, times, self.scale, length))
         if self.known is None:
             return found
-        shown = list(self._grips)
-        if self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs):
-            depths = np.array(self._dents.depths)
-            shown.append((self._dents.frames[0], np.array(self._dents.times), depths, np.zeros(len(depths))))
-        for number, (frame, times, force, sd) in enumerate(shown):
+        for frame, times, force, sd in self._grips:
             try:
                 curve = predict_force(self.known.at(times), force, sd)
             except NoEstimate as reason:
@@ -158,7 +143,6 @@ class ClipCalibration:
                 continue
             ends = curve.force - NINETY * curve.sd, curve.force + NINETY * curve.sd
             found.append(Curve(frame, times, curve.force, *ends, NEWTONS))
-            self.dents += found[-1:] if number == len(self._grips) else []
         return found
 
     def compared_rows(self) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.calibrated import NEWTONS, Curve
+from palpate.results.calibrated import NEWTONS
 from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
@@ -31,8 +31,6 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
-DENT = "dent"
-"""Verdict on a press that has no run of contact, of which the dent alone tells the force."""
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
@@ -107,22 +105,6 @@ class ContactForce:
         place = run.onset_frame, run.onset_time_s, state(run)
         return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
 
-    @classmethod
-    def of_dent(cls, curve: Curve, estimates: Sequence[FrameEstimate]) -> "ContactForce | None":
-        """The force of a press as its dent tells it, from the first to the last frame in which it is not 0.
-
-        None where its 90 % interval always holds 0.
-        """
-        acting = np.flatnonzero(curve.low > 0)
-        if not len(acting):
-            return None
-        kept = slice(acting[0], acting[-1] + 1)
-        at = {estimate.time_s: index for index, estimate in enumerate(estimates)}
-        frames = np.array([at[time] for time in curve.times[kept].tolist()])
-        curves = curve.force[kept], curve.low[kept], curve.high[kept]
-        place = estimates[frames[0]].frame, estimates[frames[0]].time_s, DENT
-        return cls(*place, frames, *curves, MEASURED, "", np.full(len(frames), np.nan), None)
-
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
@@ -194,7 +176,6 @@ def forces_record(
     fps: float,
     limit: tuple[float, str] | None = None,
     calibrated: Sequence[Mapping[str, Any]] = (),
-    dents: Sequence[Curve] = (),
     length: ClipLength | None = None,
 ) -> dict[str, Any]:
     """The content of forces.json.
@@ -205,14 +186,12 @@ def forces_record(
         fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
         limit: of --force-limit, and its unit.
         calibrated: rows of calibrated.csv, one a run of contact.
-        dents: forces by the depth of a dent that belongs to no run of contact.
         length: of a scene unit.
     """
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
     told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
-    told += filter(None, (ContactForce.of_dent(curve, estimates) for curve in dents))
     records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."

@@ -119,7 +119,7 @@ def build_record(
         "warnings": [
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
-            *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
+            *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *_untold(results),
@@ -153,7 +153,6 @@ def warnings_of(
     frames: Sequence[FrameEstimate],
     model: ExportedModel | None,
     sources: Mapping[str, str],
-    contact: str = "touching",
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -162,7 +161,6 @@ def warnings_of(
         frames: its results.
         model: what estimated them, where it is a network.
         sources: where its `depth` and `masks` came from.
-        contact: how contacts were found, as of `GeometrySettings`.
     """
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
@@ -170,8 +168,8 @@ def warnings_of(
             words = {"what": what, "trained": " and ".join(trained), "here": sources[what]}
             found.append(WARNINGS["elsewhere"].format(**words))
     found += source.warnings
-    if contact == "motion" or sources["masks"] == "automatic":
-        found.append(WARNINGS["motion" if contact == "motion" else "automatic"])
+    if sources["masks"] == "automatic":
+        found.append(WARNINGS["automatic"])
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]
         if hit:

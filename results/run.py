@@ -54,7 +54,7 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "known_force")
+OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "known_force")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
@@ -119,7 +119,7 @@ class Batch:
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
             raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
-        chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
+        chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         newtons = self.calibration is not None or (self.known and not isinstance(self.estimator, NetworkEstimator))
         unit = NEWTONS if newtons else UNITS["force"]

@@ -144,8 +144,6 @@ class ClipResults:
 
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
-        if self.calibration is not None:
-            self.calibration.see(prepared)
         if self.alarm is not None:
             upper_end = upper_force if self.calibration is None else self.calibration.upper_force
             upper = None if estimate.estimate is None else upper_end(estimate.estimate)
@@ -243,10 +241,10 @@ class ClipResults:
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
-            rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
+            rows = () if newtons is None else newtons.rows
             # Of a slab |F| over stiffness is no length.
             length = None if "thickness" in record.get("estimator", {}) else self.length
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

@@ -2,7 +2,7 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
-dents          contact by a dent alone, without a tool in view; depth_change: how much deeper than at rest tissue lies
+depth_change   how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: likelihood ratio of its motion if it does
 tips           free ends of instruments in a mask; light_contacts: presses by how the tissue's light changes
 shaft          how long a scene unit is, by the known diameter of an instrument's shaft

@@ -52,7 +52,6 @@ CHOICES = {
     "names": NAMES,
     "onsets": ONSETS,
     "observations": OBSERVATIONS,
-    "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
     "scenes": tuple(FORMATS),

@@ -10,7 +10,6 @@ from palpate.data.depth.normalise import DepthSettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
-from palpate.data.source.coding import Coding
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -54,8 +53,6 @@ class ClipInfo:
     """How contacts are found."""
     bridge_frames: int
     """Contact that is missing on up to this many frames is still the same run."""
-    coding: Coding | None = None
-    """How the pictures were coded, where that is known."""
     force: KnownForce | None = None
     """Forces that are known, of whoever tells stiffness by them frame by frame."""
     metres: Callable[[], tuple[float, float] | None] | None = None
@@ -65,8 +62,7 @@ class ClipInfo:
     def of(cls, clip: ClipStream) -> Self:
         """Of an opened clip."""
         settings, source = clip.settings, clip.source
-        chosen = settings.geometry, settings.bridge_frames
-        return cls(source.fps, source.size, clip.picture_camera, *chosen, source.coding)
+        return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 
 
 Output = FrameEstimate | InteractionEstimate

@@ -10,15 +10,15 @@ from concurrent.futures import Executor, Future
 
 import numpy as np
 
-from palpate.data.brightness.light import log_light
-from palpate.data.brightness.sequence import RestingLight
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
+from palpate.data.shading.light import log_light
+from palpate.data.shading.sequence import RestingLight
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.direct.brightness_fit import MECHANICS, fit_brightness
+from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.grip.grip_estimate import LARGEST_SLAB_ERROR
 from palpate.estimators.grip.recorder import GripRecorder
@@ -62,9 +62,7 @@ class Run:
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
             first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(
-                *found, first_seen, clip.geometry, seconds, clip.size, rest_light, clip.coding
-            )
+            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -122,7 +120,7 @@ class RunTracker:
             self._light.clear()
         ended = self._push(frame)
         if self.current is None and frame.light is not None:
-            self._light.push(frame.light, frame.light_picture if self._clip.coding is not None else None)
+            self._light.push(frame.light)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -201,7 +199,7 @@ class RunSession:
         if self.needs_light and frame.visible and frame.light is None:
             light = log_light(*frame.view, frame.depth.shape)
             # The frame itself stays as it is: others may look at it.
-            frame = dataclasses.replace(frame, light=light, light_picture=frame.view)
+            frame = dataclasses.replace(frame, light=light)
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:
@@ -259,12 +257,12 @@ class RunSession:
         return run.estimate(**results, detail=detail)
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
-        """As of `fit_brightness`: the estimate of a whole contact by its light.
+        """As of `fit_shading`: the estimate of a whole contact by its light.
 
         Raises:
             NoEstimate: the contact can't be estimated.
         """
-        return fit_brightness(contact, 1 / self.clip.fps)
+        return fit_shading(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -305,7 +303,6 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.labels,
         frame.light,
         frame.light_view,
-        frame.light_picture,
     )
 
 

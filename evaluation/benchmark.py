@@ -80,8 +80,8 @@ class Benchmark(Experiment):
     """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
     """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
-    observation: Literal["field", "contact"] | None = None
-    """what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"""
+    observation: Literal["depth", "contact"] | None = None
+    """what direct and network look at: the whole dent (depth, default), or the point that was touched (contact)"""
     bound: Literal["field", "contact"] = "field"
     """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
     with

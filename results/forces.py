@@ -202,7 +202,7 @@ def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, secon
     """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
     shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
     last, contact = math.inf if found.by_light else seconds, run.interaction
-    seen = None if contact is None else contact.brightness if found.by_light else contact.observation
+    seen = None if contact is None else contact.shading if found.by_light else contact.observation
     if seen is not None and len(seen.times):
         last = min(last, seen.times[-1])
     end = math.inf if run.load_s is None else run.load_s + release - shape.fall

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd, trimmed_fit
-from palpate.data.brightness.registration import scaled
 from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
 from palpate.data.gaussian import gaussian_sum
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.registration import scaled
 from palpate.data.tracks.background import Background
 from palpate.data.tracks.following import Shown
 

@@ -3,7 +3,6 @@
 frames  video files, folders of images and bags as FrameSource; the search for clips
 live    the same as they come from a camera, a stream or a pipe
 layout  how a folder's frames, masks, depth and camera file are named
-coding  how a video is coded, and the same done to other pictures
 sequence  clouds or depth with a tool's poses, as sequence.yaml names them; sequence_checks: whether these fit together;
         clouds: files of points
 bags    what bags of ROS hold: pictures, their camera, forces

@@ -3,7 +3,6 @@
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
 
-import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,6 @@ import numpy as np
 
 from palpate.common.doors import plain
 from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
-from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.images import printable, read_image, require_pixels
 from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
 from palpate.data.source.lerobot import episodes_in, file_of, name_in_data_set, span_of
@@ -88,8 +86,6 @@ class FrameSource(ABC):
     """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
     frame_id: str = "camera_optical_frame"
     """What ROS calls the camera's axes: x right, y down, z away from it."""
-    coding: Coding | None = None
-    """How the pictures were coded; None where nobody knows, or they weren't."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -217,11 +213,6 @@ class VideoFile(FrameSource):
         self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
         self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
 
-    @functools.cached_property
-    def coding(self) -> Coding | None:
-        """How the pictures were coded; None where the decoder doesn't say."""
-        return coding_of(self._file)
-
     def _decoded(self) -> Iterator[tuple[float, np.ndarray]]:
         """Time stamp [s] and picture, BGR, of the frames that can be decoded, up to the first that can't."""
         if not self._by_av:
@@ -318,7 +309,7 @@ class Halves(FrameSource):
             across: whether the two are side by side; else the left one is on top.
         """
         self.path, self.name, self.fps, self.length = whole.path, whole.name, whole.fps, whole.length
-        self.begin_ns, self.frame_id, self.coding = whole.begin_ns, whole.frame_id, whole.coding
+        self.begin_ns, self.frame_id = whole.begin_ns, whole.frame_id
         self.warnings, self._whole, self._across = [], whole, across
         self.size = (whole.size[0] // 2, whole.size[1]) if across else (whole.size[0], whole.size[1] // 2)
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.contact.interaction import BOTH, CONTACT, FIELD, OBSERVATIONS, SHADING, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
@@ -105,8 +105,8 @@ class DirectSession(RunSession):
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon, estimator.thickness)
-        self.by_light = estimator.observation in (None, BRIGHTNESS) and estimator.thickness is None
-        self.needs_light = estimator.observation in (BRIGHTNESS, BOTH)
+        self.by_light = estimator.observation in (None, SHADING) and estimator.thickness is None
+        self.needs_light = estimator.observation in (SHADING, BOTH)
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import MARGIN, REACH, SIDE
 from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import MARGIN, REACH, SIDE
 from palpate.estimators import runs
 from palpate.estimators.contract import Chosen
 from palpate.estimators.network.estimator import NetworkEstimator
@@ -42,7 +42,7 @@ def watched() -> list[PreparedFrame]:
 
 def test_frames_have_no_estimate_and_the_whole_press_is_fitted(network, watched, monkeypatch) -> None:
     fitted = dataclasses.replace(ESTIMATE, by_light=True)
-    monkeypatch.setattr(runs, "fit_brightness", lambda contact, _: (contact, fitted, (np.zeros(1), np.zeros(1))))
+    monkeypatch.setattr(runs, "fit_shading", lambda contact, _: (contact, fitted, (np.zeros(1), np.zeros(1))))
     frames, (run,) = follow(network.start(clip_info()), watched)
     assert run.estimate is fitted
     assert [frame.estimate for frame in frames] == [None] * 16

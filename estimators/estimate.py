@@ -30,9 +30,6 @@ LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
 BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
-UNSTIFFENED = "stiffening, not determined: where tissue stiffens |F|/E is larger than this says"
-"""Of a slab: its motion alone looks the same (docs/reports/fem.md)."""
-
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
 
@@ -88,8 +85,6 @@ class Estimate:
     """Whether the light of the tissue was observed instead of its depth, so that lengths count in its distance."""
     left: float = math.nan
     """Share of the change of light that the model leaves, root mean square; not a number where no light is fitted."""
-    slab: Any = None
-    """Of a slab of finite elements what moves it, a `SlabMotion`; None = a sheet of springs."""
     refuted: str = ""
     """Sentence on another model that explains the motion better; empty where none is known."""
 
@@ -122,7 +117,7 @@ class Estimate:
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
         described = "" if self.given_verdict else describe(self.verdict_information)
-        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light, UNSTIFFENED * (self.slab is not None))))
+        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light)))
 
     @property
     def verdict_information(self) -> np.ndarray:

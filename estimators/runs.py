@@ -20,7 +20,6 @@ from palpate.data.shading.sequence import RestingLight
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import Estimate, NoEstimate
-from palpate.estimators.grip.grip_estimate import LARGEST_SLAB_ERROR
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import Bounds, Mechanics
@@ -157,13 +156,10 @@ class RunSession:
         clip: the clip.
         mechanics: constants of the estimator's simulator.
         horizon: how much of a whole contact counts.
-        thickness: thickness of the tissue, where a grip is explained by finite elements as well [scene units].
     """
 
-    def __init__(
-        self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, thickness: float | None = None
-    ) -> None:
-        self.clip, self.horizon, self._thickness = clip, horizon, thickness
+    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
+        self.clip, self.horizon = clip, horizon
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
@@ -209,7 +205,7 @@ class RunSession:
             if run is None or not self._follows(run):
                 self._grip = None
             elif run.index == frame.frame.index:
-                self._grip = GripRecorder(frame, self._thickness) if frame.visible else None
+                self._grip = GripRecorder(frame) if frame.visible else None
             elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
                 self._grip.add(frame)
 
@@ -241,7 +237,7 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
-        mechanics = self.mechanics if self._thickness is None else None
+        mechanics = self.mechanics
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
@@ -276,8 +272,6 @@ class RunSession:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
             why = "; ".join(filter(None, (f"skill {found.skill:.2f}{elsewhere}", found.explanation)))
             sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
-        elif found is not None and found.slab_error > LARGEST_SLAB_ERROR:
-            sentence = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
         elif found is not None and not found.determined:
             sentence = "A gripped sheet explains the motion, but neither foundation nor force over time is known."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
@@ -303,6 +297,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.labels,
         frame.light,
         frame.light_view,
+        len(frame.skipped),
     )
 
 

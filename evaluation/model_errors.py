@@ -7,8 +7,8 @@ their residuals tell: the rest is the model's. Of every entry of the file that a
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
 leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
-pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos,
-facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either law of light.
+video takes presses in RGB videos, facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by
+either law of light.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -32,20 +32,18 @@ from palpate.common.files import replacing
 from palpate.common.options import options, require_within
 from palpate.common.settings import LARGEST
 from palpate.estimators.model_errors import FILE, read_entries
-from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
 from palpate.evaluation.plain_video import PlainVideo, measured_video
-from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
+from palpate.evaluation.recovery.suites import LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 from palpate.models.calibration_fit import mean_squares
 
 SPLIT = "validation"
 VIDEO = "video"
-PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDEO: (VIDEO, "video-oblique")}
+PARTS = {"grip": ("retraction", "foundation", "regions"), VIDEO: (VIDEO, "video-oblique")}
 """Suites of every part."""
 DIRECT = "direct"
-CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
-"""Who estimates the clips of a part."""
 LOOKS: tuple[Literal["matte", "endoscope"], ...] = ("matte", "endoscope")
 """By which laws plain videos are drawn, in turns."""
 ENDS = "error", "sd", "model_sd"
@@ -90,24 +88,6 @@ def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     return found
 
 
-def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of log force over E, and of the force's course as shares of it; arguments as of `grip_errors`."""
-    found: Errors = {}
-    for row in rows:
-        if "reaction" not in row:
-            continue
-        value, sd = row["reaction"]
-        stated = max(sd**2 - values["pull_force"] ** 2, 0.0)
-        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), stated))
-        # The last frame's ratio is 1 by definition.
-        true, course, deviation = row["curve"][:, :-1]
-        size = float(np.square(course).mean())
-        stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
-        error = math.sqrt(float(np.square(course - true).mean()) / size)
-        found.setdefault("pull_course", []).append((error, max(stated, 0.0)))
-    return found
-
-
 def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """Errors of k_s and of both ratios of presses in RGB videos; arguments as of `grip_errors`.
 
@@ -147,7 +127,7 @@ def write_entries(path: Path, entries: Entries) -> None:
 class ModelErrors:
     """What is measured."""
 
-    part: Literal["grip", "pull", "video"]
+    part: Literal["grip", "video"]
     """whose errors"""
     seed: int
     """of the clips"""
@@ -163,8 +143,7 @@ class ModelErrors:
     @property
     def wanted(self) -> list[tuple[str, int]]:
         """Suites and numbers of the clips."""
-        found = [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
-        return [(suite, at) for suite, at in found if self.part != "pull" or EVERY[suite].settings(at).action == "grip"]
+        return [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -182,9 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 drawn = PlainVideo(asked.output, suite=suite, look=LOOKS[index % len(LOOKS)])
                 rows.append(measured_video(drawn.settings, seed))
             else:
-                rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
+                rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, threads=1)}}))
             progress.advance(bar)
-    errors = {"grip": grip_errors, "pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
+    errors = {"grip": grip_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1

@@ -1,20 +1,20 @@
 """The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
 
-A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument,
-and that of a press without an instrument in view from the depth of its dent, where some of the force is known.
+A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
 import dataclasses
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
@@ -77,7 +77,8 @@ class ContactForce:
             newtons: rows of forces.csv where a pull's force is known in newtons.
             seconds: time after the onset up to which an estimate by depth constrains the force [s].
         """
-        touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
+        begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
+        touched = [index for index in range(begun, len(estimates)) if estimates[index].contact is not False]
         while touched and not estimates[touched[-1]].contact:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
@@ -112,6 +113,17 @@ class ContactForce:
         force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
         return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
 
+    @property
+    def relative(self) -> np.ndarray:
+        """The force over its peak and the ends of its 90 % interval, shape [3, T]."""
+        curves = np.stack([self.force, self.low, self.high])
+        known = self.force[np.isfinite(self.force)]
+        peak = max(known, key=abs, default=0.0)
+        if peak:
+            curves = curves / peak
+            curves[1:] = np.sort(curves[1:], axis=0)
+        return curves
+
     def record(
         self, estimates: Sequence[FrameEstimate], lasts: np.ndarray, limit: tuple[float, str] | None
     ) -> dict[str, Any]:
@@ -129,9 +141,8 @@ class ContactForce:
             found |= self._above(limit, seconds)
         if known.any():
             top = int(np.nanargmax(np.abs(self.force)))
-            if self.unit == RELATIVE and self.force[top]:
-                curves = curves / self.force[top]
-                curves[1:] = np.sort(curves[1:], axis=0)
+            if self.unit == RELATIVE:
+                curves = self.relative
             means = curves[:, known] @ seconds[known] / seconds[known].sum()
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}

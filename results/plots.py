@@ -138,10 +138,9 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if isinstance(grip := run.main_estimate, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
         heading = f"{in_words(grip.verdict)}: {place}"
-        for name, words in (("reaction_over_young", "F/E"), ("foundation_over_stiffness", "foundation over stiffness")):
-            if name in grip.determined:
-                low, high = (digits(getattr(grip, f"{name}_{end}"), 2) for end in ("low", "high"))
-                heading += f", {words} {low} to {high}"
+        if "foundation_over_stiffness" in grip.determined:
+            low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
+            heading += f", foundation over stiffness {low} to {high}"
         said = f"{grip.explanation[:1].upper()}{grip.explanation[1:]}." if grip.explanation else ""
         return heading, " ".join(filter(None, (sentence, said, run.detail))), grip.verdict
     if isinstance(found := run.main_estimate, FieldEstimate):

@@ -14,27 +14,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import Video
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.known_force import KnownForce
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
-from palpate.results.alarm import ForceAlarm, upper_force
+from palpate.results.agreement import REVISED, agreed
+from palpate.results.alarm import BELOW, UNKNOWN, ForceAlarm
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
-from palpate.results.scene.files import scene_text
-from palpate.results.scene.kinds import scene_of
-from palpate.results.scene.scene import FORMATS
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
 from palpate.results.verdicts import state
+from palpate.results.vtu import deformation_of, write_series
 
 MOST_UNDRAWN = 4
 """Pictures that wait to be drawn."""
@@ -50,14 +50,13 @@ class ClipResults:
         size: width and height of the source frames [px].
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
-        known: force that was measured in a part of the clip.
-        calibration: gathers what the clip tells in newtons.
+        calibration: gives newtons.
         fields: whether the estimator gives fields of stiffness.
         maps: whether a run of contact may have a map of stiffness or a fit at its end, for which its frames wait.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: time after the onset of contact up to which an estimate by depth constrains the force [s].
-        export: format of the scenes that are written, one of `results.scene.scene.FORMATS`.
+        export: whether the deformation of every contact is written as .vtu files.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
@@ -71,17 +70,16 @@ class ClipResults:
         fps: float,
         *,
         overlay: bool = True,
-        known: KnownForce | None = None,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
         maps: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
         seconds: float = math.inf,
-        export: str | None = None,
+        export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
-        self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
+        self.folder, self._size, self._export, self._bag = folder, size, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
         self.encoder = Video.encoder if overlay else None
@@ -90,10 +88,9 @@ class ClipResults:
         """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
-        self._maps = maps
         self.estimates: list[FrameEstimate] = []
-        self._unwritten: list[int] = []
-        """Frames whose rows wait for the end of their run of contact, by index."""
+        self._cells: list[list[str]] = []
+        """Rows of the latest frames, which wait for the end of their contact."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
         self.counts: Counter[str] = Counter()
@@ -101,10 +98,8 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self._contacts: list[ContactForce] = []
-        self.unscaled = known is not None and calibration is None
-        """Whether a known force was given on its own and has told newtons of no run."""
         self.unexported = 0
-        """Number of those that have no scene although scenes are written."""
+        """Number of contacts whose deformation could not be exported."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.stretched = False
@@ -119,6 +114,7 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
+                known = None if calibration is None else calibration.known
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
@@ -145,15 +141,15 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
         if self.alarm is not None:
-            upper_end = upper_force if self.calibration is None else self.calibration.upper_force
-            upper = None if estimate.estimate is None else upper_end(estimate.estimate)
-            estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
+            upper_end = None if self.calibration is None else self.calibration.upper_force
+            estimate = self.alarm.watch(estimate, upper_end)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
-            if self._maps and (self._unwritten or estimate.contact):
-                self._unwritten.append(len(self.estimates) - 1)
+            cells = columns.row(self.columns, estimate.values)
+            if estimate.contact or self._cells:
+                self._cells.append(cells)
             else:
-                self._rows.writerow(columns.row(self.columns, estimate.values))
+                self._rows.writerow(cells)
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
             shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
@@ -174,51 +170,59 @@ class ClipResults:
         video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
         self.seconds["overlay"] += time.perf_counter() - start
 
-    def _write_waiting(self, run: InteractionEstimate | None, stiffness: StiffnessMap | None) -> None:
-        """Append the rows and pictures that wait for the end of a run; its fit by shading stands in all its frames."""
-        whole = None if run is None or run.estimate is None or not run.estimate.by_light else run.estimate
-        filled: dict[int, FrameEstimate] = {}
-        for index in self._unwritten:
-            frame = self.estimates[index]
-            if whole is not None and frame.contact and frame.estimate is None:
-                frame = filled[frame.frame] = self.estimates[index] = replace(
-                    frame, estimate=whole, verdict=whole.verdict
-                )
-            self._rows.writerow(columns.row(self.columns, frame.values))
-        self._unwritten.clear()
-        for frame in self._waiting.drain() if self._waiting is not None else ():
-            self._draw(frame._replace(estimate=filled.get(frame.estimate.frame, frame.estimate)), stiffness)
+    def _agree(self, run: InteractionEstimate, contact: ContactForce) -> None:
+        """Bring the frames that wait into agreement with their contact, which has ended."""
+        forces = dict(zip(contact.frames.tolist(), contact.relative.T.tolist(), strict=True))
+        begun = len(self.estimates) - len(self._cells)
+        places = [list(self.columns).index(name) for name in REVISED if name in self.columns]
+        for index, cells in enumerate(self._cells, start=begun):
+            before = self.estimates[index]
+            frame = self.estimates[index] = agreed(before, run, forces.get(index, [math.nan] * 3))
+            if self.alarm is not None and frame.alarm != before.alarm:
+                self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
+            if frame is not before:
+                revised = columns.row(self.columns, frame.values)
+                for place in places if frame.estimate is before.estimate else range(len(cells)):
+                    cells[place] = revised[place]
+
+    def _write_waiting(self, stiffness: StiffnessMap | None) -> None:
+        """Append the rows and pictures that wait for the end of a contact, and for its map of stiffness."""
+        self._rows.writerows(self._cells)
+        frames = self.estimates[len(self.estimates) - len(self._cells) :]
+        self._cells = []
+        if self._waiting is not None:
+            for frame, estimate in zip(self._waiting.drain(), frames, strict=True):
+                self._draw(frame._replace(estimate=estimate), stiffness)
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
         forces: list[dict[str, Any]] = []
-        if self._known is not None:
+        if self.calibration is not None:
             try:
-                forces = columns.force_rows(run, self._known)
-                self.unscaled &= not forces
+                forces = self.calibration.add(run)
             except NoEstimate as reason:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
-        if self.calibration is not None:
-            self.calibration.add(run)
         if self.alarm is not None:
             self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
             if run.field.explanation and not run.field.determined:
                 self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
-        self._contacts.append(ContactForce.of(run, self.estimates, forces, self._seconds))
+        contact = ContactForce.of(run, self.estimates, forces, self._seconds)
+        self._contacts.append(contact)
+        self._agree(run, contact)
         self.counts[state(run)] += 1
         if state(run) == "no_estimate":
             self.unexplained[run.detail] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
-            self._write_waiting(run, stiffness_map(run.grip, run.onset_time_s))
+            self._write_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
-            if self._export is not None:
-                path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
+            if self._export:
+                times = np.array([frame.time_s for frame in self.estimates[run.onset :]]) - run.onset_time_s
                 try:
-                    path.write_text(scene_text(scene_of(run), self._export), encoding="utf-8")
+                    write_series(self._partial, f"scene_{run.onset_frame}", deformation_of(run, times))
                 except NoEstimate:
                     self.unexported += 1
             if self._forces is not None:
@@ -233,7 +237,7 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
-            self._write_waiting(None, None)
+            self._write_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:
@@ -242,9 +246,7 @@ class ClipResults:
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
             rows = () if newtons is None else newtons.rows
-            # Of a slab |F| over stiffness is no length.
-            length = None if "thickness" in record.get("estimator", {}) else self.length
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, length)
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

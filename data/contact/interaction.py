@@ -49,6 +49,8 @@ class Interaction:
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
     shading: ShadingSequence | None = None
     """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
+    intervals: int = 1
+    """Frame intervals within which the press began, and ended; more than 1 where frames before those are gaps."""
 
     @property
     def vertex(self) -> int:
@@ -128,6 +130,8 @@ class ContactFrame:
     """Logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
+    skipped: int = 0
+    """Number of frames right before it that measure nothing."""
 
 
 class InteractionBuilder:
@@ -170,7 +174,7 @@ class InteractionBuilder:
 
         A frame without depth or mask says nothing about contact: after it the load isn't known any more.
         """
-        self._count, self._followed_on = 1, onset.consecutive
+        self._count, self._followed_on, self._intervals = 1, onset.consecutive, 1 + onset.skipped
         self._followed: list[tuple[int, float, np.ndarray]] = []
         known = math.isfinite(self.noise)
         self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
@@ -189,7 +193,7 @@ class InteractionBuilder:
         if frame.contact:
             self.pressed, self._followed_on, self.load_seconds = index, frame.consecutive, None
         elif index == self.pressed + 1 and self._followed_on and frame.out_of_contact:
-            self.load_seconds = since
+            self.load_seconds, self._intervals = since, max(self._intervals, 1 + frame.skipped)
         position = np.asarray(frame.position, np.float32)
         if since >= self.seconds:
             return
@@ -246,4 +250,4 @@ class InteractionBuilder:
         if self._light is not None:
             lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]
             shading = self._light.sequence(np.array([since for since, _ in lit]), [light for _, light in lit])
-        return Interaction(self.mesh, press, observation, step, sequence, shading)
+        return Interaction(self.mesh, press, observation, step, sequence, shading, self._intervals)

@@ -5,15 +5,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL, NINETY, UNSTIFFENED
+from palpate.estimators.estimate import LEAST_SKILL, NINETY
 from palpate.estimators.grip.sheet import WIDENS, SheetMotion
 from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.physics.identifiability import LIMIT
 
 LEAST_LEAD = 0.1
 """Over the skill of the same model with tissue far from the instrument as its grip: any motion spreads smoothly."""
-LARGEST_SLAB_ERROR = 0.1
-"""Share of the motion around a grip; a slab that leaves more of it is refuted: drawn pulls leave 0.005 to 0.03."""
 
 NO_SHEET = "stiffening, not determined: the motion is no sheet's of one stiffness, as of uneven or stiffening tissue"
 WIDENING = "stiffening, not determined: larger pulls spread farther, as where tissue stiffens or comes to rest late"
@@ -59,15 +57,6 @@ class GripEstimate:
     """How the sheet moves at the times; None where it does not explain the motion to within the noise."""
     widens: float = 0.0
     """As of `FoundationFit`."""
-    reaction_over_young: float = math.nan
-    """What holds the tissue in the last frame over E, if a slab of given thickness lies beneath; nan where none was
-    fitted [scene units²]."""
-    reaction_over_young_low: float = math.nan
-    """Lower end of its 90 % interval."""
-    reaction_over_young_high: float = math.nan
-    """Upper end."""
-    slab_error: float = 0.0
-    """What the slab does not explain of the points' motion, besides noise, over the motion."""
 
     @property
     def explained(self) -> bool:
@@ -76,9 +65,7 @@ class GripEstimate:
 
     @property
     def verdict(self) -> str:
-        """`reaction`, `foundation`, `relative_force` or `undetermined`."""
-        if "reaction_over_young" in self.determined:
-            return "reaction"
+        """`foundation`, `relative_force` or `undetermined`."""
         if "foundation_over_stiffness" in self.determined:
             return "foundation"
         return "relative_force" if "relative_force" in self.determined else "undetermined"
@@ -86,8 +73,6 @@ class GripEstimate:
     @property
     def explanation(self) -> str:
         """Why stiffening isn't determined; empty where a linear sheet holds for all pulls."""
-        if "reaction_over_young" in self.determined:
-            return UNSTIFFENED
         return WIDENING if self.widens > WIDENS else NO_SHEET * (self.explained and self.sheet is None)
 
     @property
@@ -96,7 +81,6 @@ class GripEstimate:
         if not self.explained:
             return ()
         known = {
-            "reaction_over_young": self.slab_error <= LARGEST_SLAB_ERROR and self._width("reaction_over_young") < LIMIT,
             "foundation_over_stiffness": self._width("foundation_over_stiffness") < LIMIT,
             "relative_force": np.isfinite(self.force).all() and self.force_sd.max() < LIMIT,
             "stiffness_ratios": self.stiffness is not None and self.stiffness.tells,

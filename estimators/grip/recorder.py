@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
@@ -18,12 +17,9 @@ from palpate.data.tracks.following import PointFollower, Shown, shrunk
 from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
-from palpate.estimators.grip.pull_fit import CELLS, fit_pull
 from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
 from palpate.estimators.grip.stiffness_fit import StiffnessField, fit_stiffness
 from palpate.estimators.model_errors import MODEL_ERRORS
-from palpate.physics.fem import NoBody
-from palpate.physics.fem.slab import slab_beneath
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
@@ -53,17 +49,14 @@ class GripRecorder:
 
     Args:
         first: its first frame, which shows pictures and labels.
-        thickness: of a slab of finite elements that is fitted in addition to the sheet [scene units]; None = none.
     """
 
-    def __init__(self, first: PreparedFrame, thickness: float | None = None) -> None:
+    def __init__(self, first: PreparedFrame) -> None:
         picture, labels = first.view
         self._follower = PointFollower(picture, labels == TOOL)
         self._picture = shrunk(picture, labels == TOOL)[0]
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
-        self._slab = None if thickness is None else (first.contact, thickness)
-        """Contact at rest, and how thick the tissue is there."""
 
     def add(self, frame: PreparedFrame) -> None:
         """The next frame; one without picture or labels is passed over, one out of contact only followed through."""
@@ -87,10 +80,10 @@ class GripRecorder:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
     def estimate(self) -> GripEstimate:
-        """A sheet's one number, judged on the second half of the motion by what the first half tells; and a slab's.
+        """A sheet's one number, judged on the second half of the motion by what the first half tells.
 
         Raises:
-            NoEstimate: too little moves, too few points are visible, or no slab fits under the tissue.
+            NoEstimate: too little moves, or too few points are visible.
         """
         kept, half, points = self._kept, len(self._kept) // 2, self._follower.points
         if half < LEAST_FRAMES:
@@ -113,26 +106,12 @@ class GripRecorder:
         if not found.explained:
             return found
         moved = np.stack([frame.moved for frame in frames])
-        pulled = {} if self._slab is None else self._pulled(*self._slab)
-        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, sheet=fit.sheet, **pulled)
+        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, sheet=fit.sheet)
 
     @property
     def _grid(self) -> PointGrid:
         follower = self._follower
         return PointGrid(follower.points.astype(np.float64), follower.distance, follower.hidden, follower.spacing)
-
-    def _pulled(self, contact: FrameGeometry, thickness: float) -> dict[str, Any]:
-        """Fields of the estimate that a slab tells, the force over time in place of the sheet's."""
-        try:
-            slab = slab_beneath(contact.mesh, contact.vertex, contact.normal, thickness, CELLS, attached=False, order=2)
-        except NoBody as error:
-            raise NoEstimate(f"No slab fits under the tissue: {error}") from error
-        height, width = self._picture.shape[:2]
-        cell = np.array([width, height]) / contact.mesh.grid_shape[::-1]
-        times = np.array([item.time_s for item in self._kept])
-        fit = fit_pull(slab, cell, self._grid, times, [item.seen for item in self._kept])
-        known = _interval("reaction_over_young", fit.log_force, fit.log_force_sd)
-        return {**known, "slab_error": fit.error, "force": fit.force, "force_sd": fit.force_sd}
 
     def _stiffness(self) -> StiffnessField | None:
         """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""

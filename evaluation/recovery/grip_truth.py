@@ -1,4 +1,4 @@
-"""What is estimated of a grip or a pull, compared with the truth; the rows' names are explained in `trial`."""
+"""What is estimated of a grip, compared with the truth; the rows' names are explained in `trial`."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,6 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
-from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.tracks.following import SPACING, PointFollower
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
@@ -126,26 +125,3 @@ def true_log(places: np.ndarray, scene: Scene, motion: GrippedMotion) -> np.ndar
     """True log stiffness at places [N, 2] (column, row) [px], shape [N]."""
     cells = (places[:, ::-1] + 0.5) / np.array(scene.settings.cell)[::-1] - 0.5
     return map_coordinates(motion.log_stiffness, cells.T, order=1, mode="nearest")
-
-
-def pulled(scene: Scene, motion: GrippedSlab, answer: list) -> Row:
-    """What is estimated of a pull on a slab."""
-    said = _grip_of(answer)
-    return said if isinstance(said, dict) else pull_against_truth(said[0].onset, said[1], motion, scene)
-
-
-def pull_against_truth(onset: int, grip: GripEstimate, motion: GrippedSlab, scene: Scene) -> Row:
-    """What is estimated of a pull that was observed from a frame on, compared with the truth."""
-    used = onset + np.rint(grip.times * scene.settings.fps).astype(int)
-    true = motion.reaction[used]
-    size = float(np.linalg.norm(true[-1]))
-    sheet = math.isnan(grip.reaction_over_young)
-    unit = scene.spacing / scene.settings.cell[0] if sheet else 1.0
-    log, sd = log_of(grip, "reaction_over_stiffness" if sheet else "reaction_over_young")
-    return {
-        "true_force": size,
-        "reaction": np.array([math.exp(log) * unit, sd]),
-        "curve": np.array([true @ true[-1] / size**2, grip.force, grip.force_sd]),
-        "verdict": grip.verdict,
-        "warned": not grip.explained,
-    }

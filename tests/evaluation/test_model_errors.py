@@ -36,7 +36,7 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
 
 
 def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
-    (tmp_path / "other.yaml").write_text("slab_young: {value: 1.0}\n")
+    (tmp_path / "other.yaml").write_text("contact_rest: {value: 1.0}\n")
     with pytest.raises(ValueError, match=r"other\.yaml holds other entries than foundation_measured, "):
         read_entries(tmp_path / "other.yaml")
 
@@ -92,16 +92,6 @@ def test_clips_count_by_how_little_their_residuals_leave_open() -> None:
     total = variances + np.square(candidates)[:, None]
     likely = candidates[np.argmin((np.log(total) + np.square(errors) / total).sum(axis=1))]
     assert math.sqrt(off - stated) == pytest.approx(likely, abs=1e-3)
-
-
-def test_pulls_tell_force_over_young_and_its_course() -> None:
-    tissue, true = np.full(8, 200.0), np.array([0.2, 0.5, 1.0])
-    course = np.array([true, 1.1 * true, VALUES["pull_course"] * true])
-    reaction = np.array([1.3 * 4.0 / 200.0, math.hypot(0.05, VALUES["pull_force"])])
-    row = {"tissue": tissue, "true_force": 4.0, "reaction": reaction, "curve": course}
-    found, _ = model_errors.pull_errors([row], VALUES)
-    assert found["pull_force"] == [pytest.approx((math.log(1.3), 0.05**2))]
-    assert found["pull_course"] == [pytest.approx((0.1 / 1.1, VALUES["pull_course"] ** 2 * (1 / 1.21 - 1)), abs=0.003)]
 
 
 def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,5 +37,3 @@ GRIP = GripEstimate(
 """Whose foundation is determined."""
 WIDE = replace(GRIP, foundation_over_stiffness_high=0.2)
 """Whose isn't."""
-SOLID = {"reaction_over_young": 2e-3, "reaction_over_young_low": 1.5e-3, "reaction_over_young_high": 2.7e-3}
-"""What finite elements tell beside it."""

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from palpate.estimators.calibration_file import ClipLength, read_calibration
+from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import InteractionEstimate
 from palpate.results import calibrated as newtons
@@ -145,7 +146,7 @@ def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
 def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> None:
     write_forces(tmp_path, np.full(100, 2.0))
     told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0])
-    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, known=told.known, calibration=told) as output:
+    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, calibration=told) as output:
         output.add(GOOD)
         output.calibrate(UNKNOWN)
         output.finish({"program": "infer.py"}, title="clip")

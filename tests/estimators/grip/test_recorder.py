@@ -15,7 +15,6 @@ from palpate.estimators.estimate import LEAST_SKILL, NINETY, NoEstimate
 from palpate.estimators.grip import recorder as module
 from palpate.estimators.grip.grip_estimate import LEAST_LEAD, NO_SHEET, GripEstimate
 from palpate.estimators.grip.lattice import GripFrame, fit_sheet
-from palpate.estimators.grip.pull_fit import PullFit
 from palpate.estimators.grip.recorder import GripRecorder, _mean_skill, _rival_skill
 from palpate.estimators.grip.sheet import NoSheet
 from palpate.physics.mesh import Mesh, grid_mesh
@@ -63,15 +62,12 @@ def frame(index: int, picture: np.ndarray, labels: np.ndarray, contact: bool = T
     return prepared_frame(index, "ok", touching, image=picture, picture_labels=labels)
 
 
-def run(
-    count: int, pull: float, middle: np.ndarray = TIP, decay: float = DECAY, thickness: float | None = None
-) -> GripRecorder:
+def run(count: int, pull: float, middle: np.ndarray = TIP, decay: float = DECAY) -> GripRecorder:
     """A tool that moves upwards by `pull` a frame, and tissue around `middle` that does, too.
 
     Args:
         middle: elsewhere than at the tool's tip the mask doesn't move as well.
         decay: length over which the tissue's motion dies away [px].
-        thickness: of a slab that is fitted, too.
     """
     rest, follow = texture(), middle is TIP
     rows, columns = np.indices((HEIGHT, WIDTH), np.float32)
@@ -83,7 +79,7 @@ def run(
         picture = cv2.remap(rest, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         seen = frame(index, picture, tool_at(TIP - (0, moved * follow)))
         if found is None:
-            found = GripRecorder(seen, thickness)
+            found = GripRecorder(seen)
         else:
             found.add(seen)
     assert found is not None
@@ -149,32 +145,6 @@ def test_a_motion_that_spreads_from_elsewhere_is_explained_better_from_there() -
     assert skill < _rival_skill(points, 8, distance, frames) + LEAST_LEAD
     unseen = [GripFrame(np.where(distance[:, None] > 90, np.nan, frame.moved), frame.gripped) for frame in frames]
     assert _rival_skill(points, 8, distance, unseen) == -np.inf
-
-
-def test_a_slab_of_told_thickness_tells_force_over_young(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: dict[str, Any] = {}
-
-    def fits(*given: Any) -> PullFit:
-        told["given"] = given
-        return PullFit(math.log(2e-3), 0.2, given[3] / given[3][-1], 0 * given[3], np.zeros(2), 0.03)
-
-    monkeypatch.setattr(module, "fit_pull", fits)
-    found = run(12, 1.5, thickness=0.05).estimate()
-    slab, cell, (points, distance, _, spacing), times, frames = told["given"]
-    np.testing.assert_allclose(cell, [WIDTH / SIDE, HEIGHT / SIDE])
-    assert (len(points), len(times), spacing) == (len(distance), len(frames), 8)
-    assert slab.place == (SIDE // 2, SIDE // 2)
-    assert not slab.held[slab.top[1:-1, 1:-1]].any()
-    assert found.verdict == "reaction"
-    assert found.reaction_over_young == pytest.approx(2e-3)
-    assert found.reaction_over_young_high == pytest.approx(2e-3 * math.exp(NINETY * 0.2))
-    np.testing.assert_allclose(found.force, times / times[-1])
-
-
-def test_where_no_slab_fits_nothing_is_told() -> None:
-    recorder = run(2, 1.5, thickness=math.inf)
-    with pytest.raises(NoEstimate, match=r"^No slab fits under the tissue: a thickness of inf; give a positive one"):
-        recorder._pulled(*recorder._slab)  # ty: ignore[not-iterable]  it has one
 
 
 def test_a_tool_over_still_tissue_tells_nothing() -> None:

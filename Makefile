@@ -52,7 +52,7 @@ demo: $(INSTALLED)
 	$(call alongside,train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx,export,train.py test -c configs/smoke.yaml $(BEST))
 	$(call alongside,infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite,trained,infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite)
 	@echo
-	@echo "report:   $(DEMO)/training/evaluation/report.html"
+	@echo "table 2:  $(DEMO)/training/evaluation/table_2.csv"
 	@echo "network:  $(DEMO)/parameters.onnx"
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/fit.png

@@ -33,7 +33,7 @@ def named(module: str) -> str:
     return f"palpate.{module}.__main__" if f"palpate.{module}" in faces() else f"palpate.{module}"
 
 
-DOORS = {name: [f"{name}.py"] for name in ("calibrate", "infer", "plan", "train")}
+DOORS = {name: [f"{name}.py"] for name in ("infer", "train")}
 DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"], **{named(module): ["-m", module] for module in MODULES}}
 """How each program is started, by its file's name."""
 INTERRUPTING = """

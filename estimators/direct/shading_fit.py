@@ -85,7 +85,7 @@ def fit_shading(
         simulated motion along the force, [T] each.
 
     Raises:
-        NoEstimate: too few frames show the light around the contact.
+        NoEstimate: too few frames show the light around the contact, or no press in it shows there.
     """
     sequence = contact.shading
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
@@ -95,6 +95,8 @@ def fit_shading(
     thin = dataclasses.replace(contact, shading=sequence.chosen(some))
     problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
+    if not led:
+        raise NoEstimate("The contact is too short to show in the light.")
     logs = min(led, key=lambda found: found[0])[1]
     problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
@@ -120,7 +122,7 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
-    if not deepest > 0:
+    if not deepest > 0:  # as in a contact of one frame
         return point, logs
     changing = RISING * motion.times[-1]
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))

@@ -61,14 +61,16 @@ def igtl_server(port: int) -> Any:
     """A `pyigtl.OpenIGTLinkServer` on this machine.
 
     Raises:
-        ValueError: pyigtl is not installed.
-        OSError: the port can't be opened.
+        ValueError: pyigtl is not installed, or the port can't be opened.
     """
     try:
         import pyigtl
     except ModuleNotFoundError as error:
         raise ValueError("--igtl needs pyigtl; install 'palpate[live]'.") from error
-    return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    try:
+        return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    except OSError as error:
+        raise ValueError(f"--igtl {port} can't be opened ({error.strerror}); give another port.") from error
 
 
 @contextmanager

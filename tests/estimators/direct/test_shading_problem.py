@@ -1,14 +1,18 @@
 """The light around a press as a least-squares problem."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from palpate.data.contact.interaction import Interaction
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import ShadingSequence
+from palpate.estimators.direct import shading_fit
 from palpate.estimators.direct.lit_sheet import SIDE
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.shading import OTHERS, ShadingProblem, without_amplitude
+from palpate.estimators.estimate import NoEstimate
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.observation import Observation
@@ -79,3 +83,17 @@ def test_marginalised_amplitude_is_the_inverse_of_the_whole_covariance():
         covariance = np.eye(6) + along[:, place] @ along[:, place].T
         expected = white[:, place].T @ np.linalg.solve(covariance, white[:, place])
         np.testing.assert_allclose(found[:, place].T @ found[:, place], expected, rtol=1e-10)
+
+
+def test_a_contact_in_which_nothing_moves_stays_a_step(problem, monkeypatch):
+    """As one of a single frame, whose force may have ended before it began."""
+    monkeypatch.setattr(problem.motion, "coarse", lambda _: np.zeros((4, 3)))
+    logs = start(problem)
+    problem.look(logs)
+    fitted, found = shading_fit._patched(problem, logs, np.arange(len(TIMES)))
+    assert fitted is problem
+    assert found is logs
+    contact = lit_contact()
+    nothing = Press.at(contact.load.vertex, contact.load.direction, held(0.0, FITTED.steps))
+    with pytest.raises(NoEstimate, match="too short to show in the light"):
+        shading_fit.fit_shading(dataclasses.replace(contact, load=nothing), FRAME_S)

@@ -24,7 +24,6 @@ MODULES = [
     "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
-    "estimators.network.light_calibration",
 ]
 """Programs that `python -m` starts."""
 

@@ -8,12 +8,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
+from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, covariance, describe, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
-NINETY = 1.6448536269514722
-"""Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 COMBINATIONS = {
     "stiffness": (1.0, 0.0, 0.0),
     "damping": (0.0, 1.0, 0.0),

@@ -288,6 +288,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.light,
         frame.light_view,
         frame.light_picture,
+        len(frame.skipped),
     )
 
 

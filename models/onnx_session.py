@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 
 from palpate.common.files import as_json, read_file
-from palpate.common.onnx_devices import AUTO, DeviceError, open_session, provider_of
+from palpate.common.onnx_devices import AUTO, DeviceError, open_session, opening_problem, provider_of
 from palpate.common.settings import fits
 from palpate.models.calibration import Widths
 
@@ -123,6 +123,10 @@ class ExportedModel:
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
         """Compare the graph's inputs and outputs with what the kind and the metadata promise."""
         outputs = [value.name for value in self._session.get_outputs()]
+        batches = [value.shape[0] for value in self._session.get_inputs() if value.shape]
+        if any(isinstance(batch, int) for batch in batches):
+            problem = f"takes batches of {batches[0]} alone; export it with a dynamic batch axis, as train.py does"
+            raise ModelFileError(f"{self.path} {problem}.")
         if self.inputs != inputs or not set(self.outputs) <= set(outputs):
             raise ModelFileError(
                 f"{self.path} takes {_described(self.inputs)} and gives {', '.join(outputs)}, not "
@@ -239,7 +243,7 @@ def _open_session(path: Path, threads: int | None, device: str) -> tuple[onnxrun
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
     except Exception as error:  # ONNX Runtime's exceptions have no common class
-        raise ModelFileError(f"{path} is not a readable ONNX file; export it again with train.py export.") from error
+        raise ModelFileError(f"{path} {opening_problem(error)}.") from error
 
 
 def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:

@@ -16,7 +16,7 @@ msd              mass–spring–damper sheets, with a numpy door and a torch do
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
         "palpate.physics.load": ("Grip", "Press", "PressShape", "held", "ramped"),

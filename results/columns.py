@@ -42,7 +42,7 @@ FIELD = named("stiffness", _AGAINST, what=_AGAINST, unit=UNITS) | {
 }
 """Columns of a frame's field of stiffness; empty from estimators without one."""
 FRAMES = TEXTS["frame"] | ESTIMATED | TEXTS["frame_contact"] | FIELD | TEXTS["frame_status"]
-FRAMES |= TEXTS["verdict"] | TEXTS["frame_detail"]
+FRAMES |= TEXTS["verdict"] | TEXTS["frame_force"] | TEXTS["frame_detail"]
 """Columns of `parameters.csv`, in order."""
 ALARM = TEXTS["alarm"]
 """What `parameters.csv` has in addition with --force-limit."""

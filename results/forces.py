@@ -6,6 +6,7 @@ It is in newtons where something tells them, else relative to the run's own peak
 
 import dataclasses
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -77,7 +78,8 @@ class ContactForce:
             newtons: rows of forces.csv where a pull's force is known in newtons.
             seconds: so much after the onset, an estimate by depth, by light, tells nothing any more [s].
         """
-        touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
+        begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
+        touched = [index for index in range(begun, len(estimates)) if estimates[index].contact is not False]
         while touched and not estimates[touched[-1]].contact:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
@@ -112,6 +114,17 @@ class ContactForce:
         force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
         return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
 
+    @property
+    def relative(self) -> np.ndarray:
+        """The force over its peak and the ends of its 90 % interval, shape [3, T]."""
+        curves = np.stack([self.force, self.low, self.high])
+        known = self.force[np.isfinite(self.force)]
+        peak = max(known, key=abs, default=0.0)
+        if peak:
+            curves = curves / peak
+            curves[1:] = np.sort(curves[1:], axis=0)
+        return curves
+
     def record(
         self, estimates: Sequence[FrameEstimate], lasts: np.ndarray, limit: tuple[float, str] | None
     ) -> dict[str, Any]:
@@ -129,9 +142,8 @@ class ContactForce:
             found |= self._above(limit, seconds)
         if known.any():
             top = int(np.nanargmax(np.abs(self.force)))
-            if self.unit == RELATIVE and self.force[top]:
-                curves = curves / self.force[top]
-                curves[1:] = np.sort(curves[1:], axis=0)
+            if self.unit == RELATIVE:
+                curves = self.relative
             means = curves[:, known] @ seconds[known] / seconds[known].sum()
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}

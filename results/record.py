@@ -7,13 +7,13 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, distributions, version
+from importlib.metadata import distributions
 from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 from palpate.common.files import all_below, digest_of, file_sha256, read_beside
-from palpate.common.provenance import code_digest
+from palpate.common.provenance import __version__, code_digest
 from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
@@ -34,7 +34,7 @@ FORMAT_VERSION = 1
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
 WARNINGS: dict[str, str] = read_beside(__file__)
 """What the user should know about a clip's results, a sentence each."""
-PERSISTENT = ("unreadable", "no_mask", "bad_depth")
+PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
 
@@ -56,7 +56,7 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
         "estimator": dict(estimator.described),
         "files": _named_files(settings),
         "code": code_digest(),
-        "program": program_version(),
+        "program": __version__,
     }
 
 
@@ -222,14 +222,6 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
     paths = {name: Path(value) for name, value in named.items() if value is not None}
     paths |= {f"{name}, yaml": path.with_suffix(".yaml") for name, path in paths.items() if path.suffix == ".onnx"}
     return {name: sha256_of(path) for name, path in paths.items() if isfile(path)}
-
-
-def program_version() -> str:
-    """Version of this program as it is installed."""
-    try:
-        return version("palpate")
-    except PackageNotFoundError:  # its packages are there without it
-        return "unknown"
 
 
 @functools.cache

@@ -21,7 +21,7 @@ from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
-from palpate.common.doors import INTERRUPTED, interruptible, plain
+from palpate.common.doors import INTERRUPTED, interruptible, plain, program
 from palpate.common.files import digest_of, file_sha256, read_beside
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
@@ -191,7 +191,9 @@ class Batch:
         for warning in warnings:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
-            say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
+            total = results.counts.total()
+            said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
+            say(self.console, f"{source.name}: {said}")
         return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
 
     def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -384,12 +386,16 @@ def in_options(text: str) -> str:
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
     """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
-    contacts = {f"contacts {name}": count for name, count in record.get("contacts", {}).items()}
+    contacts = {f"{_plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})
     touching = record.get("statuses", {}).get("ok", 0) - sum(verdicts.values())
-    found = contacts | {f"frames {name}": count for name, count in (verdicts | frames).items()}
-    return found | ({"frames in contact": touching} if touching else {})
+    found = contacts | {f"{_plural(count, 'frame')} {name}": count for name, count in (verdicts | frames).items()}
+    return found | ({f"{_plural(touching, 'frame')} in contact": touching} if touching else {})
+
+
+def _plural(count: int, noun: str) -> str:
+    return noun if count == 1 else f"{noun}s"
 
 
 def _kept(
@@ -397,7 +403,7 @@ def _kept(
 ) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
     for frame in stream:
-        frames.append(frame)
+        frames.extend((*frame.skipped, frame))
         yield frame
         done()
 
@@ -420,7 +426,7 @@ def run(options: argparse.Namespace) -> int:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
     except (ValueError, OSError) as error:
-        say(console, f"{store.PROGRAM}: {sentence_of(error)}")
+        say(console, f"{program()}: {sentence_of(error)}")
         return 2
     if not paths:
         return 2
@@ -432,7 +438,7 @@ def run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             interrupted = True
         except ValueError as error:  # of the scheduler; a clip's is in its outcome
-            say(console, f"{store.PROGRAM}: {sentence_of(error)}")
+            say(console, f"{program()}: {sentence_of(error)}")
             return 2
     Console().print(_table(outcomes), soft_wrap=True)
     _write_pages(options.output, outcomes, console)

@@ -23,7 +23,8 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
-from palpate.results.alarm import ForceAlarm
+from palpate.results.agreement import REVISED, agreed
+from palpate.results.alarm import BELOW, UNKNOWN, ForceAlarm
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
@@ -88,6 +89,8 @@ class ClipResults:
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
         self.estimates: list[FrameEstimate] = []
+        self._cells: list[list[str]] = []
+        """Rows of the latest frames, which wait for the end of their contact."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
         self.counts: Counter[str] = Counter()
@@ -142,7 +145,11 @@ class ClipResults:
             estimate = self.alarm.watch(estimate, upper_end)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
-            self._rows.writerow(columns.row(self.columns, estimate.values))
+            cells = columns.row(self.columns, estimate.values)
+            if estimate.contact or self._cells:
+                self._cells.append(cells)
+            else:
+                self._rows.writerow(cells)
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
             shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
@@ -163,10 +170,29 @@ class ClipResults:
         video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
         self.seconds["overlay"] += time.perf_counter() - start
 
-    def _draw_waiting(self, stiffness: StiffnessMap | None) -> None:
-        """Append the pictures that wait for a map, or for the news that there is none."""
-        for frame in self._waiting.drain() if self._waiting is not None else ():
-            self._draw(frame, stiffness)
+    def _agree(self, run: InteractionEstimate, contact: ContactForce) -> None:
+        """Bring the frames that wait into agreement with their contact, which has ended."""
+        forces = dict(zip(contact.frames.tolist(), contact.relative.T.tolist(), strict=True))
+        begun = len(self.estimates) - len(self._cells)
+        places = [list(self.columns).index(name) for name in REVISED if name in self.columns]
+        for index, cells in enumerate(self._cells, start=begun):
+            before = self.estimates[index]
+            frame = self.estimates[index] = agreed(before, run, forces.get(index, [math.nan] * 3))
+            if self.alarm is not None and frame.alarm != before.alarm:
+                self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
+            if frame is not before:
+                revised = columns.row(self.columns, frame.values)
+                for place in places:
+                    cells[place] = revised[place]
+
+    def _write_waiting(self, stiffness: StiffnessMap | None) -> None:
+        """Append the rows and pictures that wait for the end of a contact, and for its map of stiffness."""
+        self._rows.writerows(self._cells)
+        frames = self.estimates[len(self.estimates) - len(self._cells) :]
+        self._cells = []
+        if self._waiting is not None:
+            for frame, estimate in zip(self._waiting.drain(), frames, strict=True):
+                self._draw(frame._replace(estimate=estimate), stiffness)
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
@@ -182,14 +208,16 @@ class ClipResults:
             self.stretched |= run.field.stretched
             if run.field.explanation and not run.field.determined:
                 self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
-        self._contacts.append(ContactForce.of(run, self.estimates, forces, self._seconds))
+        contact = ContactForce.of(run, self.estimates, forces, self._seconds)
+        self._contacts.append(contact)
+        self._agree(run, contact)
         self.counts[state(run)] += 1
         if state(run) == "no_estimate":
             self.unexplained[run.detail] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
-            self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
+            self._write_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export:
                 times = np.array([frame.time_s for frame in self.estimates[run.onset :]]) - run.onset_time_s
@@ -209,7 +237,7 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
-            self._draw_waiting(None)
+            self._write_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:

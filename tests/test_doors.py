@@ -11,6 +11,7 @@ import pytest
 from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
+    "benchmarks.goldens",
     "benchmarks.inference",
     "data.cholecseg8k",
     "data.synthetic",
@@ -33,7 +34,7 @@ def named(module: str) -> str:
     return f"palpate.{module}.__main__" if f"palpate.{module}" in faces() else f"palpate.{module}"
 
 
-DOORS = {name: [f"{name}.py"] for name in ("calibrate", "infer", "plan", "train")}
+DOORS = {name: [f"{name}.py"] for name in ("infer", "train")}
 DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"], **{named(module): ["-m", module] for module in MODULES}}
 """How each program is started, by its file's name."""
 INTERRUPTING = """

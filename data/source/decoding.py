@@ -23,7 +23,7 @@ from av.video.reformatter import ColorTrc, Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
 from palpate.data.source.images import printable, require_pixels
-from palpate.data.source.interlace import LARGEST_OFFSET, FieldOffset, deinterlaced
+from palpate.data.source.interlace import LARGEST_OFFSET, FieldOffset, filtered
 from palpate.data.source.layout import InputError
 
 Kind = TypeVar("Kind")
@@ -71,12 +71,14 @@ def opened(file: Path) -> Generator[tuple[InputContainer, VideoStream]]:
     """
     options = {"protocol_whitelist": "file"}
     with av.open(f"file:{file}", options=options, metadata_errors="replace") as container:
-        tracks = [track for track in container.streams.video if not track.disposition & NO_PICTURES]
+        videos = [track for track in container.streams.video if track.codec_context is not None]
+        tracks = [track for track in videos if not track.disposition & NO_PICTURES]
         default = [track for track in tracks if track.disposition & Disposition.default]
         best = container.streams.best("video")
-        track = default[0] if len(default) == 1 else best if best in tracks else next(iter(tracks), None)
+        track = next((each for each in tracks if best is not None and each.index == best.index), None)
+        track = default[0] if len(default) == 1 else track or next(iter(tracks), None)
         if track is None:
-            raise InputError(f"{printable(file)} holds no video track; give the video itself.")
+            raise InputError(f"{printable(file)} holds no video track that can be decoded; give the video itself.")
         track.thread_type = "AUTO"
         yield container, track
 
@@ -126,7 +128,7 @@ def _decoded(container: InputContainer, track: VideoStream, damage: _Damage) -> 
 
 def _time(frame: av.VideoFrame) -> float | None:
     stamp = frame.dts if frame.pts is None else frame.pts
-    return None if stamp is None else float(stamp * frame.time_base)
+    return None if stamp is None else float(stamp * (frame.time_base or 1))
 
 
 def numbered(frames: Iterable[tuple[float | None, Kind]], step: float) -> Iterator[Timed[Kind]]:
@@ -178,7 +180,7 @@ class VideoTrack:
         size: width and height of the first picture; None where none can be decoded [px].
         fps: frame rate [1/s].
         length: expected number of frames; 0 = unknown.
-        parity: tff or bff of a video that is deinterlaced, else empty.
+        fields: name and options of FFmpeg's filter that deinterlaces, or removes the flag of what is not interlaced.
         notes: what is done to the pictures, and what is doubtful about them.
     """
 
@@ -196,7 +198,8 @@ class VideoTrack:
         """
         self.file, self.span, self.fps = file, span, fallback_fps
         self.size: tuple[int, int] | None = None
-        self.length, self.parity, self.notes = 0, "", []
+        self.length, self.notes = 0, []
+        self.fields: tuple[str, str] | None = None
         self._damage = _Damage()
         with opened(file) as (container, track):
             self._aspect = float(track.sample_aspect_ratio or 1)
@@ -209,26 +212,27 @@ class VideoTrack:
 
     def _look(self, container: InputContainer, track: VideoStream) -> None:
         """Find out frame rate, length, size and what is to be done to the pictures."""
-        offset, stamps, flagged, hdr = FieldOffset(), set(), False, ""
+        offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
         for frame in islice(self._stored(container, track), LOOKED_AT):
             offset.push(frame)
             stamps.add(_time(frame))
             flagged, hdr = flagged or frame.interlaced_frame, HDR.get(frame.color_trc, hdr)
-            if self.size is None and not frame.is_corrupt:
-                height, width = self._picture(frame, VideoReformatter()).shape[:2]
-                self.size, stored = (width, height), (frame.width, frame.height)
-        if self.size is None:
+            if picture is None:
+                picture, stored = self._picture(frame, VideoReformatter()), (frame.width, frame.height)
+        if picture is None:
             return
+        self.size = picture.shape[1], picture.shape[0]
         if offset.value is None:
             self._look_elsewhere(container, track, offset)
         self._set_rate(sorted(stamps - {None}))
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
+        self.fields = ("setfield", "prog") if flagged else None  # flagged frames are converted field by field
         if offset.value is None:
             if flagged or stored[1] in INTERLACED_HEIGHTS:
                 self.notes.append("too little moves in the frames examined to tell whether the video is interlaced")
         elif abs(offset.value) > LARGEST_OFFSET:
-            self.parity = "tff" if offset.value > 0 else "bff"
+            self.fields = "bwdif", f"send_frame:{'tff' if offset.value > 0 else 'bff'}:all"
             self.notes.append("interlaced: odd and even rows show different instants; the video is deinterlaced")
         if hdr:
             self.notes.append(f"colours are coded for high dynamic range ({hdr}) and read as standard ones")
@@ -264,7 +268,8 @@ class VideoTrack:
             container.seek(round(begin * av.time_base))  # to a frame before that can be decoded alone
         for frame in _decoded(container, track, self._damage):
             time_s = _time(frame)
-            if time_s is not None and time_s >= end:
+            if time_s is not None and time_s >= end:  # what the decoder has been given beyond is not missing
+                self._damage.decoded_until = math.inf
                 return
             if time_s is None or time_s >= begin:
                 yield frame
@@ -275,20 +280,23 @@ class VideoTrack:
             return width, height
         return round(width * max(self._aspect, 1)), round(height / min(self._aspect, 1))
 
-    def _picture(self, frame: av.VideoFrame, reformatter: VideoReformatter) -> np.ndarray:
+    def _picture(self, frame: av.VideoFrame, reformatter: VideoReformatter) -> np.ndarray | None:
         size = self._square(frame.width, frame.height)
         how = Interpolation.BILINEAR if size == (frame.width, frame.height) else Interpolation.BICUBIC
-        return _upright(reformatter.reformat(frame, *size, "rgb24", interpolation=how, threads=1).to_ndarray(), frame)
+        with suppress(av.FFmpegError):
+            if not frame.is_corrupt:
+                return _upright(reformatter.reformat(frame, *size, "rgb24", interpolation=how).to_ndarray(), frame)
+        self._damage.pictures += 1
+        return None
 
     def __iter__(self) -> Iterator[Timed[np.ndarray | None]]:
         """RGB pictures, uint8 [H, W, 3], in order; None in place of a damaged one."""
         with opened(self.file) as (container, track):
             frames, reformatter = self._stored(container, track), VideoReformatter()
-            if self.parity:
-                frames = deinterlaced(frames, self.parity)
+            if self.fields:
+                frames = filtered(frames, *self.fields)
             for number, time_s, frame in numbered(((_time(frame), frame) for frame in frames), 1 / self.fps):
-                self._damage.pictures += frame.is_corrupt
-                yield Timed(number, time_s, None if frame.is_corrupt else self._picture(frame, reformatter))
+                yield Timed(number, time_s, self._picture(frame, reformatter))
 
     def damage(self) -> list[str]:
         """Complaints about what the last pass, once complete, has not decoded."""

@@ -9,7 +9,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from pathlib import Path
 
 import av
@@ -243,6 +243,9 @@ class RosBag(Pictures):
         self.path, self.name, self.warnings = path, name_of(path), []
         self.topic = topic_of(path, layout.topic)
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
+        self._new = np.diff(stamps, prepend=stamps[:1] - 1) > 0
+        """Whether each picture's time stamp is after that of the one before, shape [N]."""
+        stamps = stamps[self._new]
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
         self._times, self.begin_ns = ((stamps - stamps[0]) / 1e9).tolist(), int(stamps[0])
@@ -253,7 +256,12 @@ class RosBag(Pictures):
         self.size = self._first_size()
 
     def _pictures(self) -> Iterator[tuple[None, np.ndarray | InputError]]:
-        return ((None, found) for found in pictures(self.path, self.topic))
+        return ((None, found) for found in compress(pictures(self.path, self.topic), self._new))
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from super().__iter__()
+        if lost := int((~self._new).sum()):
+            self.warnings.append(f"left out, as their time stamps repeat: {lost} of {len(self._new)} pictures")
 
 
 class Halves(FrameSource):

@@ -18,6 +18,7 @@ import av
 import cv2
 import numpy as np
 from av.filter import Graph
+from av.video.reformatter import VideoReformatter
 
 LARGEST_OFFSET = 0.25
 """Largest absolute offset of progressive video, where it is below 0.01; it is 0.65 to 0.79 of interlaced video."""
@@ -41,10 +42,11 @@ class FieldOffset:
     def __init__(self) -> None:
         self._recent: deque[_Rows] = deque(maxlen=3)
         self._sums = np.zeros(4)
+        self._reformatter = VideoReformatter()
 
     def push(self, frame: av.VideoFrame) -> None:
         """Add the next frame."""
-        luma = frame.reformat(format="gray").to_ndarray()
+        luma = self._reformatter.reformat(frame, format="gray", threads=1).to_ndarray()
         luma = cv2.resize(luma, (max(frame.width // COLUMNS_AVERAGED, 1), frame.height), interpolation=cv2.INTER_AREA)
         luma = luma[: (len(luma) - 1) // 2 * 2 + 1].astype(np.float32)
         rows = _Rows((luma[:-2:2] + luma[2::2]) / 2, luma[1::2])
@@ -69,24 +71,20 @@ class FieldOffset:
         return float(misfit / common) if known else None
 
 
-def deinterlaced(frames: Iterable[av.VideoFrame], parity: str) -> Iterator[av.VideoFrame]:
-    """Progressive frames by FFmpeg's bwdif, as many as come in.
-
-    Args:
-        frames: the interlaced ones.
-        parity: tff where even rows come first, else bff.
-    """
+def filtered(frames: Iterable[av.VideoFrame], name: str, options: str) -> Iterator[av.VideoFrame]:
+    """Frames after one of FFmpeg's filters, as many as come in; it begins anew where their size changes."""
     graph, shape = None, None
     for frame in frames:
-        if shape != (shape := (frame.width, frame.height, frame.format.name)):
-            yield from () if graph is None else _pulled(graph, None)
-            graph = Graph()
-            width, height, kind = shape
-            buffer = graph.add_buffer(width=width, height=height, format=kind, time_base=frame.time_base)
-            graph.link_nodes(buffer, graph.add("bwdif", f"send_frame:{parity}:all"), graph.add("buffersink"))
-            graph.configure()
+        if graph is None or shape != (frame.width, frame.height, frame.format.name):
+            if graph is not None:
+                yield from _pulled(graph, None)
+            graph, shape = Graph(), (frame.width, frame.height, frame.format.name)
+            width, height, unit = frame.width, frame.height, frame.time_base
+            buffer = graph.add_buffer(width=width, height=height, format=frame.format, time_base=unit)
+            graph.link_nodes(buffer, graph.add(name, options), graph.add("buffersink")).configure()
         yield from _pulled(graph, frame)
-    yield from () if graph is None else _pulled(graph, None)
+    if graph is not None:
+        yield from _pulled(graph, None)
 
 
 def _pulled(graph: Graph, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:

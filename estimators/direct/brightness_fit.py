@@ -85,16 +85,18 @@ def fit_brightness(
         simulated motion along the force, [T] each.
 
     Raises:
-        NoEstimate: too few frames show the light around the contact.
+        NoEstimate: too few frames show the light around the contact, or no press in it shows there.
     """
     sequence = contact.brightness
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
-    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds
+    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
     thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
+    if not led:
+        raise NoEstimate("The contact is too short to show in the light.")
     logs = min(led, key=lambda found: found[0])[1]
     problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
@@ -122,6 +124,8 @@ def _patched(point: BrightnessProblem, logs: np.ndarray, some: np.ndarray) -> tu
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
+    if not deepest > 0:  # as in a contact of one frame
+        return point, logs
     changing = RISING * motion.times[-1]
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
     press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())

@@ -116,6 +116,7 @@ class DirectSession(RunSession):
             NoEstimate: fewer than three observations, or no noise level.
         """
         estimator, count = self.estimator, len(contact.observation)
+        within = self._within * contact.intervals
         noise = contact.noise if estimator.noise is None else estimator.noise
         if not (math.isfinite(noise) and noise > 0):
             raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
@@ -126,9 +127,9 @@ class DirectSession(RunSession):
         sequence = contact.sequence
         with_sequence = sequence is not None and len(sequence.times) >= LEAST_OBSERVATIONS
         if estimator.observation != CONTACT and with_sequence:
-            found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
+            found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
         else:
-            problem = ContactProblem(contact, self.mechanics, noise, self._within)
+            problem = ContactProblem(contact, self.mechanics, noise, within)
             found = fit_contact(problem, problem.motion.box(estimator.log_box))
         return found, simulated_motion(contact, found, self.mechanics)
 

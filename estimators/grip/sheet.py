@@ -75,8 +75,7 @@ EXCESS = MODEL_ERRORS.sheet_excess
 """Errors beyond the given noise of this size, by axis, show that tissue is no such sheet [px]: free forces then
 explain too much. Nor is it one where what is left of the motion goes together over many points (`sheet_together`)."""
 WIDENS = 3.0
-"""Standard deviations from which on motion spreads farther by larger pulls. Of seed 601 of `drawn_stiffening` linear
-sheets were at -0.1 to 0.4, one that creeps at 9.1, and such that stiffen at 1.0 (b = 2), 6.2 (5) and 8.7 (10, 30)."""
+"""Standard deviations from which on motion spreads farther by larger pulls."""
 
 
 class SheetMotion(NamedTuple):

@@ -49,7 +49,7 @@ WAITING, UNDECIDED = 1, 16
 LOOPBACK = "127.0.0.1"
 REMEMBERED = 1 << 16
 """So many frames' lateness counts."""
-NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask")
+NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated")
 """Statuses that later frames don't change."""
 MOST_UNSENT = 100
 """Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""
@@ -59,14 +59,16 @@ def igtl_server(port: int) -> Any:
     """A `pyigtl.OpenIGTLinkServer` on this machine.
 
     Raises:
-        ValueError: pyigtl is not installed.
-        OSError: the port can't be opened.
+        ValueError: pyigtl is not installed, or the port can't be opened.
     """
     try:
         import pyigtl
     except ModuleNotFoundError as error:
         raise ValueError("--igtl needs pyigtl; install 'palpate[live]'.") from error
-    return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    try:
+        return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    except OSError as error:
+        raise ValueError(f"--igtl {port} can't be opened ({error.strerror}); give another port.") from error
 
 
 @contextmanager

@@ -35,7 +35,7 @@ from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
-from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
+from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
@@ -48,13 +48,12 @@ from palpate.data.training.datamodule import ClipDataModule
 from palpate.estimators.network.light_training import WEIGHTS as LIGHT_WEIGHTS
 from palpate.estimators.network.light_training import LightSettings, train_light
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
-from palpate.evaluation.paper.analysis import EvaluationError
-from palpate.evaluation.paper.figures import draw_next_depth
-from palpate.evaluation.paper.report import FILES, write_evaluation
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError, export
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from palpate.results.paper.figures import draw_next_depth
+from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
     "best": {"monitor": "val/physics"},
@@ -110,7 +109,7 @@ class SentenceParser(LightningArgumentParser):
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
         missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = "train.py {fit,validate,test,export} --help lists all options"
+        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
         remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
         raise UsageError(f"{sentence}; {remedy}.") from ex
 
@@ -360,7 +359,7 @@ def fit_part(name: str, arguments: list[str]) -> None:
         arguments: command line after `fit`.
     """
     settings_class, train, weights = PARTS[name]
-    parser = SentenceParser(prog="train.py fit", description=f"Train the {name} posterior.", allow_abbrev=False)
+    parser = SentenceParser(prog=f"{program()} fit", description=f"Train the {name} posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
     parser.add_class_arguments(settings_class, name)
     chosen = parser.parse_args(arguments)
@@ -413,5 +412,5 @@ def main(arguments: list[str] | None = None) -> int:
         return INTERRUPTED
     else:
         return 0
-    print(plain(f"train.py: {said}"), file=sys.stderr)
+    print(plain(f"{program()}: {said}"), file=sys.stderr)
     return status

@@ -1,5 +1,6 @@
 """The light around a press as a least-squares problem."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from palpate.estimators.direct import brightness_fit
 from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.lit_sheet import SIDE
 from palpate.estimators.direct.motion import FITTED
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import RECOMMENDED, damping_ratio
@@ -92,3 +94,17 @@ def test_what_coding_makes_tissue_seem_slower_by_is_taken_off(problem, monkeypat
     np.testing.assert_allclose(shifted, -slopes * left**2 * np.log(ratio), rtol=1e-6)
     assert np.abs(shifted[1:]).min() > 0.01
     assert found[0].left == 1 - problem.skill
+
+
+def test_a_contact_in_which_nothing_moves_stays_a_step(problem, monkeypatch):
+    """As one of a single frame, whose force may have ended before it began."""
+    monkeypatch.setattr(problem.motion, "coarse", lambda _: np.zeros((4, 3)))
+    logs = start(problem)
+    problem.look(logs)
+    fitted, found = brightness_fit._patched(problem, logs, np.arange(len(TIMES)))
+    assert fitted is problem
+    assert found is logs
+    contact = lit_contact()
+    nothing = Press.at(contact.load.vertex, contact.load.direction, held(0.0, FITTED.steps))
+    with pytest.raises(NoEstimate, match="too short to show in the light"):
+        brightness_fit.fit_brightness(dataclasses.replace(contact, load=nothing), FRAME_S)

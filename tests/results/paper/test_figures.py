@@ -4,14 +4,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.evaluation.paper.figures import draw_next_depth, draw_response, draw_theta
 from palpate.physics.mechanics import PARAMETERS, Mechanics
+from palpate.results.paper.figures import draw_next_depth, draw_response, draw_theta
 
 MECHANICS = Mechanics(time_step=0.01, steps=100, load_steps=25)
 LOAD = np.clip(MECHANICS.times / 0.25, 0, 1) * np.where(
     MECHANICS.times <= 0.25, 1, np.exp(-(MECHANICS.times - 0.25) / 0.1)
 )
-SPREAD = pd.DataFrame({"low": [0.0, 0.0, 0.0], "high": [1.0, 1.0, 10.0]}, index=list(PARAMETERS))
+SPREAD = pd.DataFrame(
+    {"low": [0.0, 0.0, 0.0], "high": [1.0, 1.0, 10.0], "constant": [0.3, 0.2, 0.4]}, index=list(PARAMETERS)
+)
 
 
 def _trajectories(peaks):
@@ -56,7 +58,7 @@ def test_nothing_to_show_is_still_drawn(value):
 
 def test_theta_figure_draws_estimates_box_and_baselines():
     frames = pd.DataFrame({"clip": list("aabb"), "stiffness": 0.5, "damping": 0.1, "force": 5.0})
-    figure = draw_theta(frames, SPREAD, np.array([0.3, 0.2, 0.4]))
+    figure = draw_theta(frames, SPREAD)
     box, zoom = figure.axes[4:]
     lines = {line.get_label(): line for line in box.lines}
     np.testing.assert_array_equal(lines["estimate"].get_ydata(), 5.0)

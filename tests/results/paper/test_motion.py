@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from palpate.evaluation.paper.simulated import median_share, motion_row, settle
 from palpate.physics.mechanics import Mechanics
+from palpate.results.paper.simulated import median_share, motion_row, settle
 
 MECHANICS = Mechanics(time_step=0.01, steps=200, load_steps=50)
 

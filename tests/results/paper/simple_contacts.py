@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from palpate.data.contact.interaction import Interaction
-from palpate.evaluation.paper.simulated import simulate_contacts
 from palpate.models.records import with_reference_tissue
 from palpate.physics import Bounds, Mechanics, Observation, Press, grid_mesh, held
+from palpate.results.paper.simulated import simulate_contacts
 
 MECHANICS = Mechanics(steps=40, load_steps=20)
 BOUNDS = Bounds(stiffness=(0.05, 2.0), damping=(0.005, 0.3), force=(-0.5, 0.0), initial=(0.5, 0.09, -0.1))

@@ -8,9 +8,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.evaluation.paper import simulated
 from palpate.physics.mechanics import Bounds
-from tests.evaluation.simple_contacts import BOUNDS, MECHANICS, STEPS, contact, observing
+from palpate.results.paper import simulated
+from tests.results.paper.simple_contacts import BOUNDS, MECHANICS, STEPS, contact, observing
 
 TRUE = np.array([0.6, 0.05, -0.08])
 

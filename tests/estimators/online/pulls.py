@@ -1,39 +1,19 @@
-"""Drawn pulls of sheets of known stiffness, as sequences of a robot: do maps agree, and do their intervals hold?
-
-    python -m tests.estimators.online.drawn_pulls --pulls 6 --seed 772001
-
-Every seed draws a sheet of two parts, its thickness and a pull of 60 frames. Maps are compared by Spearman's rank
-correlation between Gauss–Newton's and Adam's steps, and between followed points with clouds and points alone, where
-both are determined; with the truth where tissue has stretched. 90 % intervals are those of Gauss–Newton's map by points
-with clouds: of stiffness relative to its mean (of logarithms) where tissue has stretched, and of E by the force at the
-grip and by a palpation at one place.
-"""
-
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
+"""Synthetic pulls of sheets of known stiffness, as sequences of a robot."""
 
 import dataclasses
-import sys
-import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from scipy.stats import spearmanr
 
-from palpate.common.options import options, require_within
 from palpate.data.source.sequence import open_sequence
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.session import Frame, Method
-from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings
+from palpate.estimators.online.settings import OnlineSettings
 from palpate.evaluation.online import sequences
 from palpate.evaluation.online.sequences import FINE, SIDE, SPRINGS, State
 from tests.sequences import FPS, SHIFT, TURN, write_sequence
@@ -41,25 +21,6 @@ from tests.sequences import FPS, SHIFT, TURN, write_sequence
 MODULUS = 1.7 - 0.5**2 / 1.7
 """E times thickness of the drawn net where springs along rows are 1: it is isotropic, C₁₁ 1.7 and C₁₂ 0.5 of them."""
 FRAMES, PALPATED_SD = 60, 0.15
-KINDS = "stiffness", "E by force", "its stiff part", "E by palpation", "its stiff part there"
-"""Of intervals."""
-LEAST = 10
-"""Particles that both maps determine, at least, for a rank correlation."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Of the command."""
-
-    pulls: int = 6
-    """How many are drawn."""
-    seed: int = 772001
-    """Of the first pull; each further one takes the next."""
-    fitted: int = 0
-    """Frames to which time step, foundation and the stiffness of shapes are fitted."""
-
-    def __post_init__(self) -> None:
-        require_within(self, pulls=(1, 1000), seed=(0, 2**31), fitted=(0, MOST_FITTED))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,65 +119,3 @@ def holds(true: np.ndarray, young: np.ndarray) -> np.ndarray:
     """Where there is an interval, whether it holds."""
     some = np.isfinite(young[0])
     return ((young[1] <= true) & (true <= young[2]))[some]
-
-
-def relative_holds(true: np.ndarray, field: ParticleField, stretched: np.ndarray) -> np.ndarray:
-    """Where stiffness is determined, whether its interval holds, both relative to the mean where tissue stretched."""
-    off = np.log(field.distance / true)
-    return (np.abs(off - off[stretched].mean()) < NINETY * field.distance_log_sd)[field.known]
-
-
-def rank(one: ParticleField, other: ParticleField) -> float:
-    """Of two maps, where both are determined; not a number where that is hardly anywhere."""
-    both = one.known & other.known
-    if both.sum() < LEAST:
-        return float("nan")
-    return float(spearmanr(one.distance[both], other.distance[both]).statistic)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Judge; returns the exit status."""
-    chosen = options(Options, arguments, "tests.estimators.online.drawn_pulls", __doc__)
-    held: dict[str, list[np.ndarray]] = {name: [] for name in KINDS}
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in range(chosen.seed, chosen.seed + chosen.pulls):
-            pull = draw_pull(seed, Path(folder) / str(seed))
-            newton, driven = followed(pull.path, "gauss-newton", chosen.fitted)
-            adam, _ = followed(pull.path, "adam", chosen.fitted)
-            points, _ = followed(pull.path, "gauss-newton", chosen.fitted, clouds=False)
-            true, nowhere = pull.young(newton), np.full((3, len(newton.rest)), np.nan)
-            stiff = true > pull.soft
-            force = nowhere if newton.young is None else newton.young
-            palpated = by_palpation(pull, newton, driven)
-            new = [relative_holds(true, newton, driven.stretched)]
-            for young in (force, palpated):
-                new += [holds(true, young), holds(true[stiff], young[:, stiff])]
-            for name, each in zip(KINDS, new, strict=True):
-                held[name].append(each)
-            shares = ", ".join(f"{field.known.mean():.0%}" for field in (newton, adam, points))
-            truth = float(spearmanr(newton.distance[driven.stretched], true[driven.stretched]).statistic)
-            ranks = f"{rank(newton, adam):.2f}, with points' {rank(newton, points):.2f}, with the truth {truth:.2f}"
-            counts = ", ".join(f"{name} {found[-1].sum()} of {len(found[-1])}" for name, found in held.items())
-            print(f"{seed}: determined by Gauss–Newton, Adam, points alone {shares}; ranks with Adam's {ranks}")
-            print(f"  intervals that hold: {counts}")
-            if newton.young is not None:
-                off, wide = (force[0] / true)[newton.known], (force[2] / force[0])[newton.known].max()
-                parts = [off[part[newton.known]] for part in (~stiff, stiff)]
-                medians = ", ".join(f"{np.median(part):.2f}" if len(part) else "none" for part in parts)
-                print(
-                    f"  E by force over the true one, soft and stiff part: {medians}; intervals up to {wide:.2f}-fold"
-                )
-            sys.stdout.flush()
-    for name, found in held.items():
-        some = [each for each in found if len(each)]
-        if not some:
-            print(f"{name}: determined on none of {len(found)} pulls")
-            continue
-        every, worst = np.concatenate(some), min(each.mean() for each in some)
-        said = f"{every.mean():.0%} of {len(every)} intervals hold, on {len(some)} of {len(found)} pulls"
-        print(f"{name}: {said}, {worst:.0%} in the worst")
-    return 0
-
-
-if __name__ == "__main__":
-    run_door(main)

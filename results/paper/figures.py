@@ -5,8 +5,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.evaluation.paper.simulated import distances
 from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from palpate.results.paper.simulated import distances
 
 PERCENTILES = (10, 25, 50, 75, 90)
 MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
@@ -66,13 +66,12 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
     return figure
 
 
-def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame, constant: np.ndarray) -> Figure:
+def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame) -> Figure:
     """θ by test frame: on the left within the admissible box, on the right zoomed to the estimates.
 
     Args:
         frames: one row a test frame with its clip and parameters, in order.
-        spread: admissible range (`low`, `high`) by parameter.
-        constant: the constant baseline by parameter, shape [3], drawn as a dashed line; not a number = there is none.
+        spread: admissible range (`low`, `high`) and constant baseline by parameter; not a number = there is none.
     """
 
     figure = Figure(figsize=(11, 6.4), dpi=150, layout="constrained")
@@ -80,13 +79,13 @@ def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame, constant: np.ndarray)
     grid = figure.subplots(3, 2, sharex=True)
     position = np.arange(1, len(frames) + 1)
     changes = position[frames["clip"] != frames["clip"].shift()][1:] - 0.5
-    for (box, zoom), (name, row), value in zip(grid, spread.iterrows(), constant, strict=True):
+    for (box, zoom), (name, row) in zip(grid, spread.iterrows(), strict=True):
         for axes in (box, zoom):
             axes.plot(position, frames[name], ".", ms=4, color=ACCENT, label="estimate")
             for change in changes:
                 axes.axvline(change, color=LIGHT, lw=0.8, zorder=0)
         box.axhspan(row["low"], row["high"], color=BOX, lw=0, zorder=-1, label="admissible range")
-        box.axhline(value, color=WARM, lw=1.3, ls="--", label="constant θ fitted on training contacts")
+        box.axhline(row["constant"], color=WARM, lw=1.3, ls="--", label="constant θ fitted on training contacts")
         box.axhline(LITERATURE.get(str(name), np.nan), color=GREY, ls=":", label="literature value, where in range")
         margin = 0.06 * (row["high"] - row["low"])
         box.set(ylabel=f"{name}\n[normalised]", ylim=(row["low"] - margin, row["high"] + margin))

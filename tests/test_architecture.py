@@ -217,7 +217,8 @@ def test_what_loads_slowly_is_loaded_only_where_it_is_used(library: str, user: s
     at_once = [
         name_of(path)
         for module, path in modules().items()
-        if room_of(module) not in ("evaluation", "benchmarks") and not is_inside(module, "palpate.results.paper")
+        if room_of(module) not in ("evaluation", "benchmarks")
+        and not is_inside(module, "palpate.results.paper")
         and any(is_inside(name, library) for name in imported(path, within_functions=False))
     ]
     assert at_once == []

@@ -21,7 +21,7 @@ from palpate.data.source.images import MOST_BYTES
 from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
-from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
+from palpate.estimators.network.estimator import FAST, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -119,7 +119,7 @@ def build_record(
         "warnings": [
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
-            *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
+            *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *_untold(results),
@@ -143,8 +143,7 @@ def _untold(results: ClipResults) -> Iterator[str]:
 
 def _left_out(clip: ClipStream) -> list[str]:
     """What the rate fast leaves out of a clip, in sentences."""
-    seldom = clip.guesses_depth or clip.sources["masks"] == "automatic"
-    return ([SELDOM] if seldom else []) + ([LEAVES_OUT] if clip.guesses_depth else [])
+    return [SELDOM] if clip.guesses_depth or clip.sources["masks"] == "automatic" else []
 
 
 def warnings_of(
@@ -152,7 +151,6 @@ def warnings_of(
     frames: Sequence[FrameEstimate],
     model: ExportedModel | None,
     sources: Mapping[str, str],
-    contact: str = "touching",
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -161,7 +159,6 @@ def warnings_of(
         frames: its results.
         model: what estimated them, where it is a network.
         sources: where its `depth` and `masks` came from.
-        contact: how contacts were found, as of `GeometrySettings`.
     """
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
@@ -169,8 +166,8 @@ def warnings_of(
             words = {"what": what, "trained": " and ".join(trained), "here": sources[what]}
             found.append(WARNINGS["elsewhere"].format(**words))
     found += source.warnings
-    if contact == "motion" or sources["masks"] == "automatic":
-        found.append(WARNINGS["motion" if contact == "motion" else "automatic"])
+    if sources["masks"] == "automatic":
+        found.append(WARNINGS["automatic"])
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]
         if hit:

@@ -55,7 +55,7 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 MAPPING = ("direct", "network")
 """Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "force_scale")
+OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
@@ -118,7 +118,7 @@ class Batch:
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
             raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
-        chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
+        chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         unit = UNITS["force"] if self.calibration is None else NEWTONS
         self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
@@ -152,7 +152,7 @@ class Batch:
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"][0], 1 / source.fps)
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"], 1 / source.fps)
             written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()

@@ -16,7 +16,6 @@ MODULES = [
     "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
-    "estimators.network.light_calibration",
     "evaluation.benchmark",
     "evaluation.compare_with_truth",
     "evaluation.model_errors",

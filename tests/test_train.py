@@ -674,6 +674,13 @@ def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, con
     client.delete_run(first)
     assert tracking.run_loggers(folder, True, None, checkpoint)[1].run_id != first
 
+    moved = tmp_path / "moved" / "run"
+    moved.mkdir(parents=True)
+    (tmp_path / "mlflow.db").rename(moved.with_name("mlflow.db"))
+    again = tracking.run_loggers(moved, tracking=True)[1]
+    for run in (first, again.run_id):
+        assert again.experiment.get_run(run).info.artifact_uri == f"{moved.parent}/mlflow/{run}/artifacts"
+
     asked: list[tuple] = []
 
     def loggers(*arguments: object) -> list:

@@ -51,7 +51,6 @@ CHOICES = {
     "names": NAMES,
     "onsets": ONSETS,
     "observations": OBSERVATIONS,
-    "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
     "bags": tuple(BAGS),

@@ -4,7 +4,6 @@
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
     palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
-    palpate train fit -c configs/light.yaml [--light.sheets 3000 …]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
 pictures and the evaluation. All commands log to one MLflow run, called by `--run_name`. Exit status: 0 done, 1 failed,
@@ -45,8 +44,6 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
-from palpate.estimators.network.light_training import WEIGHTS as LIGHT_WEIGHTS
-from palpate.estimators.network.light_training import LightSettings, train_light
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
@@ -71,9 +68,8 @@ BASELINE_CONTACTS = 8
 
 PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
     "contact": (ContactSettings, train_contact, WEIGHTS),
-    "light": (LightSettings, train_light, LIGHT_WEIGHTS),
 }
-"""Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
+"""Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
 OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)

@@ -12,16 +12,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
+from palpate.estimators.direct.shading import OTHERS, ShadingProblem
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import PressShape
-from palpate.physics.mechanics import RECOMMENDED, Mechanics, damping_ratio
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
@@ -56,7 +56,7 @@ LEAST_SKILL = 0.6
 """A press that leaves a larger share of the change of light, root mean square, is no explanation."""
 USUALLY_LEFT, TOGETHER = 0.2, 40.0
 """Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
-the more wrong is the law."""
+the more wrong is the law; coding errs as much where it is less."""
 FEWEST_FRAMES = 3
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
@@ -71,7 +71,7 @@ WITHIN = 1.5
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
-def fit_brightness(
+def fit_shading(
     contact: Interaction, frame_seconds: float
 ) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
     """Fit a contact's brightness sequence by a press on a plane: a step on a point, or a force on a patch.
@@ -87,29 +87,27 @@ def fit_brightness(
     Raises:
         NoEstimate: too few frames show the light around the contact, or no press in it shows there.
     """
-    sequence = contact.brightness
+    sequence = contact.shading
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
     mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
-    thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
-    problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))
+    thin = dataclasses.replace(contact, shading=sequence.chosen(some))
+    problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
     if not led:
         raise NoEstimate("The contact is too short to show in the light.")
     logs = min(led, key=lambda found: found[0])[1]
-    problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
-    # Only now is it known well enough what the light would be if it had not been coded.
-    contact = dataclasses.replace(contact, brightness=sequence.without_coding(problem.expected_change(logs)))
-    problem = BrightnessProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[2])[1]
     if problem.skill < ENOUGH_SKILL:
         problem, logs = _patched(problem, logs, some)
     return problem.press, _concluded(problem, logs), _simulated(problem, logs)
 
 
-def _patched(point: BrightnessProblem, logs: np.ndarray, some: np.ndarray) -> tuple[BrightnessProblem, np.ndarray]:
+def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple[ShadingProblem, np.ndarray]:
     """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
 
     Args:
@@ -118,9 +116,9 @@ def _patched(point: BrightnessProblem, logs: np.ndarray, some: np.ndarray) -> tu
         some: frames by which it is decided whether a patch is worth a fit.
     """
     contact, motion = point.contact, point.motion
-    thin = dataclasses.replace(contact, brightness=point.sequence.chosen(some))
+    thin = dataclasses.replace(contact, shading=point.sequence.chosen(some))
     what = motion.mechanics, point.within, point.sheet.tilt
-    step, patch = (BrightnessProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
+    step, patch = (ShadingProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
@@ -132,7 +130,7 @@ def _patched(point: BrightnessProblem, logs: np.ndarray, some: np.ndarray) -> tu
     misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
     if -misfit < step.skill:
         return point, logs
-    problem = BrightnessProblem(contact, *what, PatchMotion)
+    problem = ShadingProblem(contact, *what, PatchMotion)
     misfit, found = _led(problem, found, MORE, ROUNDS[2])
     return (problem, found) if 1 + misfit < PATCHED * (1 - point.skill) else (point, logs)
 
@@ -143,7 +141,7 @@ def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list
         return list(pool.map(fit, starts))
 
 
-def _simulated(problem: BrightnessProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _simulated(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
     motion, press, step = problem.motion, problem.press, problem.motion.mechanics.time_step
     load = motion.load(logs[:-OTHERS], step, motion.longest)
@@ -152,7 +150,7 @@ def _simulated(problem: BrightnessProblem, logs: np.ndarray) -> tuple[np.ndarray
     return times, np.concatenate([[0.0], path @ press.direction])
 
 
-def _starts(problem: BrightnessProblem) -> np.ndarray:
+def _starts(problem: ShadingProblem) -> np.ndarray:
     """All parameters of presses that explain the light best, among many, shape [S, D]."""
     low, high = problem.box(TISSUE)
     middle = problem.darkest()
@@ -186,7 +184,7 @@ def _starts(problem: BrightnessProblem) -> np.ndarray:
     return np.array(_on_threads(placed, chosen))
 
 
-def _led(problem: BrightnessProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
+def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
     """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
     box = problem.box(TISSUE)
     for _ in range(rounds):
@@ -197,7 +195,7 @@ def _led(problem: BrightnessProblem, logs: np.ndarray, evaluations: int, rounds:
     return -problem.skill, logs
 
 
-def _concluded(problem: BrightnessProblem, logs: np.ndarray) -> Estimate:
+def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
     box, motion = problem.box(TISSUE), problem.motion
     prior = box_information(box)
@@ -205,13 +203,11 @@ def _concluded(problem: BrightnessProblem, logs: np.ndarray) -> Estimate:
     starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
     optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
-    # What law and coding get wrong shows in what is left unexplained, and in how far residuals belong together.
-    left = ((1 - problem.skill) / USUALLY_LEFT) ** 2
-    slopes = np.array([0.0, MODEL_ERRORS.brightness_damping_slope, MODEL_ERRORS.brightness_force_slope])
-    mean[:3] -= slopes * left * math.log(damping_ratio(*motion.theta(mean)[:2], motion.mechanics.mass))
+    # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
+    left = max((1 - problem.skill) / USUALLY_LEFT, 1.0) ** 2
     wrong = left * max(problem.together / TOGETHER, 1.0)
-    model_error = np.diag(np.square([0.0, MODEL_ERRORS.brightness_damping, MODEL_ERRORS.brightness_force]))
-    model_error = wrong * (model_error + MODEL_ERRORS.brightness_scale**2)
+    model_error = np.diag(np.square([0.0, MODEL_ERRORS.shading_damping, MODEL_ERRORS.shading_force]))
+    model_error = wrong * (model_error + MODEL_ERRORS.shading_scale**2)
     refuted = ""
     if problem.skill < LEAST_SKILL:
         refuted = (

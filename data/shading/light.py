@@ -15,16 +15,9 @@ WHITER = 0.12
 """Highlights are so much bluer than what surrounds them, as a logarithm: they have the lamp's colour, tissue is red."""
 SURROUNDINGS = 15
 """Width of the square that a highlight is compared with [grid pixels]."""
-GAMMA = 2.2
-"""Power of the response, for what a level is at some light."""
 _LEVELS = np.arange(256) / 255
 SRGB = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
 """Light that every level of an sRGB picture stands for (IEC 61966-2-1), in shares of white."""
-
-
-def level_of_light(light: np.ndarray) -> np.ndarray:
-    """What a level of 8 bits is in the logarithm of light at such a logarithm of light."""
-    return GAMMA / 255 * np.exp(-light / GAMMA)
 
 
 def not_tissue(labels: np.ndarray, width: int) -> np.ndarray:

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.brightness.registration import Registration, View
 from palpate.data.labels import TISSUE, TOOL
+from palpate.data.shading.registration import Registration, View
 from palpate.data.tracks.following import Shown
 
 SHAPE, GRID = (240, 320), (60, 80)

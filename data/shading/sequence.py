@@ -1,4 +1,4 @@
-"""The brightness sequence of a contact: light around it, frame by frame, and that of the tissue at rest.
+"""The shading sequence of a contact: light around it, frame by frame, and that of the tissue at rest.
 
 Gain and slow changes of the light over the picture are measured on tissue far from the contact and taken off.
 """
@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from palpate.common.robust import median_sd
-from palpate.data.brightness.coding import FEWEST_REST, CodedPictures, PictureRecorder, coding_error
-from palpate.data.brightness.light import FINE, level_of_light
-from palpate.data.source.coding import Coding
+from palpate.data.shading.light import FINE
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -35,12 +32,8 @@ ASTRAY = 3.0
 """Far places that differ by more standard deviations are no still tissue."""
 
 
-LabelledPicture = tuple[np.ndarray, np.ndarray]
-"""A picture, RGB uint8 [H, W, 3], and its label map [H, W]."""
-
-
 @dataclass(frozen=True, eq=False)
-class BrightnessSequence:
+class ShadingSequence:
     """Light around a contact over a run; N frames, a square of L = SIDE places along either axis."""
 
     times: np.ndarray
@@ -51,34 +44,10 @@ class BrightnessSequence:
     """The same at rest, shape [L, L]."""
     noise: float
     """Standard deviation of the difference of light and rest where tissue is still."""
-    coded: CodedPictures | None = None
-    """The video's pictures around the contact; None where it isn't known how they were coded."""
 
-    @property
-    def coder_step(self) -> float:
-        """Least change of a block's mean that the video's coder doesn't leave out [logarithm of light], 0 where that
-        isn't known.
-        """
-        bright = self.rest[np.isfinite(self.rest)]
-        if self.coded is None or not len(bright):
-            return 0.0
-        return self.coded.coding.step * float(level_of_light(np.median(bright)))
-
-    def chosen(self, frames: np.ndarray) -> BrightnessSequence:
+    def chosen(self, frames: np.ndarray) -> ShadingSequence:
         """Some of its frames: a mask [N] or indices."""
-        coded = None if self.coded is None else self.coded.chosen(frames)
-        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames], coded=coded)
-
-    def without_coding(self, change: np.ndarray) -> BrightnessSequence:
-        """The same without what coding adds to the light.
-
-        Args:
-            change: of the logarithm of light since rest, as a fit expects it, shape [N, L, L].
-        """
-        if self.coded is None:
-            return self
-        error = coding_error(self.coded, change)
-        return dataclasses.replace(self, light=(self.light - error).astype(np.float32))
+        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames])
 
 
 def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -126,22 +95,17 @@ class RestingLight:
 
     def __init__(self) -> None:
         self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
-        self.pictures: deque[LabelledPicture] = deque(maxlen=KEPT)
-        """Those from which the light is, where they were given."""
         self._median: np.ndarray | None = None
         """Of these frames, where it has been asked for."""
 
-    def push(self, light: np.ndarray, picture: LabelledPicture | None = None) -> None:
-        """The next frame out of contact: its light, as of `log_light`, and from which picture that is."""
+    def push(self, light: np.ndarray) -> None:
+        """The light of the next frame out of contact, as of `log_light`."""
         self._frames.append(light)
-        if picture is not None:
-            self.pictures.append(picture)
         self._median = None
 
     def clear(self) -> None:
         """Forget what was seen."""
         self._frames.clear()
-        self.pictures.clear()
         self._median = None
 
     def __len__(self) -> int:
@@ -163,23 +127,15 @@ def _median(frames: np.ndarray) -> np.ndarray:
     return (below + above) / 2
 
 
-class BrightnessRecorder:
-    """Gathers the brightness sequence of one run of contact.
+class ShadingRecorder:
+    """Gathers the shading sequence of one run of contact.
 
     Args:
         rest: light at rest, as of `log_light`.
         pixel: row and column of the contact [grid pixels].
-        coding: of the video, where that is known.
-        pictures: from which the light at rest is.
     """
 
-    def __init__(
-        self,
-        rest: np.ndarray,
-        pixel: np.ndarray,
-        coding: Coding | None = None,
-        pictures: Sequence[LabelledPicture] = (),
-    ) -> None:
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
         self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
         self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
@@ -192,21 +148,13 @@ class BrightnessRecorder:
         self._places = np.stack(self._far, axis=1) / max(rest.shape)
         self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(rest.shape) for part in self._window)), axis=-1)
         self._noise: list[float] = []
-        self._pictures: PictureRecorder | None = None
-        if coding is not None and len(pictures) >= FEWEST_REST:
-            self._pictures = PictureRecorder(coding, first, SIDE, rest.shape, pictures)
-
-    def picture(self, picture: LabelledPicture | None) -> None:
-        """The next frame's, from the onset on, whether or not its light counts."""
-        if self._pictures is not None:
-            self._pictures.add(picture)
 
     def _cut(self, light: np.ndarray) -> np.ndarray:
         rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
         return np.where(self._inside, light[rows, columns], np.nan)
 
     def frame(self, light: np.ndarray) -> np.ndarray | None:
-        """Light around the contact in a frame, as of `BrightnessSequence`; None where its gain isn't known."""
+        """Light around the contact in a frame, as of `ShadingSequence`; None where its gain isn't known."""
         found = slow_change(self._places, light[self._far] - self._far_rest)
         if found is None:
             return None
@@ -214,9 +162,8 @@ class BrightnessRecorder:
         self._noise.append(sd)
         return (self._cut(light) - self._middle @ gain).astype(np.float32)
 
-    def sequence(self, frames: np.ndarray, times: np.ndarray, light: list[np.ndarray]) -> BrightnessSequence:
-        """The sequence of some frames, counted from the onset."""
-        coded = None if self._pictures is None else self._pictures.pictures(frames)
+    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> ShadingSequence:
+        """The sequence of some frames, times since the onset [s]."""
         stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
         noise = float(np.median(self._noise)) if self._noise else np.nan
-        return BrightnessSequence(np.asarray(times, np.float64), stacked, self._rest, noise, coded)
+        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest, noise)

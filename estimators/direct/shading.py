@@ -1,12 +1,11 @@
-"""A contact's brightness as a least-squares problem: light against the simulator and the law of light.
+"""A contact's shading as a least-squares problem: light against the simulator and the law of light.
 
 Besides φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
 plane that the tissue is taken to be, how far its surface is rounded off, how far light spreads in tissue, how rough the
 surface is, how strong the light is that it mirrors as it is wet and into how wide a lobe, the camera's response as a
-power, the share of light that reaches tissue whatever its tilt, and how far coded pictures lag behind the light: a
-video leaves changes out until they are worth their bits. All of these have priors. Every frame's gain and every
-place's amplitude are marginalised.
-Residuals of neighbours and of successive frames belong together; so many fewer of them count as that says.
+power, and the share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain and
+every place's amplitude are marginalised. Residuals of neighbours and of successive frames are correlated; so many fewer
+of them count.
 """
 
 import dataclasses
@@ -18,9 +17,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from palpate.common.robust import median_sd
-from palpate.data.brightness.light import FINE, level_of_light
-from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import ShadingSequence
 from palpate.estimators.direct.lit_sheet import LitSheet, Shown
 from palpate.estimators.direct.motion import Kind, PressMotion
 from palpate.physics.likelihood import LeastSquares, Linearised
@@ -52,19 +51,17 @@ LOBE, LOBE_SD = 0.13, 0.4
 logarithm: fine relief makes it wider than a smooth layer of water would."""
 ROUGH, ROUGH_SD = 0.1, 0.12
 """Prior of the tissue's roughness."""
-LAG, LAG_SD = 0.5, 0.7
-"""Prior of how far coded pictures lag behind the light [levels of 8 bits]."""
 GLOSS, RESPONSE, AMBIENT = 0.15, 0.1, 0.05
 """Standard deviations of mirrored light over matt light where tissue faces the camera, of the logarithm of the
 response's power against sRGB's, and of the share of light from everywhere: cameras have curves of their own."""
-PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0, LAG])
-PRIOR_SD = np.array(
-    [ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT, LAG_SD]
-)
-LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4, 4.0])
-"""How far these parameters may lie from the priors' means; the light, roughness and lag are none at least."""
-LAW = 4
-"""The last of them, which the law of light and the video's coding take: gloss, response, ambient share, lag."""
+PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0])
+PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT])
+LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4])
+"""How far these parameters may lie from the priors' means; roughness and gloss are none at least."""
+LAW = 3
+"""The last of them, which the law of light takes: gloss, response, ambient share."""
+STEP = 1e-4
+"""Step of the derivatives."""
 OTHERS = len(PRIOR_MEAN)
 """Parameters in addition to those of the press."""
 LEAST_LIGHT = 1e-3
@@ -75,7 +72,7 @@ MOVED = 4.0
 """Light that changes by more standard deviations says how well the press explains it."""
 
 
-class BrightnessProblem(LeastSquares):
+class ShadingProblem(LeastSquares):
     """Weighted residuals of a brightness sequence and their derivatives by all parameters.
 
     Args:
@@ -89,9 +86,9 @@ class BrightnessProblem(LeastSquares):
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
     ) -> None:
-        assert contact.brightness is not None
+        assert contact.shading is not None
         self.contact, self.within = contact, within
-        self.sequence: BrightnessSequence = contact.brightness
+        self.sequence: ShadingSequence = contact.shading
         self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)
         self.press = dataclasses.replace(
             contact,
@@ -107,13 +104,6 @@ class BrightnessProblem(LeastSquares):
         self.observed = self.sequence.light.reshape(len(self.sequence.times), -1).astype(np.float64)
         """Shape [N, P]."""
         self._inner = self.sheet.inner.ravel()
-        known = np.isfinite(self.observed)
-        self._followed = known & np.roll(known, 1, axis=0)
-        """Which places have been visible since the frame before."""
-        self._followed[0] = known[0] & np.isfinite(self.sequence.rest.ravel())
-        rest = np.nan_to_num(self.sequence.rest.ravel())
-        self._level = level_of_light(rest)
-        """What a level of 8 bits is in the logarithm of light, shape [P]."""
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)
         """Standard deviation of a residual where the law predicts no change."""
@@ -123,14 +113,14 @@ class BrightnessProblem(LeastSquares):
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
         box = np.hstack([self.motion.box(tissue), PRIOR_MEAN + np.array([[-1], [1]]) * LARGEST])
-        box[0, [-LAW - 1, -LAW, -1]] = 0.0
+        box[0, [-LAW - 1, -LAW]] = 0.0
         return box
 
     def start(self, press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
         """All parameters from those of a press, where its dent lies and how tissue tilts; the others as their priors
-        say, but no lag.
+        say.
         """
-        return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:-1], [0.0]])
+        return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:]])
 
     def darkest(self) -> np.ndarray:
         """Row and column of the middle of what has darkened, from the contact's vertex, shape [2] [grid pixels]."""
@@ -144,36 +134,23 @@ class BrightnessProblem(LeastSquares):
 
     def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light at displacements [N, V, 3], and the law's part of it, shape [N, P] each."""
-        shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
-        law = math.exp(logs[-3]) * np.log(np.divide(*_light(shown, logs)))
-        light = shown.rest + law
-        return self._coded(light[..., None], logs[-1])[..., 0], law
-
-    def expected_change(self, logs: np.ndarray) -> np.ndarray:
-        """Change of the logarithm of light as it would be if it had not been coded, shape [N, L, L].
-
-        Where the light at rest isn't known, it is what the law alone says.
-        """
-        uncoded = np.append(logs[:-1], 0.0)
-        light, law = self.predicted(uncoded, self.motion.quick(logs[:-OTHERS]))
-        change = light - self.sequence.rest.ravel()
-        return np.where(np.isfinite(change), change, law).reshape(self.sequence.light.shape)
+        return _light(self.sheet.shown(moved, logs[-OTHERS:-LAW]), logs)
 
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D]."""
-        shown, slopes = self.sheet.linearised(*self.motion.at(logs[:-OTHERS]), logs[-OTHERS:-LAW])
-        gloss, ambient, response = logs[-LAW], logs[-2], math.exp(logs[-3])
-        light, rest = _light(shown, logs)
-        law = response * np.log(light / rest)
-        by_geometry = ((1 - ambient) * slopes.matt + gloss * slopes.gloss) / light[..., None]
-        by_geometry = slopes.rest + response * (by_geometry - gloss * slopes.gloss_at_rest / rest[..., None])
-        by_gloss = response * (shown.gloss / light - shown.gloss_at_rest / rest)
-        by_law = np.stack([by_gloss, law, response * (1 - shown.matt) / light, np.zeros_like(law)], axis=-1)
-        coded = self._coded(np.concatenate([(shown.rest + law)[..., None], by_geometry, by_law], axis=-1), logs[-1])
-        return coded[..., 0], coded[..., 1:]
-
-    def _coded(self, light: np.ndarray, lag: float) -> np.ndarray:
-        return coded(light, self.sequence.rest.ravel(), self._followed, lag, self._level)
+        """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D], forward differences."""
+        moved, slopes = self.motion.at(logs[:-OTHERS])
+        shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
+        light = _light(shown, logs)[0]
+        found = np.empty((*light.shape, len(logs)))
+        for index in range(len(logs)):
+            ahead, stepped = moved, logs.copy()
+            if index < len(logs) - OTHERS:
+                ahead = moved + STEP * slopes[..., index]
+            else:
+                stepped[index] += STEP
+            law_alone = index >= len(logs) - LAW
+            found[..., index] = (_light(shown, stepped) if law_alone else self.predicted(stepped, ahead))[0]
+        return light, (found - light[..., None]) / STEP
 
     def _linearise(self, logs: np.ndarray) -> Linearised:
         """Residuals in standard deviations, the priors' behind them, and their derivatives by all parameters [K, D]."""
@@ -226,29 +203,6 @@ class BrightnessProblem(LeastSquares):
         self._known = None
 
 
-def coded(light: np.ndarray, rest: np.ndarray, followed: np.ndarray, lag: float, level: np.ndarray) -> np.ndarray:
-    """Light in a coded video: it stays as it was until that is more than the lag off, and so far behind then.
-
-    Args:
-        light: its logarithm, then its derivatives, of which the last is that by the lag, shape [N, P, C].
-        rest: its logarithm at rest, shape [P].
-        followed: which places have been visible since the frame before, shape [N, P]; others are coded anew.
-        lag: [levels of 8 bits].
-        level: what a level is in the logarithm of light, shape [P].
-    """
-    found, before = np.empty_like(light), np.zeros_like(light[0])
-    before[:, 0] = rest
-    for index, now in enumerate(light):
-        off = now[:, 0] - before[:, 0]
-        behind = np.where(np.abs(off) > lag * level, np.sign(off) * level, 0.0)[:, None]
-        moved = np.where(behind != 0, now, before)
-        moved[:, :1] -= lag * behind
-        if moved.shape[1] > 1:
-            moved[:, -1:] -= behind
-        before = found[index] = np.where((followed[index] & np.isfinite(off))[:, None], moved, now)
-    return found
-
-
 def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Residuals over their standard deviations [N, P, C] when an amplitude of every place is marginalised.
 
@@ -262,10 +216,11 @@ def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def _light(shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Light and that at rest, in shares of the matt light at rest, [N, P] each; a share reaches tissue in any tilt."""
-    gloss, ambient = logs[-LAW], logs[-2]
-    light = (1 - ambient) * shown.matt + ambient + gloss * shown.gloss
-    return np.maximum(light, LEAST_LIGHT), 1 + gloss * shown.gloss_at_rest
+    """Logarithm of the light, and the law's part of it, [N, P] each; a share reaches tissue in any tilt."""
+    gloss, response, ambient = logs[-LAW:]
+    light = np.maximum((1 - ambient) * shown.matt + ambient + gloss * shown.gloss, LEAST_LIGHT)
+    law = math.exp(response) * np.log(light / (1 + gloss * shown.gloss_at_rest))
+    return shown.rest + law, law
 
 
 def _together(residual: np.ndarray, known: np.ndarray) -> float:

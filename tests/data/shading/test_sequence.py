@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import KEPT, MARGIN, REACH, BrightnessRecorder, RestingLight, change_of_light
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import KEPT, MARGIN, REACH, RestingLight, ShadingRecorder, change_of_light
 
 SHAPE = (120, 160)
 SIDE = FINE * (2 * (REACH + MARGIN) + 1)
@@ -13,8 +13,8 @@ SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 TEXTURE = np.random.default_rng(1).normal(-1, 0.3, SHAPE)
 
 
-def recorder(row: int = 30, column: int = 40) -> BrightnessRecorder:
-    return BrightnessRecorder(TEXTURE, np.array([row, column]))
+def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
+    return ShadingRecorder(TEXTURE, np.array([row, column]))
 
 
 def test_rest_is_the_median_of_what_was_seen():
@@ -47,7 +47,7 @@ def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
     light = TEXTURE + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
     np.testing.assert_allclose(change_of_light(light, TEXTURE), dent + noise, atol=0.003)
     made = recorder()
-    found = made.sequence(np.array([1]), np.array([0.04]), [made.frame(light)])
+    found = made.sequence(np.array([0.04]), [made.frame(light)])
     first = FINE * (np.array([30, 40]) - REACH - MARGIN)
     window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
     np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
@@ -72,6 +72,6 @@ def test_a_frame_that_shows_too_little_tells_no_gain():
 def test_some_frames_of_a_sequence():
     made = recorder()
     frames = [made.frame(TEXTURE + gain) for gain in (0.0, 0.1, 0.2)]
-    found = made.sequence(np.arange(3), np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
+    found = made.sequence(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
     assert found.light.shape == (2, SIDE, SIDE)

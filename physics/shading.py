@@ -21,25 +21,11 @@ def log_brightness(depth: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.
         rays: (x, y, 1) of the pixels, of a pinhole camera, shape [h, w, 3].
     """
     inverse = 1 / depth
-    square, length = _normal(inverse, rays)[3:]
+    pitch_right, pitch_down = rays[0, 1, 0] - rays[0, 0, 0], rays[1, 0, 1] - rays[0, 0, 1]
+    right, down = np.gradient(inverse, axis=-1) / pitch_right, np.gradient(inverse, axis=-2) / pitch_down
+    away = inverse - rays[..., 0] * right - rays[..., 1] * down
+    square, length = right**2 + down**2 + away**2, np.log(np.square(rays).sum(axis=-1))
     return np.log(inverse) - 0.5 * np.log(square) - 0.5 * length, 2 * np.log(inverse) - length
-
-
-def log_brightness_slopes(depth: np.ndarray, slopes: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of `log_brightness` by D parameters, shape [..., h, w, D] each.
-
-    Args:
-        depth, rays: as above.
-        slopes: derivatives of the depth, shape [..., h, w, D].
-    """
-    inverse = 1 / depth
-    right, down, away, square, _ = _normal(inverse, rays)
-    slopes = -slopes * np.square(inverse)[..., None]
-    pitch_right, pitch_down = _pitch(rays)
-    facing = slopes * (1 / inverse - away / square)[..., None]
-    facing -= ((right - away * rays[..., 0]) / (square * pitch_right))[..., None] * np.gradient(slopes, axis=-2)
-    facing -= ((down - away * rays[..., 1]) / (square * pitch_down))[..., None] * np.gradient(slopes, axis=-3)
-    return facing, 2 * slopes * depth[..., None]
 
 
 def mirrored(facing: np.ndarray, lobe: float) -> np.ndarray:
@@ -62,22 +48,3 @@ def matt(facing: np.ndarray, rough: float) -> np.ndarray:
         rough: ρ, 0 to 0.5.
     """
     return np.exp(facing) - rough * np.expm1(2 * facing)
-
-
-def matt_slope(facing: np.ndarray, rough: float) -> np.ndarray:
-    """Derivative of the logarithm of `matt` by log cos θ."""
-    cosine = np.exp(facing)
-    return cosine * (1 - 2 * rough * cosine) / matt(facing, rough)
-
-
-def _pitch(rays: np.ndarray) -> tuple[float, float]:
-    """Differences of x and y of a pinhole camera's rays from pixel to pixel."""
-    return rays[0, 1, 0] - rays[0, 0, 0], rays[1, 0, 1] - rays[0, 0, 1]
-
-
-def _normal(inverse: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The normal's parts to the right, down and away, its square, and the logarithm of |ray|²."""
-    pitch_right, pitch_down = _pitch(rays)
-    right, down = np.gradient(inverse, axis=-1) / pitch_right, np.gradient(inverse, axis=-2) / pitch_down
-    away = inverse - rays[..., 0] * right - rays[..., 1] * down
-    return right, down, away, right**2 + down**2 + away**2, np.log(np.square(rays).sum(axis=-1))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import FINE, SRGB, log_light
 from palpate.data.labels import TISSUE, TOOL
+from palpate.data.shading.light import FINE, SRGB, log_light
 
 GRID = (30, 40)
 COLOUR = np.array([0.4, 0.15, 0.1])

@@ -19,7 +19,6 @@ from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.direct.brightness_fit import MECHANICS, fit_brightness
 from palpate.estimators.estimate import Estimate, NoEstimate
-from palpate.estimators.grip.grip_estimate import LARGEST_SLAB_ERROR
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import Bounds, Mechanics
@@ -158,7 +157,7 @@ class RunSession:
         clip: the clip.
         mechanics: constants of the estimator's simulator.
         horizon: how much of a whole contact counts.
-        thickness: thickness of the tissue, where a grip is explained by finite elements as well [scene units].
+        thickness: thickness of the tissue, where finite elements are fitted [scene units].
     """
 
     def __init__(
@@ -202,11 +201,11 @@ class RunSession:
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
-        with self.timed("grip"):
+        with self.timed("follow"):
             if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
                 self._grip = None
             elif run.index == frame.frame.index:
-                self._grip = GripRecorder(frame, self._thickness) if frame.visible else None
+                self._grip = GripRecorder(frame) if frame.visible else None
             elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
                 self._grip.add(frame)
 
@@ -264,12 +263,10 @@ class RunSession:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            why = "; ".join(filter(None, (f"skill {found.skill:.2f}{elsewhere}", found.explanation)))
+            why = f"skill {found.skill:.2f}{elsewhere}"
             sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
-        elif found is not None and found.slab_error > LARGEST_SLAB_ERROR:
-            sentence = f"A slab of this thickness leaves {found.slab_error:.0%} of the motion; F/E isn't known."
         elif found is not None and not found.determined:
-            sentence = "A gripped sheet explains the motion, but neither foundation nor force over time is known."
+            sentence = "A gripped sheet explains the motion, but the force over time is too uncertain."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:

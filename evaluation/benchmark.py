@@ -9,8 +9,8 @@ constant_rmse_log is the error of the best constant for exactly the clips of a r
 the mean over another split, can't reach it.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
-grips.csv has the answer (see `evaluation.recovery.grips`). The suites fem and stiffening show soft solids, whose truth is
-no θ; what estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
+grips.csv has the answer (see `evaluation.recovery.grips`). The suites fem and stiffening show soft solids, whose truth
+is no θ; what estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
 
 suites:
 """

@@ -1,15 +1,15 @@
 """Measures on drawn clips what the fits' own models get wrong, and writes `estimators/model_errors.yaml`.
 
-    python -m evaluation.model_errors --part grip --clips 24 --seed 9201
+    python -m evaluation.model_errors --part pull --clips 24 --seed 9201
 
 The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
-leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
-pull the pulls of the suite fem, by a slab that is given the thickness (minutes a clip); video presses in plain videos,
-facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either law of light. Of video it also
-measures by how much both ratios' errors grow with the damping ratio, which the fit takes off.
+leave `value`, by which the estimators go, as it is. The part pull takes the suites retraction, foundation and regions;
+video presses in plain videos, facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either
+law of light. Of video it also measures by how much both ratios' errors grow with the damping ratio, which the fit takes
+off.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -35,21 +35,21 @@ from palpate.common.options import options, require_within
 from palpate.common.robust import median_sd
 from palpate.common.settings import LARGEST
 from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
+from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.grip.grip_estimate import force_error
 from palpate.estimators.model_errors import FILE, read_entries
-from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import Row
 from palpate.evaluation.plain_video import PlainVideo, measured_video
-from palpate.evaluation.recovery.suites import EVERY, LARGEST_SEED, suite_clip_seed
+from palpate.evaluation.recovery.suites import LARGEST_SEED, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
 from palpate.models.calibration_fit import mean_squares
 
 SPLIT = "validation"
 VIDEO = "video"
-PARTS = {"grip": ("retraction", "foundation", "regions"), "pull": ("fem",), VIDEO: (VIDEO, "video-oblique")}
+PARTS = {"pull": ("retraction", "foundation", "regions"), VIDEO: (VIDEO, "video-oblique")}
 """Suites of every part."""
 DIRECT = "direct"
-CANDIDATES = {"grip": EstimatorOptions(DIRECT, threads=1), "pull": EstimatorOptions(DIRECT, Path(FEM), threads=1)}
-"""Who estimates the clips of a part."""
 LOOKS: tuple[Literal["matte", "endoscope"], ...] = ("matte", "endoscope")
 """By which laws plain videos are drawn, in turns."""
 ENDS = "error", "sd", "model_sd"
@@ -75,8 +75,8 @@ def model_sd(off: float, residual: float) -> float:
     return float(f"{left:.2g}")
 
 
-def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
-    """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
+    """Errors of the relative force of pulls, and what residuals tell of them.
 
     Args:
         rows: of clips.
@@ -87,38 +87,18 @@ def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Error
     """
     found: Errors = {}
     for row in rows:
-        if "foundation" not in row or "force" not in row:
-            continue
-        # The largest error of a model that an interval has room for is the one that it counts.
-        kinds = ("as_seen", "uneven", "measured")
-        kind = next((kind for kind in kinds if row["foundation"][2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
-        for quantity, (true, log, sd, *_) in ((name, row[name]) for name in ("foundation", "force")):
-            name = f"{quantity}_{kind}"
-            if name in values:
-                found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
-    return found, {}
-
-
-def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
-    """Errors of log force over E, and of the force's course as shares of it; arguments as of `grip_errors`."""
-    found: Errors = {}
-    for row in rows:
-        if "reaction" not in row:
-            continue
-        value, sd = row["reaction"]
-        stated = max(sd**2 - values["pull_force"] ** 2, 0.0)
-        found.setdefault("pull_force", []).append((math.log(value * row["tissue"][0] / row["true_force"]), stated))
-        # The last frame's ratio is 1 by definition.
-        true, course, deviation = row["curve"][:, :-1]
-        size = float(np.square(course).mean())
-        stated = float(np.square(deviation).mean()) / size - values["pull_course"] ** 2
-        error = math.sqrt(float(np.square(course - true).mean()) / size)
-        found.setdefault("pull_course", []).append((error, max(stated, 0.0)))
+        if "curve" in row and row["skill"] >= LEAST_SKILL:
+            # The last frame's ratio is 1 by definition.
+            true, force, sd = row["curve"][:, :-1]
+            share = np.square(force_error(force, row["skill"])).sum()
+            stated = np.square(sd).sum() / share - values["pull_force"] ** 2
+            error = math.sqrt(np.square(force - true).sum() / share)
+            found.setdefault("pull_force", []).append((error, max(float(stated), 0.0)))
     return found, {}
 
 
 def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
-    """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `grip_errors`.
+    """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `pull_errors`.
 
     A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
     (`estimators.direct.brightness_fit`); by that factor errors are divided. Both ratios' errors go along with log ζ,
@@ -179,7 +159,7 @@ def write_entries(path: Path, entries: Entries) -> None:
 class ModelErrors:
     """What is measured."""
 
-    part: Literal["grip", "pull", "video"]
+    part: Literal["pull", "video"]
     """whose errors"""
     seed: int
     """of the clips"""
@@ -195,8 +175,7 @@ class ModelErrors:
     @property
     def wanted(self) -> list[tuple[str, int]]:
         """Suites and numbers of the clips."""
-        found = [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
-        return [(suite, at) for suite, at in found if self.part != "pull" or EVERY[suite].settings(at).action == "grip"]
+        return [(suite, index) for suite in PARTS[self.part] for index in range(self.clips)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -214,9 +193,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 drawn = PlainVideo(asked.output, suite=suite, look=LOOKS[index % len(LOOKS)])
                 rows.append(measured_video(drawn.settings, seed))
             else:
-                rows += run_trial(Trial(index, seed, {suite: {DIRECT: CANDIDATES[asked.part]}}))
+                rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, threads=1)}}))
             progress.advance(bar)
-    errors, slopes = {"grip": grip_errors, "pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
+    errors, slopes = {"pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1

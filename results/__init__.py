@@ -13,6 +13,6 @@ sequence  of a sequence beside a robot: particles in its frame
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
-overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
+overlay   the video; field_overlay: stiffness on it
 field_file  stiffness in fields.npz
 """

@@ -52,8 +52,8 @@ from palpate.results.writer import ClipResults
 
 TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
-MAPPING = ("direct", "network")
-"""Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
+WITH_FORCE = ("direct", "network")
+"""Estimators that give a force."""
 OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "known_force")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
@@ -109,7 +109,7 @@ class Batch:
             "half of a sheet": online and (self.known is None) != (online.settings.sheet_m is None),
             "calibration of online": known is not None and name == "online",
             "newtons twice": known is not None and self.known is not None,
-            "limit without force": limited and name not in MAPPING,
+            "limit without force": limited and name not in WITH_FORCE,
             "limit without newtons": limited and known is not None and not known.tells,
             "export of gan": options.export is not None and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
@@ -150,7 +150,7 @@ class Batch:
                 known = self.known(path, self.settings.layout.topic)
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
             options["known"] = None if self.fields else known
-            options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
+            options |= {"fields": self.fields, "export": self.options.export}
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
             if isinstance(self.estimator, NetworkEstimator):

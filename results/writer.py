@@ -31,8 +31,6 @@ from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write
 from palpate.results.scene.files import scene_text
 from palpate.results.scene.kinds import scene_of
 from palpate.results.scene.scene import FORMATS
-from palpate.results.spool import FrameSpool, Waiting
-from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
 from palpate.results.verdicts import state
 
@@ -53,7 +51,6 @@ class ClipResults:
         known: force that was measured in a part of the clip.
         calibration: gathers what the clip tells in newtons.
         fields: whether the estimator gives fields of stiffness.
-        maps: whether it may tell a map of stiffness at the end of a run of contact; the run's frames wait for it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
@@ -74,7 +71,6 @@ class ClipResults:
         known: KnownForce | None = None,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
-        maps: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
         seconds: tuple[float, float] = ALWAYS,
@@ -124,7 +120,6 @@ class ClipResults:
                 self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
                 # What `finish` needs is loaded meanwhile: it takes most of a second.
                 self._drawer.submit(importlib.import_module, "matplotlib.figure")
-                self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and maps else None
         except BaseException:
             self.__exit__()
             raise
@@ -152,28 +147,17 @@ class ClipResults:
             self._rows.writerow(columns.row(self.columns, estimate.values))
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
-            shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
-            if self._waiting is not None and (len(self._waiting) or estimate.contact):
-                self._waiting.add(shown)
-            else:
-                self._draw(shown, None)
+            if self._video is not None:
+                while len(self._drawing) >= MOST_UNDRAWN:
+                    self._drawing.popleft().result()
+                shown = prepared.frame.image, self._size, prepared.picture_labels, estimate
+                self._drawing.append(self._drawer.submit(self._draw, self._video, *shown))
 
-    def _draw(self, frame: Waiting, stiffness: StiffnessMap | None) -> None:
-        """Append a picture to the overlay, if there is one, once those before it are drawn."""
-        if self._video is not None:
-            while len(self._drawing) >= MOST_UNDRAWN:
-                self._drawing.popleft().result()
-            self._drawing.append(self._drawer.submit(self._drawn, self._video, frame, stiffness))
-
-    def _drawn(self, video: Video, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+    def _draw(self, video: Video, *shown: Any) -> None:
+        """Append a picture to the overlay; arguments as of `draw_overlay`."""
         start = time.perf_counter()
-        video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
+        video.write(draw_overlay(*shown))
         self.seconds["overlay"] += time.perf_counter() - start
-
-    def _draw_waiting(self, stiffness: StiffnessMap | None) -> None:
-        """Append the pictures that wait for a map, or for the news that there is none."""
-        for frame in self._waiting.drain() if self._waiting is not None else ():
-            self._draw(frame, stiffness)
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
@@ -199,7 +183,6 @@ class ClipResults:
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
-            self._draw_waiting(stiffness_map(run.grip, run.onset_time_s))
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export is not None:
                 path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
@@ -219,7 +202,6 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
-            self._draw_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:

@@ -7,11 +7,10 @@ are in units of its own, so that ranks are compared, and factors that one common
 quantity                                    of
 estimated, explained                        share of the clips with an estimate, and of these whose model check passes
 rank of k_s and E, F and F                  Spearman's, over clips
-rank of F/k_s and F/E                       the combination that a dent's depth, or a pull, tells
-rank of k_s if F is known and E             of pulls: the true force over that combination
-rank of …, determined                       over clips that pass the model check: of k_s and E where k_s is determined,
-                                            of a press else of k_d/k_s and αρ/E where that is, of a pull of F/k_s and
-                                            F/E, and of k_s if F is known and E; empty where there are fewer than four
+rank of F/k_s and F/E                       the combination that a dent's depth determines
+rank of …, determined                       over presses that pass the model check: of k_s and E where k_s is
+                                            determined, else of k_d/k_s and αρ/E where that is; empty where there are
+                                            fewer than four
 scatter of …                                standard deviation of the logarithm of their quotient: 0 is proportional
 k_d over αm                                 median; α is the true damping per mass and m the fitted mass of a node, of
                                             finite elements the density
@@ -48,8 +47,8 @@ CLOSE = 0.25
 """A ratio counts as found within this share of the true one."""
 LEAST = 4
 """Fewer clips have no rank."""
-PRESSED, PULLED = ("determined", "ratios"), "reaction"
-"""Verdicts by which a press's k_s, or else its k_d/k_s, and a pull's F/k_s are determined."""
+PRESSED = "determined", "ratios"
+"""Verdicts by which a press's k_s, or else its k_d/k_s, is determined."""
 
 
 def slab_table(rows: Sequence[Row]) -> pd.DataFrame:
@@ -81,7 +80,7 @@ def _groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def _estimated(rows: Sequence[Row]) -> list[Row]:
     """Those with an estimate."""
-    return [row for row in rows if "estimate" in row or "reaction" in row]
+    return [row for row in rows if "estimate" in row or "curve" in row]
 
 
 def _shares(rows: Sequence[Row]) -> Iterator[Quantity]:
@@ -101,20 +100,15 @@ def _compared(rows: Sequence[Row]) -> Iterator[Quantity]:
     count = len(estimated)
     if count < LEAST:
         return
-    tissue: Any = SlabTissue(*np.transpose([row["tissue"] for row in estimated]))  # arrays, shape [n] each
-    young, damping = tissue.young, tissue.damping
-    force = np.array([row["true_force"] for row in estimated])
-    solid = all(row.get("fitted") == FEM for row in estimated)
-    if "reaction" in estimated[0]:
-        found, sd = np.stack([row["reaction"] for row in estimated]).T
-        yield from _related("F/k_s", found, "F/E", force / young)
-        yield "rank of k_s if F is known and E", count, spearmanr(force / found, young).statistic
-        if solid:
-            yield from _over_true("F/E", np.log(found / (force / young)), sd)
+    if "curve" in estimated[0]:
         off, sd = curve_errors([row["curve"] for row in estimated])
         yield "relative force, off", len(off), rms(off)
         yield "relative force, held", len(off), coverage(off, sd)
         return
+    tissue: Any = SlabTissue(*np.transpose([row["tissue"] for row in estimated]))  # arrays, shape [n] each
+    young, damping = tissue.young, tissue.damping
+    force = np.array([row["true_force"] for row in estimated])
+    solid = all(row.get("fitted") == FEM for row in estimated)
     stiffness, viscosity, pressed = np.abs([row["estimate"] for row in estimated]).T
     yield from _related("k_s", stiffness, "E", young)
     yield from _related("F", pressed, "F", force)
@@ -143,17 +137,13 @@ def _determined(rows: Sequence[Row]) -> Iterator[Quantity]:
     """Ranks of what is determined of some clips: of k_s, or of the ratio that is known although k_s is not."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        tissue = SlabTissue(*row["tissue"])
-        if "reaction" in row:
-            found, force, sure = float(row["reaction"][0]), row["true_force"], row["verdict"] == PULLED
-            pairs = {"F/k_s and F/E": (found, force / tissue.young, sure)}
-            pairs["k_s if F is known and E"] = force / found, tissue.young, sure
-        else:
-            stiffness, damping, _ = row["estimate"]
-            pairs = {"k_s and E": (stiffness, tissue.young, row["verdict"] == PRESSED[0])}
-            if tissue.damping > 0:  # a standard linear solid has none that could be compared
-                true = tissue.damping * tissue.density / tissue.young
-                pairs["k_d/k_s and αρ/E"] = damping / stiffness, true, row["verdict"] == PRESSED[1]
+        if "estimate" not in row:
+            continue
+        tissue, (stiffness, damping, _) = SlabTissue(*row["tissue"]), row["estimate"]
+        pairs = {"k_s and E": (stiffness, tissue.young, row["verdict"] == PRESSED[0])}
+        if tissue.damping > 0:  # a standard linear solid has none that could be compared
+            true = tissue.damping * tissue.density / tissue.young
+            pairs["k_d/k_s and αρ/E"] = damping / stiffness, true, row["verdict"] == PRESSED[1]
         for name, (found, true, sure) in pairs.items():
             kinds.setdefault(name, []).extend([(found, true)] * sure)
     for name, pairs in kinds.items():

@@ -27,20 +27,13 @@ of a grip on a sheet:
 
 contact_right                   share of the frames in which something moves whose contact is the true one
 skill                           as estimated
-foundation, force               log of foundation, and of the force in the last frame, over stiffness: true, estimated,
-                                its standard deviation, shape [3]
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
-rank, rank_most                 rank correlation of the stiffness field with the true one where tissue moves; of regions
-                                that are separated exactly, in any order within each: √(3p(1 - p)), p the share of one
-held, knots, held_between       share of the field's knots there whose 90 % interval holds the truth; how many they are;
-                                the same share of all followed points there (bilinear between knots, a step is none)
 
 of a slab of finite elements:
 
 tissue                          true numbers in the order of `data.synthetic.slab.SlabTissue`, shape [9]
-true_force                      size of the true force: of a press, or of the pull in the last frame that was fitted
+true_force                      size of the true force of a press
 fitted                          what was fitted, one of `estimators.open.MODELS`; of finite elements θ = [E, αρ, F]
-reaction                        of a pull: F/k_s, of finite elements F/E, and the standard deviation of its logarithm
 curve                           as of a grip
 """
 
@@ -163,7 +156,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
-        return {}, functools.partial(gripped, clip.frames, clip.scene, motion)
+        return {}, functools.partial(gripped, clip.scene, motion)
     if not isinstance(motion, PressedMotion):
         known: Row = {"tissue": np.array(astuple(motion.tissue))}
         if isinstance(motion, GrippedSlab):

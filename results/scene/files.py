@@ -65,8 +65,7 @@ def _components(scene: Scene) -> dict[str, Any]:
     Of vertices that are `pressed` or `gripped` there is a row each: its number, times, and vectors then.
 
     Explicit damping of a mass Δt/kick, `kick` being that of `physics.msd.reference.Integrator`, is the implicit (or
-    exact) damping of the mass m. Springs without length pull as a sheet under tension does, whose pull at rest constant
-    forces take up.
+    exact) damping of the mass m.
     """
     parts = scene.parts
     # What the file says, so that nothing pulls at rest.
@@ -75,14 +74,13 @@ def _components(scene: Scene) -> dict[str, Any]:
     fixed = [[np.flatnonzero(parts["held"])]] * int(parts["held"].any())
     found: dict[str, Any] = {"all": np.arange(len(points)), "fixed": fixed}
     if "springs" in parts:
-        ends, tension = parts["springs"], np.zeros_like(points)
+        ends = parts["springs"]
         apart = np.diff(points[ends], axis=1)[:, 0]
-        np.add.at(tension, ends.T, [-apart, apart])
-        lengths = np.linalg.norm(apart, axis=1) * (scene.kind != "pull")
+        lengths = np.linalg.norm(apart, axis=1)
         stiffness = np.broadcast_to(parts["stiffness"][:, 0], len(points))[ends].mean(axis=1)
         rows = zip(*ends.T.tolist(), stiffness.tolist(), lengths.tolist(), strict=True)
         elastic = " ".join(f"{first} {second} {value} 0 {length}" for first, second, value, length in rows)
-        found |= {"elastic": elastic, "tension": tension}
+        found["elastic"] = elastic
     if "grip_path" in parts:
         vertices, times = scene.grip.vertices, np.append(0.0, parts["times"])
         way = np.pad(scene.grip.displacement, ((1, 0), (0, 0), (0, 0)))

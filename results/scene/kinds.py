@@ -1,7 +1,6 @@
 """The scene of a run of contact, and what each kind's own simulator makes of a scene.
 
 press      a sheet of springs under a force
-pull       a sheet on a foundation, from which an instrument pulls
 slab       finite elements beneath tissue, under a force
 palpation  a palpated body of finite elements, at rest under a force
 field      particles of the online estimator, as they were known last
@@ -10,14 +9,11 @@ field      particles of the online estimator, as they were known last
 from typing import Any
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import fitted_press
 from palpate.estimators.direct.slab_motion import DENSITY, LAW, PATCH, POISSON, TOLERANCE
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.lattice import lattice_springs
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.records import InteractionEstimate
@@ -32,13 +28,10 @@ from palpate.physics.msd.simulation import simulate
 from palpate.physics.pbd import simulation as pbd
 from palpate.physics.pbd.body import make_body
 from palpate.physics.pbd.stiffness import Stiffness
-from palpate.physics.sheet import equilibrium
 from palpate.results.scene.scene import KINDS, Scene, make_scene
 
 WIDEST = 50.0
 """Standard deviation of a logarithm above which nothing is known."""
-FREE = 1e-6
-"""Force on a node of a pulled sheet besides springs and foundation, over the largest, below which none acts."""
 
 
 def scene_of(run: InteractionEstimate) -> Scene:
@@ -51,7 +44,7 @@ def scene_of(run: InteractionEstimate) -> Scene:
     if run.field is not None:
         return _field(run.field)
     if run.grip is not None and run.main_estimate is run.grip:
-        return _pull(run.grip)
+        raise NoEstimate("How firmly the pulled tissue is attached is not determined.")
     if found is not None and contact is not None and found.slab is not None:
         return _slab(found, contact)
     if found is None or contact is None or run.mechanics is None:
@@ -65,7 +58,7 @@ def simulated(scene: Scene) -> np.ndarray:
     Raises:
         NoEquilibrium: finite elements can't bear the load, as with other numbers than were estimated.
     """
-    moves = _pressed, _pulled, _dented, _rested, _driven
+    moves = _pressed, _dented, _rested, _driven
     return dict(zip(KINDS, moves, strict=True))[scene.kind](scene)
 
 
@@ -109,31 +102,6 @@ def pressed(scene: Scene) -> tuple[np.ndarray, Mesh, Press, Mechanics]:
 
 def _pressed(scene: Scene) -> np.ndarray:
     return simulate(*pressed(scene), watch=np.arange(len(scene.parts["points"])), dtype=np.float64)
-
-
-def _pull(found: GripEstimate) -> Scene:
-    if found.sheet is None or "foundation_over_stiffness" not in found.determined:
-        raise NoEstimate("How firmly the pulled tissue is attached is not determined.")
-    nodes, moved, springs = found.sheet.nodes, found.sheet.moved, lattice_springs(*found.sheet[:2])
-    anchor, first = np.full(len(nodes), found.foundation_over_stiffness), np.arange(len(nodes)) == 0
-    matrix = equilibrium(springs, np.ones(len(springs)), anchor, first, np.zeros((1, 1))).matrix
-    acting = np.abs(matrix @ moved.swapaxes(0, 1).reshape(len(nodes), -1)).max(axis=1)
-    driven = np.flatnonzero(acting > FREE * acting.max())
-    names, ends = ("foundation", "reaction"), ("", "_low", "_high")
-    values = {name: np.array([getattr(found, f"{name}_over_stiffness{end}") for end in ends]) for name in names}
-    values |= {"times": found.times, "time_step": found.times[-1:] / len(found.times), "springs": springs}
-    values |= {"points": np.pad(nodes, ((0, 0), (0, 1))), "triangles": Delaunay(nodes).simplices}
-    values |= {"grip_vertices": driven, "grip_path": np.pad(moved[:, driven], ((0, 0), (0, 0), (0, 1)))}
-    return make_scene("pull", stiffness=1.0, held=np.zeros(len(nodes)), **values)
-
-
-def _pulled(scene: Scene) -> np.ndarray:
-    grip, springs, gripped = scene.grip, scene.parts["springs"], np.zeros(len(scene.parts["points"]), bool)
-    gripped[grip.vertices] = True
-    stiffness = np.full(len(springs), scene.number("stiffness"))
-    motion = grip.displacement.swapaxes(0, 1).reshape(len(grip.vertices), -1)
-    found = equilibrium(springs, stiffness, np.full(len(gripped), scene.number("foundation")), gripped, motion)
-    return found.displacement.reshape(len(gripped), -1, 3).swapaxes(0, 1)
 
 
 def _slab(found: Estimate, contact: Interaction) -> Scene:

@@ -25,7 +25,6 @@ from palpate.results.scene.kinds import palpation_scene, scene_of, simulated
 from palpate.results.scene.scene import FORMATS, Scene
 from tests.estimators.direct import slabs
 from tests.estimators.estimates import CONTACT, COVARIANCE, GOOD, MECHANICS, NONE, THETA
-from tests.estimators.grip.test_recorder import run as pulled_run
 from tests.estimators.online.test_driven import CAMERA, GEOMETRY, driven, first_frame
 from tests.estimators.palpation.test_material_fit import BODY, observed
 from tests.physics.sheets import whole_field
@@ -67,12 +66,6 @@ def press(run: InteractionEstimate) -> Known:
 @functools.cache
 def known(name: str) -> Known:
     return press(PRESSES[name]) if name in PRESSES else globals()[f"_{name}"]()
-
-
-def _pull() -> Known:
-    """Of an endless sheet, whose grip's own motion is unknown."""
-    found = pulled_run(12, 1.5).estimate()
-    return Known(scene_of(dataclasses.replace(NONE, grip=found)), np.pad(found.sheet.moved, ((0, 0), (0, 0), (0, 1))))
 
 
 def _slab() -> Known:
@@ -118,7 +111,7 @@ def _learnt() -> Known:
     return _field(0.15, "PBD-RM-ON")
 
 
-CASES = [*PRESSES, "pull", "slab", "palpation", "field", "volume", "learnt"]
+CASES = [*PRESSES, "slab", "palpation", "field", "volume", "learnt"]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -138,7 +131,6 @@ def test_the_motion_comes_back_within_a_hundredth(name: str, tmp_path: Path) -> 
     ("name", "part"),
     [
         ("patch", "stiffness"),
-        ("pull", "foundation"),
         ("slab", "damping"),
         ("palpation", "stiffness"),
         ("learnt", "stiffness"),
@@ -156,8 +148,7 @@ def test_what_is_estimated_has_its_interval() -> None:
     for name, theta in (("step", THETA), ("slab", np.array(slabs.THETA) * (1, 1 / DENSITY, 0.3))):
         spread = np.concatenate([known(name).scene.parts[each] for each in PARAMETERS])
         np.testing.assert_allclose(spread, theta[:, None] * np.hstack([np.ones((3, 1)), half]), rtol=1e-12)
-    pull, learnt, palpation = (known(name).scene.parts for name in ("pull", "learnt", "palpation"))
-    assert pull["foundation"][0, 1] < pull["foundation"][0, 0] < pull["foundation"][0, 2]
+    learnt, palpation = (known(name).scene.parts for name in ("learnt", "palpation"))
     np.testing.assert_allclose(learnt["stiffness"][:, 2], learnt["stiffness"][:, 0] * np.exp(0.2 * NINETY), rtol=1e-12)
     assert np.ptp(learnt["stiffness"][:, 0]) > 0
     np.testing.assert_array_equal(learnt["known"], np.tile([1, 0], (len(learnt["known"]), 1)))
@@ -200,28 +191,6 @@ def test_sofa_s_own_components_move_a_press_alike(name: str) -> None:
     np.testing.assert_allclose(np.array(path), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
-def test_sofa_s_own_components_come_to_rest_as_a_pull_does() -> None:
-    """Springs without length, those to rest and constant forces are linear, so that one solve plays StaticSolver."""
-    root = sofa("pull")
-    first, second, stiffness, damping, length = numbers(root, "SpringForceField", "spring").reshape(-1, 5).T
-    rest = numbers(root, "TriangleSetTopologyContainer", "position").reshape(-1, 3)
-    assert not np.array([damping, length]).any()
-    assert root.find(".//FixedProjectiveConstraint") is None
-    matrix, (one, two) = np.zeros((len(rest), len(rest))), np.array([first, second], int)
-    for row, column, sign in ((one, one, 1), (two, two, 1), (one, two, -1), (two, one, -1)):
-        np.add.at(matrix, (row, column), sign * stiffness)
-    matrix[np.diag_indices(len(rest))] += numbers(root, "RestShapeSpringsForceField", "stiffness").item()
-    force = numbers(root, "ConstantForceField", "forces").reshape(-1, 3) - matrix @ rest
-    force += numbers(root, "RestShapeSpringsForceField", "stiffness").item() * rest
-    np.testing.assert_allclose(force, 0, atol=1e-9 * np.abs(matrix @ rest).max())
-    led = numbers(root, "LinearMovementProjectiveConstraint", "indices")[:, 0].astype(int)
-    way = numbers(root, "LinearMovementProjectiveConstraint", "movements").reshape(len(led), -1, 3)
-    free = ~np.isin(np.arange(len(rest)), led)
-    moved = np.linalg.solve(matrix[free][:, free], -matrix[free][:, led] @ way[:, -1])
-    assert len(led) < len(rest) / 4
-    np.testing.assert_allclose(moved, known("pull").motion[-1, free], atol=1e-9)
-
-
 COMPONENTS = {
     "CGLinearSolver": "iterations tolerance threshold",
     "ConstantForceField": "indices forces",
@@ -245,7 +214,7 @@ COMPONENTS = {
 """Of SOFA 24.06 and later, with those of their attributes that scenes give, by its documentation."""
 
 
-@pytest.mark.parametrize("name", ["patch", "pull", "slab", "palpation", "field", "volume"])
+@pytest.mark.parametrize("name", ["patch", "slab", "palpation", "field", "volume"])
 def test_sofa_knows_every_component_and_attribute(name: str) -> None:
     root, parts = sofa(name), known(name).scene.parts
     for component in root.findall("Node/*"):
@@ -258,7 +227,7 @@ def test_sofa_knows_every_component_and_attribute(name: str) -> None:
         assert numbers(root, "TetrahedronFEMForceField", "youngModulus") == parts["stiffness"][0, 0]
 
 
-@pytest.mark.parametrize("name", ["patch", "pull", "slab", "palpation", "field", "volume"])
+@pytest.mark.parametrize("name", ["patch", "slab", "palpation", "field", "volume"])
 def test_usd_and_vtk_themselves_read_the_scene(name: str, tmp_path: Path) -> None:
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     vtk = pytest.importorskip("vtk", reason="vtk is not installed")

@@ -1,21 +1,18 @@
 """The suite of slabs: which clips it has, what is compared, and one press and one pull from pictures to numbers."""
 
-import dataclasses
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from palpate.data.synthetic import slab
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.harness import Row
 from palpate.evaluation.recovery import trial
-from palpate.evaluation.recovery.grip_truth import pull_against_truth
+from palpate.evaluation.recovery.grip_truth import force_curve
 from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import EVERY, suite_clip_seed
 from palpate.evaluation.recovery.trial import Trial, run_trial
@@ -32,10 +29,9 @@ def press(index: int, estimate: tuple[float, float, float] | None, **changes) ->
     return found if estimate is None else found | {"estimate": np.array(estimate)}
 
 
-def pull(index: int, quotient: float, **changes) -> Row:
+def pull(index: int) -> Row:
     curve = np.array([[0.2, 0.6, 1.0], [0.2, 0.8, 1.0], [0.01, 0.02, 0.0]])
-    found = press(index, None, action="grip", reaction=np.array([quotient, 0.1]), verdict="foundation")
-    return found | {"curve": curve, **changes}
+    return press(index, None, action="grip", verdict="relative_force", curve=curve)
 
 
 def table(rows: list[Row]) -> dict[tuple[str, str], dict[str, object]]:
@@ -123,11 +119,6 @@ def test_what_is_determined_is_ranked_by_itself() -> None:
     assert again["pressed, explained", "rank of k_s and E, determined"]["n"] == 0
     refused = table([(row | {"warned": index < 2}) for index, row in enumerate(rows)])
     assert refused["pressed, explained", "rank of k_s and E, determined"]["n"] == 2
-    pulls = [pull(index, (0.1 + 0.02 * index) / young, verdict="reaction") for index, young in enumerate(YOUNG)]
-    found = table([*pulls[:5], (pulls[5] | {"verdict": "undetermined"})])
-    for name in ("F/k_s and F/E", "k_s if F is known and E"):
-        sure = found["pulled, explained", f"rank of {name}, determined"]
-        assert (sure["n"], sure["value"]) == (5, pytest.approx(1))
 
 
 def test_what_was_not_estimated_counts_as_such() -> None:
@@ -138,39 +129,18 @@ def test_what_was_not_estimated_counts_as_such() -> None:
     assert ("pressed", "rank of k_s and E") not in found  # of one clip there is none
 
 
-def test_pulls_are_compared_by_force_over_stiffness() -> None:
-    rows = [pull(index, 3 * (0.1 + 0.02 * index) / young) for index, young in enumerate(YOUNG)]
-    found = table(rows)
-    assert found["pulled", "rank of F/k_s and F/E"]["value"] == pytest.approx(1)
-    assert found["pulled", "rank of k_s if F is known and E"]["value"] == pytest.approx(1)
-    assert found["pulled", "scatter of F/k_s over F/E"]["value"] == pytest.approx(0, abs=1e-12)
+def test_pulls_are_compared_by_the_relative_force() -> None:
+    found = table([pull(index) for index in range(len(YOUNG))])
     assert found["pulled", "relative force, off"]["value"] == pytest.approx(math.sqrt(0.5 * 0.2**2))
     assert found["pulled", "relative force, held"]["value"] == 0.5
+    assert ("pulled", "rank of F/k_s and F/E") not in found
 
 
-def test_pulls_by_finite_elements_are_compared_with_the_true_force_over_young() -> None:
-    forces = 0.1 + 0.02 * np.arange(len(YOUNG))
-    # 10 % too large, but for the last one, which is three times so: intervals of 10 % hold all others.
-    over = np.array([1.1] * 5 + [3.3])
-    rows = [pull(index, over[index] * forces[index] / young, fitted="fem") for index, young in enumerate(YOUNG)]
-    found = table(rows)
-    assert found["pulled", "F/E over the true"]["value"] == pytest.approx(1.1)
-    assert found["pulled", "F/E, held"]["value"] == pytest.approx(5 / 6)
-    assert ("pulled", "F/E, held") not in table([(row | {"fitted": "sheet"}) for row in rows])
-
-
-def test_of_a_pull_force_over_young_is_taken_where_it_is_told() -> None:
+def test_the_true_relative_force_is_along_that_of_the_last_frame() -> None:
     times = np.array([0.04, 0.08])
-    sheet = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times, 0 * times, 30.0, 27.0, 33.0)
-    scene = SimpleNamespace(settings=SimpleNamespace(fps=25.0, cell=(4.0, 4.0)), spacing=0.002)
-    motion = SimpleNamespace(reaction=np.array([[0.0, 0.0], [0.3, 0.4], [0.6, 0.8]]))
-    told = pull_against_truth(0, sheet, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
-    assert told["reaction"] == pytest.approx([30 * 0.002 / 4, math.log(33 / 27) / (2 * NINETY)])
-    ends = {"reaction_over_young_low": 1e-3, "reaction_over_young_high": 4e-3}
-    solid = dataclasses.replace(sheet, reaction_over_young=2e-3, **ends)
-    told = pull_against_truth(0, solid, motion, scene)  # ty: ignore[invalid-argument-type]  what is read
-    assert told["reaction"] == pytest.approx([2e-3, math.log(4) / (2 * NINETY)])
-    assert (told["true_force"], told["verdict"]) == (pytest.approx(1.0), "reaction")
+    grip = GripEstimate(0.6, 0.1, times, times / 0.08, 0.1 * times)
+    found = force_curve(0, grip, np.array([[0.0, 0.0], [0.3, 0.4], [0.6, 0.8]]), 25.0)
+    np.testing.assert_allclose(found, [[0.5, 1.0], [0.5, 1.0], [0.004, 0.008]])
 
 
 @pytest.mark.slow

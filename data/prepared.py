@@ -13,7 +13,7 @@ from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.data.tracks.following import Shown
 
-STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask")
+STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask", "repeated")
 """Statuses of a frame: `ok` means in contact; the others name the reason why a frame gives no contact."""
 OUT_OF_CONTACT = ("no_tool", "no_contact")
 """Statuses of frames that are known to be out of contact; for all others but `ok` that is unknown."""
@@ -70,6 +70,12 @@ class PreparedFrame:
     track_position: np.ndarray = field(default_factory=_unknown)
     """Current position of the tissue point that was the contact at `track_start`, shape [3] [scene units]; NaN once it
     is lost."""
+    skipped: tuple["PreparedFrame", ...] = ()
+    """Frames right before it that measure nothing: their picture repeats, or their depth jumps."""
+
+    def follows(self, number: int) -> bool:
+        """Whether it is the next measurement after the frame of that number."""
+        return self.frame.number - len(self.skipped) - number == 1
 
     def press_at(self, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings) -> bool:
         """Take the tissue at a grid pixel (u, v), where a dent is, for the contact; whether that gives a mesh."""

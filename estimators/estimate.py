@@ -32,9 +32,6 @@ BY_LIGHT = (
     "by the brightness of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 )
 
-UNSTIFFENED = "stiffening, not determined: where tissue stiffens |F|/E is larger than this says"
-"""Of a slab: its motion alone looks the same (docs/reports/fem.md)."""
-
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
 
@@ -90,8 +87,6 @@ class Estimate:
     """Whether the light of the tissue was observed instead of its depth, so that lengths count in its distance."""
     left: float = math.nan
     """Share of the change of light that the model leaves, root mean square; not a number where no light is fitted."""
-    slab: Any = None
-    """Of a slab of finite elements what moves it, a `SlabMotion`; None = a sheet of springs."""
     refuted: str = ""
     """Sentence on another model that explains the motion better; empty where none is known."""
 
@@ -124,7 +119,7 @@ class Estimate:
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
         described = "" if self.given_verdict else describe(self.verdict_information)
-        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light, UNSTIFFENED * (self.slab is not None))))
+        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light)))
 
     @property
     def verdict_information(self) -> np.ndarray:

@@ -5,13 +5,11 @@ proportional to the force. The frames whose force is known give the factor and i
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from palpate.data.source.bags import read_wrenches
 from palpate.data.source.table import read_series
 from palpate.estimators.estimate import NoEstimate
 
@@ -53,21 +51,6 @@ def read_forces(path: Path) -> KnownForce:
         InputError: the table can't be read, is too short, its times don't rise, or a value is no number.
     """
     return KnownForce(*read_series(path, COLUMNS, "table of forces", LEAST_KNOWN).T)
-
-
-def force_reader(given: Path) -> Callable[[Path, str | None], KnownForce]:
-    """What gives the force that is known of a clip, by its path and the topic of its pictures.
-
-    Args:
-        given: a table for all clips, or the topic (geometry_msgs/WrenchStamped) of which each bag takes its own.
-
-    Raises:
-        InputError: as of `read_forces`, or of `read_wrenches` when a clip's force is read.
-    """
-    if given.is_absolute() and not given.suffix and not given.exists():  # no topic has a point in its name
-        return lambda clip, pictures: KnownForce(*read_wrenches(clip, str(given), pictures))
-    table = read_forces(given)
-    return lambda clip, pictures: table
 
 
 def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:

@@ -22,9 +22,6 @@ from palpate.models.onnx_session import SHIPPED, ModelFileError, PosteriorModel,
 OF_THETA = ("network", "gan", "direct")
 """Those that tell stiffness, damping and force of a press."""
 NAMES = (*OF_THETA, "online")
-SHEET, FEM = "sheet", "fem"
-MODELS = (SHEET, FEM)
-"""What `direct` fits: a sheet of springs, or a slab of finite elements."""
 DEPTH = {"depth": "source", "depth_model": "model", "depth_preset": "preset", "threads": "threads", "device": "device"}
 """Arguments of `preparation` that are fields of `DepthSettings`."""
 
@@ -37,7 +34,7 @@ class EstimatorOptions:
     """One of NAMES; None = what the model's file is for, and without one `network`."""
     model: Path | None = None
     """ONNX file that `train.py export` or `estimators.network.calibration` wrote; None = the one that
-    comes along. Of `direct` the name of what it fits, one of MODELS; None = the sheet."""
+    comes along."""
     onset: str | None = None
     """When a press begins, one of `estimators.onset.ONSETS`; None = between frames, as in real videos."""
     observation: str | None = None
@@ -53,8 +50,6 @@ class EstimatorOptions:
     """CPU threads of a model; None leaves the choice to ONNX Runtime."""
     device: str = AUTO
     """Where a model runs, one of `common.onnx_devices.DEVICES`."""
-    thickness: float | None = None
-    """Of the tissue, for `direct` with the model FEM [scene units]."""
     rate: str = FULL
     """What `network` does of a clip, one of `estimators.network.estimator.RATES`."""
 
@@ -71,7 +66,7 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
     if options.rate == FAST and options.name in ("direct", "online"):
         raise ValueError(f"--rate fast is for --estimator network; {options.name} has nothing that it could leave out.")
     if options.name == "online":
-        for name in ("model", "thickness", "onset", "observation", "noise", "horizon"):
+        for name in ("model", "onset", "observation", "noise", "horizon"):
             if getattr(options, name) is not None:
                 raise ValueError(f"--{name} is not for --estimator online; leave it out.")
         return OnlineEstimator(OnlineSettings() if options.settings is None else load_settings(options.settings))
@@ -79,8 +74,6 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
         raise ValueError(f"--settings {options.settings} is for --estimator online; leave it out.")
     if options.name == "direct":
         return _open_direct(options)
-    if options.thickness is not None:
-        raise ValueError("--thickness is for --estimator direct --model fem; leave it out.")
     if options.noise is not None:
         raise ValueError("--noise is for --estimator direct; leave it out.")
     if options.name == "gan" and options.model is None:
@@ -103,16 +96,9 @@ def open_estimator(options: EstimatorOptions) -> Estimator:
 
 
 def _open_direct(options: EstimatorOptions) -> DirectEstimator:
-    model = SHEET if options.model is None else str(options.model)
-    if model not in MODELS:
-        raise ValueError(f"--estimator direct needs no network; give --model fem, or leave --model {model} out.")
-    if model == FEM and options.thickness is None:
-        raise ValueError("--model fem must be told how thick the tissue is; give --thickness in scene units.")
-    if model == SHEET and options.thickness is not None:
-        raise ValueError("--thickness is for --model fem; a sheet has none, so leave it out.")
-    return DirectEstimator(
-        options.onset or BETWEEN, options.observation, options.horizon, options.noise, thickness=options.thickness
-    )
+    if options.model is not None:
+        raise ValueError(f"--estimator direct needs no network; leave --model {options.model} out.")
+    return DirectEstimator(options.onset or BETWEEN, options.observation, options.horizon, options.noise)
 
 
 def preparation(

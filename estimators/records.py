@@ -26,7 +26,8 @@ class FrameEstimate:
     time_s: float
     """Time stamp of the frame [s]."""
     status: str
-    """`ok`, or why the frame has no parameters: unreadable, no_mask, no_tool, no_tissue, bad_depth, no_contact."""
+    """`ok`, or why the frame has no parameters: unreadable, repeated, no_mask, no_tool, no_tissue, bad_depth,
+    no_contact."""
     detail: str = ""
     """Sentences about the status, or about what can't be trusted although the status is ok."""
     estimate: Estimate | None = None
@@ -55,13 +56,22 @@ class FrameEstimate:
     """Stiffness over the tissue, from an estimator that finds it place by place."""
     alarm: str | None = None
     """Whether the force has reached a limit (`results.alarm`), empty without contact; None without a limit."""
+    determined: str | None = None
+    """What its contact leaves determined, joined by ;; None = what the estimate says."""
+    relative_force: float | None = None
+    """Force of a pull over its peak in its contact."""
+    relative_force_low: float | None = None
+    """Lower end of its 90 % interval."""
+    relative_force_high: float | None = None
+    """Upper end."""
 
     @functools.cached_property
     def values(self) -> dict[str, Any]:
         """Everything by name, the numbers of estimate and field included; what is not known is missing or None."""
         numbers = {} if self.estimate is None else self.estimate.numbers()
         field = {} if self.field is None else self.field.numbers()
-        return {**vars(self), **numbers, **field, "verdict": self.verdict}
+        agreed = {} if self.determined is None else {"determined": self.determined}
+        return {**vars(self), **numbers, **field, **agreed, "verdict": self.verdict}
 
 
 @dataclass(frozen=True, eq=False)

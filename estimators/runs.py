@@ -157,13 +157,10 @@ class RunSession:
         clip: the clip.
         mechanics: constants of the estimator's simulator.
         horizon: how much of a whole contact counts.
-        thickness: thickness of the tissue, where finite elements are fitted [scene units].
     """
 
-    def __init__(
-        self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, thickness: float | None = None
-    ) -> None:
-        self.clip, self.horizon, self._thickness = clip, horizon, thickness
+    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
+        self.clip, self.horizon = clip, horizon
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
@@ -230,7 +227,7 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
-        mechanics = self.mechanics if self._thickness is None else None
+        mechanics = self.mechanics
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
@@ -291,6 +288,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.light,
         frame.light_view,
         frame.light_picture,
+        len(frame.skipped),
     )
 
 

@@ -9,8 +9,7 @@ constant_rmse_log is the error of the best constant for exactly the clips of a r
 the mean over another split, can't reach it.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
-grips.csv has the answer (see `evaluation.recovery.grips`). The suites fem and stiffening show soft solids, whose truth
-is no θ; what estimates mean then is in slabs.csv (see `evaluation.recovery.slabs`).
+grips.csv has the answer (see `evaluation.recovery.grips`).
 
 suites:
 """
@@ -32,15 +31,13 @@ from rich.progress import Progress
 from palpate.common.command_line import size_of
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
-from palpate.data.contact.interaction import CONTACT
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.estimators.open import FEM, EstimatorOptions
+from palpate.estimators.open import EstimatorOptions
 from palpate.evaluation.harness import OK, Experiment, Report, Row, run
 from palpate.evaluation.recovery.details import detail_table
 from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.scores import Scores, score_all, table
-from palpate.evaluation.recovery.slabs import slab_table
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from palpate.evaluation.recovery.trial import MOTION, Trial, run_trial
 
@@ -49,7 +46,7 @@ LARGEST_SIZE = 4096
 LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
 SHOWN_FAILURES = 8
-KINDS = ("press", "grip", "slab")
+KINDS = ("press", "grip")
 """Of suites, in the order of tables."""
 DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
 Name = Literal["direct", "gan", "network", "constant"]
@@ -67,9 +64,6 @@ class Benchmark(Experiment):
     """ONNX file of the estimator network"""
     gan_model: Path | None = None
     """ONNX file of the estimator gan: one estimate a frame"""
-    direct_model: Literal["sheet", "fem"] = "sheet"
-    """what direct fits to presses; fem is a slab of finite elements that is given the tissue's thickness, for the
-    suites fem and stiffening alone"""
     clips: int = 60
     """clips of each suite, a third a regime"""
     seed: int = 0
@@ -96,7 +90,7 @@ class Benchmark(Experiment):
 
     keys: ClassVar = ("suite", "index", "estimator")
     work: ClassVar = staticmethod(run_trial)
-    writes: ClassVar = ("table.csv", "details.csv", "grips.csv", "slabs.csv")
+    writes: ClassVar = ("table.csv", "details.csv", "grips.csv")
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
@@ -112,14 +106,8 @@ class Benchmark(Experiment):
                 f"up, {LARGEST_SIZE} px a side at most."
             )
         kinds = {EVERY[name].of for name in self.suites}
-        if "slab" in kinds and CONSTANT in self.estimator:
-            raise ValueError("--estimator constant is of no use to the suite fem, which has no true θ; leave one out.")
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
-        if self.direct_model == FEM and (kinds != {"slab"} or DIRECT not in self.estimator):
-            raise ValueError("--direct-model fem is for --suite fem --estimator direct; leave other suites out.")
-        if self.direct_model == FEM and self.observation == CONTACT:
-            raise ValueError("--direct-model fem is fitted to all visible tissue; leave --observation contact out.")
         if self.contact == MOTION and (kinds != {"press"} or "gan" in self.estimator):
             raise ValueError("--contact motion is for direct and network on suites of presses; leave others out.")
         for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
@@ -141,7 +129,7 @@ class Benchmark(Experiment):
     @property
     def estimators(self) -> dict[str, EstimatorOptions]:
         """What is compared but the constant, by name, in the order of tables."""
-        models = {"network": self.model, "gan": self.gan_model, DIRECT: Path(self.direct_model)}
+        models = {"network": self.model, "gan": self.gan_model, DIRECT: None}
         found = {}
         for name in NAMES:
             if name in self.estimator and name != CONSTANT:
@@ -158,10 +146,9 @@ class Benchmark(Experiment):
 
     def asked(self, suite: str, index: int) -> list[str]:
         """The estimators that a clip is for: of a grip, the one that fits grips."""
-        of, settings = EVERY[suite].of, EVERY[suite].settings(index)
-        if of == "grip":
+        if EVERY[suite].of == "grip":
             return [DIRECT]
-        return [name for name in NAMES if name in self.estimator and (settings.action == "press" or name == DIRECT)]
+        return [name for name in NAMES if name in self.estimator]
 
     @property
     def wanted(self) -> list[tuple[str, int, str]]:
@@ -188,18 +175,17 @@ class Benchmark(Experiment):
         return cases, len({group(key) for key in self.wanted})
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """Tables of presses, of grips and of slabs."""
+        """Tables of presses and of grips."""
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
-        presses, grips, slabs = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
+        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
         judged = score_all(presses, self.bound, self.onset)
         tables = {"table.csv": table(judged), "details.csv": detail_table(judged)} if judged else {}
         shown = [frame[frame["n"] > 0] for frame in list(tables.values())[:1]]
-        for name, part, made in (("grips.csv", grips, grip_table), ("slabs.csv", slabs, slab_table)):
-            if part:
-                tables[name] = made(part)
-                shown.append(tables[name])
-        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips) + _failures(slabs)
+        if grips:
+            tables["grips.csv"] = grip_table(grips)
+            shown.append(tables["grips.csv"])
+        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips)
         failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
         if failed:
             lines.append(("No clip could be estimated.", "red"))

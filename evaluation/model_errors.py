@@ -7,9 +7,9 @@ their residuals tell: the rest is the model's. Of every entry of the file that a
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
 leave `value`, by which the estimators go, as it is. The part pull takes the suites retraction, foundation and regions;
-video presses in plain videos, facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by either
-law of light. Of video it also measures by how much both ratios' errors grow with the damping ratio, which the fit takes
-off.
+video takes presses in RGB videos, facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by
+either law of light. Of video it also measures by how much both ratios' errors grow with the damping ratio, which the
+fit subtracts.
 """
 
 from palpate.common.doors import enter_door, run_door

@@ -8,7 +8,6 @@ coverage within the file itself: nothing but the file is needed.
 
 import json
 import logging
-import os
 import platform
 import warnings
 from collections.abc import Callable, Sequence
@@ -22,8 +21,8 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from palpate.common.files import as_json, read_file, replacing
-from palpate.common.output import ForeignFile
+from palpate.common.files import as_json
+from palpate.common.output import replacing_own
 from palpate.models.calibration import LOG_DAMPING, Calibration, LightCalibration, Widths
 from palpate.models.generator import Generator, ParameterHead
 from palpate.models.onnx_session import (
@@ -36,7 +35,6 @@ from palpate.models.onnx_session import (
     LIGHT_MEAN,
     LOG_COVARIANCE,
     LOG_MEAN,
-    MAX_FILE_BYTES,
     METADATA_KEY,
     POSTERIOR,
     ExportedModel,
@@ -122,7 +120,7 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
         large where nothing is known, the difference is relative where numbers are above 1.
 
     Raises:
-        ForeignFile: `output` exists and is no exported network.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
@@ -154,9 +152,8 @@ def write(
         ForeignFile, ParityError: as of `export`.
     """
     onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
-    require_own_model(output)
     output.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(output) as partial:
+    with replacing_own(output) as partial:
         onnx.save(model, partial, format="protobuf")
         difference = difference_of(partial)
         if not difference <= PARITY_TOLERANCE:  # or it is no number
@@ -165,22 +162,6 @@ def write(
                 f"{PARITY_TOLERANCE:g}; nothing was written to {output}."
             )
     return difference
-
-
-def require_own_model(path: Path) -> None:
-    """Refuse to replace a file that is no exported network.
-
-    Raises:
-        ForeignFile: it is none.
-    """
-    if not os.path.lexists(path):
-        return
-    try:
-        found = onnx.load_model_from_string(read_file(path, MAX_FILE_BYTES)).metadata_props
-    except Exception as error:  # protobuf or onnx fails, depending on the damage
-        raise ForeignFile(path) from error
-    if METADATA_KEY not in {entry.key for entry in found} or path.is_symlink():
-        raise ForeignFile(path)
 
 
 def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tuple[int, int, int]) -> float:
@@ -259,7 +240,7 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     Raises:
         ModelFileError: the file is no exported posterior.
         ValueError: the file is calibrated already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)
@@ -326,7 +307,7 @@ def add_light(source: Path, output: Path, posterior: ContactPosterior, weights_s
     Raises:
         ModelFileError: the source is no exported posterior.
         ValueError: it has one of brightness sequences already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)
@@ -362,7 +343,7 @@ def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -
     Raises:
         ModelFileError: the source is no exported posterior.
         ValueError: it has none by light, or is calibrated already.
-        ForeignFile: another file than an exported network is at `output`.
+        ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     plain = PosteriorModel(source)

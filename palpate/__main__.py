@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | page | view | benchmark | synthetic …
+    palpate infer | live | train | export | calibrate | plan | page | benchmark | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -12,7 +12,7 @@ if __name__ == "__main__":
 
 import sys
 
-OWN = ("infer", "live", "train", "calibrate", "plan", "page", "view")
+OWN = ("infer", "live", "train", "calibrate", "plan", "page")
 """Commands that are modules of `palpate.command`."""
 COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
     "export": "palpate.command.train",
@@ -20,7 +20,7 @@ COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""
-EXTRAS = dict.fromkeys(("train", "export", "benchmark"), "train") | {"view": "view"}
+EXTRAS = dict.fromkeys(("train", "export", "benchmark"), "train")
 """What must be installed for some of them."""
 
 

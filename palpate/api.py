@@ -23,7 +23,7 @@ def open_estimator(name: str | None = None, **options: Any) -> Estimator:
 
     Args:
         name: `network` (default), `gan`, `direct` or `online`.
-        options: fields of `palpate.estimators.open.EstimatorOptions`: model, onset, observation, noise, thickness, …
+        options: fields of `palpate.estimators.open.EstimatorOptions`: model, onset, observation, noise, …
 
     Raises:
         ModelFileError: the model's file can't be used, or not with these options.

@@ -8,6 +8,5 @@ pictures   the plan drawn
 surface    the body's surface and signed distances from it
 pressing   forces and costs of an instrument in space
 space_map  road map in space, kept in a file, and the cheapest way through it
-sampled    the same by OMPL
 waypoints  times, poses and expected forces of a way in space
 """

@@ -3,13 +3,14 @@
 run       a batch of clips: finding them, going on after a failure, the closing table
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
-calibrated  a clip in newtons (--calibration), and compared with measured forces
+calibrated  a clip in newtons (--force-scale), and compared with measured forces
 forces    of every run of contact: mean, peak, what is unknown (forces.json)
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)
 bag       forces and verdicts for ROS (--bag)
-scene     what was estimated, to simulate further (--export), for USD, SOFA, VTK and PLY
+vtu       deformation of a contact for ParaView and SOFA (--export)
 sequence  of a sequence beside a robot: particles in its frame
+agreement  frames' records, no surer than their contact says when it has ended
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py

@@ -5,7 +5,8 @@ Research software, not a medical device: no alarm does not mean that a force is 
 
 import math
 from collections import Counter, defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from palpate.data.contact.features import slot_times
 from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.network.estimator import NetworkEstimator
+from palpate.estimators.records import FrameEstimate
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
@@ -52,6 +54,11 @@ class ForceAlarm:
     def end_run(self) -> None:
         """The run of contact has ended; the next frame in contact is the onset of another."""
         self._onset, self._above = np.nan, False
+
+    def watch(self, frame: FrameEstimate, upper_end: Callable[[Estimate], float | None] | None = None) -> FrameEstimate:
+        """Return the frame's estimate with its state, by `upper_end` of the force (default: `upper_force`)."""
+        upper = None if frame.estimate is None else (upper_end or upper_force)(frame.estimate)
+        return replace(frame, alarm=self.push(frame.time_s, frame.contact, upper))
 
     def push(self, time_s: float, contact: bool | None, upper: float | None) -> str:
         """The state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.

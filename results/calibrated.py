@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.prepared import PreparedFrame
-from palpate.estimators.calibration_file import Calibration, ClipLength, ForceScale, Physical, PressedRun
-from palpate.estimators.dent import DentRecorder
+from palpate.estimators.calibration_file import Calibration
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.known_force import KnownForce, predict_force
+from palpate.estimators.known_force import ForceCurve, KnownForce, predict_force
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import covariance
 from palpate.physics.mechanics import PARAMETERS
@@ -40,6 +39,12 @@ class Curve:
     unit: str
     """NEWTONS or NORMALISED."""
 
+    @classmethod
+    def of(cls, onset_frame: int, times: np.ndarray, found: ForceCurve) -> "Curve":
+        """Curve of forces [N] with their 90 % interval."""
+        half = NINETY * found.sd
+        return cls(onset_frame, times, found.force, found.force - half, found.force + half, NEWTONS)
+
 
 @dataclass
 class ClipCalibration:
@@ -62,32 +67,39 @@ class ClipCalibration:
     """Of calibrated.csv, likewise."""
     curves: list[Curve] = field(default_factory=list)
     """Estimated forces where some were measured, likewise."""
-    dents: list[Curve] = field(default_factory=list)
-    """Those of them that the depth of a dent tells."""
     reason: str = ""
     """Why there is no scale."""
 
     def __post_init__(self) -> None:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
-        self._grips: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
-        rest = self.calibration.fields.rest_s
-        self._dents = DentRecorder(rest) if self.home and rest is not None else None
+        self._pulls: list[Curve] = []
+        self._unknown_pull = ""
         self.known = self.calibration.known if self.home else None
         """Forces that tell the scale of this clip's grips."""
-        self.measured = self.calibration.measured if self.home else None
+        self.measured = self.calibration.measured if self.home and not self.calibration.every_clip else None
         """Forces to compare with."""
 
-    def see(self, prepared: PreparedFrame) -> None:
-        """The next frame."""
-        if self._dents is not None:
-            self._dents.push(prepared.frame.number, prepared.frame.time_s, prepared.depth)
+    def add(self, run: InteractionEstimate) -> list[dict[str, Any]]:
+        """Keep the next run of contact; return the force of a pull over time by column of FORCES.
 
-    def add(self, run: InteractionEstimate) -> None:
-        """The next run of contact."""
+        Raises:
+            NoEstimate: the known force does not determine that of this pull.
+        """
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
         found = run.main_estimate
-        if self.known is not None and isinstance(found, GripEstimate) and "relative_force" in found.determined:
-            self._grips.append((run.onset_frame, run.onset_time_s + found.times, found.force, found.force_sd))
+        if self.known is None or not isinstance(found, GripEstimate) or "relative_force" not in found.determined:
+            return []
+        times = run.onset_time_s + found.times
+        try:
+            known = predict_force(self.known.at(times), found.force, found.force_sd)
+        except NoEstimate as reason:
+            self._unknown_pull = str(reason)
+            raise
+        curve = Curve.of(run.onset_frame, times, known)
+        self._pulls.append(curve)
+        names = ("time_s", "force_N", "force_N_low", "force_N_high", "known_N")
+        values = np.column_stack([times, curve.force, curve.low, curve.high, known.known]).tolist()
+        return [{"onset_frame": run.onset_frame, **dict(zip(names, row, strict=True))} for row in values]
 
     def conclude(self, length: ClipLength) -> None:
         """Say all in newtons, after the last run of contact."""
@@ -110,8 +122,8 @@ class ClipCalibration:
             self.rows.append(values)
         if self.measured is not None:
             self.curves = self._compared(pressed, length, self.measured)
-            if any(curve.unit == NEWTONS for curve in self.curves):
-                self.reason = ""  # a dent or a grip tells newtons where no press does
+        pulled = self._pulls or any(curve.unit == NEWTONS for curve in self.curves)
+        self.reason = "" if pulled else self._unknown_pull or self.reason
 
     def upper_force(self, found: Estimate) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
@@ -144,22 +156,7 @@ class ClipCalibration:
             times = measured.times[run.pressing(measured.times)]
             if len(times) and run.explained:
                 found.append(_press_curve(run, times, self.scale, length))
-        if self.known is None:
-            return found
-        shown = list(self._grips)
-        if self._dents is not None and self._dents.times and not any(item is not None for *_, item in self._runs):
-            depths = np.array(self._dents.depths)
-            shown.append((self._dents.frames[0], np.array(self._dents.times), depths, np.zeros(len(depths))))
-        for number, (frame, times, force, sd) in enumerate(shown):
-            try:
-                curve = predict_force(self.known.at(times), force, sd)
-            except NoEstimate as reason:
-                self.reason = str(reason)
-                continue
-            ends = curve.force - NINETY * curve.sd, curve.force + NINETY * curve.sd
-            found.append(Curve(frame, times, curve.force, *ends, NEWTONS))
-            self.dents += found[-1:] if number == len(self._grips) else []
-        return found
+        return [*found, *self._pulls]
 
     def compared_rows(self) -> list[dict[str, Any]]:
         """Estimated and measured forces by column of COMPARED."""

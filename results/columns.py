@@ -3,13 +3,10 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from palpate.common.files import read_beside
 from palpate.common.tables import to_cell
-from palpate.estimators.estimate import LEAST_SKILL, NINETY, REPORTED, SYMBOLS
+from palpate.estimators.estimate import LEAST_SKILL, REPORTED, SYMBOLS
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.known_force import KnownForce, predict_force
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
@@ -43,16 +40,16 @@ FIELD = named("stiffness", _AGAINST, what=_AGAINST, unit=UNITS) | {
 }
 """Columns of a frame's field of stiffness; empty from estimators without one."""
 FRAMES = TEXTS["frame"] | ESTIMATED | TEXTS["frame_contact"] | FIELD | TEXTS["frame_status"]
-FRAMES |= TEXTS["verdict"] | TEXTS["frame_detail"]
+FRAMES |= TEXTS["verdict"] | TEXTS["frame_force"] | TEXTS["frame_detail"]
 """Columns of `parameters.csv`, in order."""
 ALARM = TEXTS["alarm"]
 """What `parameters.csv` has in addition with --force-limit."""
 INTERACTIONS = TEXTS["run"] | TEXTS["run_press"] | ESTIMATED | TEXTS["grip"] | TEXTS["verdict"] | TEXTS["run_fit"]
 """Columns of `interactions.csv`, in order."""
 FORCES = TEXTS["forces"]
-"""Columns of `forces.csv`, in order; written with --known-force."""
+"""Columns of `forces.csv`, in order; written with --force-scale."""
 CALIBRATED = TEXTS["run"] | named("calibrated", PARAMETERS, symbol=SYMBOLS) | TEXTS["calibrated_detail"]
-"""Columns of `calibrated.csv`, in order; written with --calibration."""
+"""Columns of `calibrated.csv`, in order; written with --force-scale."""
 COMPARED = TEXTS["compared"]
 """Columns of `compared.csv`, in order; written where forces were measured."""
 
@@ -65,6 +62,12 @@ def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:
         values: what is known, by column.
     """
     return [cell(values.get(name), ".6f" if name.endswith("time_s") else ".7g") for name in columns]
+
+
+def known(columns: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of one frame or one contact by column; missing ones are left out."""
+    found = {name: values.get(name) for name in columns}
+    return {name: value for name, value in found.items() if value is not None and value == value and value != ""}
 
 
 def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
@@ -84,22 +87,6 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
     if output is not None:
         found |= {"status": "ok", "verdict": output.verdict, "determined": ";".join(output.determined)}
     return found
-
-
-def force_rows(run: InteractionEstimate, known: KnownForce) -> list[dict[str, Any]]:
-    """The force of a run over time by column of FORCES; none where no relative force is determined.
-
-    Raises:
-        NoEstimate: the known force tells nothing of this run.
-    """
-    grip = run.main_estimate
-    if not isinstance(grip, GripEstimate) or "relative_force" not in grip.determined:
-        return []
-    times = run.onset_time_s + grip.times
-    curve = predict_force(known.at(times), grip.force, grip.force_sd)
-    names, half = ("time_s", "force_N", "force_N_low", "force_N_high", "known_N"), NINETY * curve.sd
-    values = np.column_stack([times, curve.force, curve.force - half, curve.force + half, curve.known]).tolist()
-    return [{"onset_frame": run.onset_frame, **dict(zip(names, row, strict=True))} for row in values]
 
 
 def cell(value: float | int | bool | str | None, form: str = ".7g") -> str:

@@ -1,24 +1,24 @@
 """The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
 
-A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument,
-and that of a press without an instrument in view from the depth of its dent, where some of the force is known.
+A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
 import dataclasses
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.calibrated import NEWTONS, Curve
+from palpate.results.calibrated import NEWTONS
 from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
@@ -32,8 +32,6 @@ SAME_INSTANT = 1e-6
 NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
 ALWAYS = (math.inf, math.inf)
-DENT = "dent"
-"""Verdict on a press that has no run of contact, of which the dent alone tells the force."""
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
@@ -80,7 +78,8 @@ class ContactForce:
             newtons: rows of forces.csv where a pull's force is known in newtons.
             seconds: so much after the onset, an estimate by depth, by light, tells nothing any more [s].
         """
-        touched = [index for index in range(run.onset, len(estimates)) if estimates[index].contact is not False]
+        begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
+        touched = [index for index in range(begun, len(estimates)) if estimates[index].contact is not False]
         while touched and not estimates[touched[-1]].contact:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
@@ -108,28 +107,23 @@ class ContactForce:
         place = run.onset_frame, run.onset_time_s, state(run)
         return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
 
-    @classmethod
-    def of_dent(cls, curve: Curve, estimates: Sequence[FrameEstimate]) -> "ContactForce | None":
-        """The force of a press as its dent tells it, from the first to the last frame in which it is not 0.
-
-        None where its 90 % interval always holds 0.
-        """
-        acting = np.flatnonzero(curve.low > 0)
-        if not len(acting):
-            return None
-        kept = slice(acting[0], acting[-1] + 1)
-        at = {estimate.time_s: index for index, estimate in enumerate(estimates)}
-        frames = np.array([at[time] for time in curve.times[kept].tolist()])
-        curves = curve.force[kept], curve.low[kept], curve.high[kept]
-        place = estimates[frames[0]].frame, estimates[frames[0]].time_s, DENT
-        return cls(*place, frames, *curves, MEASURED, "", np.full(len(frames), np.nan), None)
-
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
         force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
         return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
+
+    @property
+    def relative(self) -> np.ndarray:
+        """The force over its peak and the ends of its 90 % interval, shape [3, T]."""
+        curves = np.stack([self.force, self.low, self.high])
+        known = self.force[np.isfinite(self.force)]
+        peak = max(known, key=abs, default=0.0)
+        if peak:
+            curves = curves / peak
+            curves[1:] = np.sort(curves[1:], axis=0)
+        return curves
 
     def record(
         self, estimates: Sequence[FrameEstimate], lasts: np.ndarray, limit: tuple[float, str] | None
@@ -148,9 +142,8 @@ class ContactForce:
             found |= self._above(limit, seconds)
         if known.any():
             top = int(np.nanargmax(np.abs(self.force)))
-            if self.unit == RELATIVE and self.force[top]:
-                curves = curves / self.force[top]
-                curves[1:] = np.sort(curves[1:], axis=0)
+            if self.unit == RELATIVE:
+                curves = self.relative
             means = curves[:, known] @ seconds[known] / seconds[known].sum()
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
@@ -195,7 +188,6 @@ def forces_record(
     fps: float,
     limit: tuple[float, str] | None = None,
     calibrated: Sequence[Mapping[str, Any]] = (),
-    dents: Sequence[Curve] = (),
     length: ClipLength | None = None,
 ) -> dict[str, Any]:
     """The content of forces.json.
@@ -206,14 +198,12 @@ def forces_record(
         fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
         limit: of --force-limit, and its unit.
         calibrated: rows of calibrated.csv, one a run of contact.
-        dents: forces by the depth of a dent that belongs to no run of contact.
         length: of a scene unit.
     """
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
     told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
-    told += filter(None, (ContactForce.of_dent(curve, estimates) for curve in dents))
     records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."

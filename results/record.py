@@ -34,7 +34,7 @@ FORMAT_VERSION = 1
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
 WARNINGS: dict[str, str] = read_beside(__file__)
 """What the user should know about a clip's results, a sentence each."""
-PERSISTENT = ("unreadable", "no_mask", "bad_depth")
+PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
 
@@ -136,8 +136,6 @@ def _untold(results: ClipResults) -> Iterator[str]:
     """What isn't known of runs of contact, in sentences."""
     if results.unexported:
         yield WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
-    if results.unscaled:
-        yield WARNINGS["unscaled"]
     yield from results.doubts[:1]
     if results.doubts[1:]:
         yield WARNINGS["doubts"].format(count=len(results.doubts) - 1)

@@ -28,13 +28,14 @@ from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.bags import is_bag
-from palpate.data.source.frames import discover, name_of, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from palpate.estimators.calibration_file import Calibration, ClipLength, read_calibration
+from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.known_force import force_reader
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.online.estimator import OnlineEstimator
 from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
@@ -54,7 +55,7 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 WITH_FORCE = ("direct", "network")
 """Estimators that give a force."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "known_force")
+OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "force_scale")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
@@ -92,26 +93,24 @@ class Batch:
         self.options, self.console = options, console
         # Stages run side by side: OpenCV's threads of each would wait for one another.
         cv2.setNumThreads(max(1, (options.threads or os.cpu_count() or 1) // STAGES))
-        self.known = None if options.known_force is None else force_reader(options.known_force)
-        self.calibration = None if options.calibration is None else read_calibration(options.calibration)
+        self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
         self.carried: Path | None = None
         """Folder of the results of the clip with the known force, once it is done."""
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
         self.providers: dict[str, str] = {}
         """What was said of where networks run."""
-        names = ("model", "onset", "observation", "noise", "settings", "thickness", "rate", "device")
+        names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
         online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
         wrong = {
-            "half of a sheet": online and (self.known is None) != (online.settings.sheet_m is None),
-            "calibration of online": known is not None and name == "online",
-            "newtons twice": known is not None and self.known is not None,
+            "scale of online": online and known is not None and not known.every_clip,
+            "half of a sheet": online and (known is None) != (online.settings.sheet_m is None),
             "limit without force": limited and name not in WITH_FORCE,
             "limit without newtons": limited and known is not None and not known.tells,
-            "export of gan": options.export is not None and name == "gan",
+            "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
             "shard of a scale": options.shard and known is not None and known.of_one_clip,
@@ -121,8 +120,7 @@ class Batch:
             raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
         chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
-        newtons = self.calibration is not None or (self.known and not isinstance(self.estimator, NetworkEstimator))
-        unit = NEWTONS if newtons else UNITS["force"]
+        unit = UNITS["force"] if self.calibration is None else NEWTONS
         self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
         """Limit of the force and its unit, where one is given."""
         self.store = store.ResultStore(options.output)
@@ -135,24 +133,23 @@ class Batch:
         source = open_source(path, self.settings.layout)
         folder = self.folders.get(path) or self.store.folder(source.name, path)
         causes = depends_on(path, self.settings, self.estimator)
-        if self.known is not None:
-            given = self.options.known_force
-            causes["known_force"] = file_sha256(given) if given.is_file() else str(given)
         chosen = {name: getattr(self.options, name) for name in ("force_limit", "shaft_diameter", "export")}
         causes |= {name: value for name, value in chosen.items() if value is not None}
-        newtons = None if self.calibration is None else self._newtons(self.calibration, path, causes)
+        newtons, known = None, None
+        if self.calibration is not None:
+            given = self.calibration.of_clip(path, self.settings.layout.topic)
+            causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
+            newtons = None if self.fields else self._newtons(given, path, causes)
+            known = given.known if newtons is None else newtons.known
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             return self._kept_results(source.name, folder, path.name)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
-            known = None if newtons is None else newtons.known
-            if self.known is not None:
-                known = self.known(path, self.settings.layout.topic)
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
-            options["known"] = None if self.fields else known
             options |= {"fields": self.fields, "export": self.options.export}
+            options["waits"] = self.estimator.name in WITH_FORCE
             if self.options.bag is not None:
-                options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.known_force)
+                options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.force_scale)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
@@ -316,7 +313,6 @@ class Batch:
 
     def _newtons(self, calibration: Calibration, path: Path, causes: dict[str, Any]) -> ClipCalibration:
         """What says a clip in newtons; what that depends on is added to the causes of its results."""
-        causes["calibration"] = [file_sha256(file) for file in calibration.files]
         if self._is_home(path) or not calibration.of_one_clip:
             return ClipCalibration(calibration, self._is_home(path))
         record = {} if self.carried is None else store.read_record(self.carried)
@@ -326,11 +322,10 @@ class Batch:
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
         compared = newtons is not None and newtons.measured is not None
-        known = (None if self.fields else self.known) if newtons is None else newtons.known
-        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known is not None, store.FIELDS: self.fields}
+        known = newtons is not None and newtons.known is not None
+        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
         wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
-        wanted |= {store.EARLIER: False}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -403,7 +398,7 @@ def _kept(
 ) -> Iterator[PreparedFrame]:
     """A clip's frames, each of which is kept until its estimate is written."""
     for frame in stream:
-        frames.append(frame)
+        frames.extend((*frame.skipped, frame))
         yield frame
         done()
 

@@ -15,8 +15,6 @@ import numpy as np
 from palpate.common.files import digest_of
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_csv
-from palpate.data.source.images import printable
-from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import Sequence
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.particle_field import YOUNG, ParticleField
@@ -63,10 +61,8 @@ def write_sequence(
         InputError: the sequence can't be used.
         OutputError: the folder can't be written, or holds a user's file by one of the names.
     """
-    try:
-        from meshio import Mesh
-    except ImportError as error:
-        raise InputError(f"{printable(sequence.path)}: a sequence needs meshio; install 'palpate[robot]'.") from error
+    from meshio import Mesh  # takes a quarter of a second
+
     rows, columns, verdict, started = [], {}, "", time.perf_counter()
     tissue = SequenceTissue(sequence, settings)
     with store.writing(folder):

@@ -20,14 +20,13 @@ TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
 CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
 REPORT = "forces.json"
-EARLIER = "summary.png"
-"""Files of a clip's folder, EARLIER by earlier versions. The record is written last: with it a folder is complete."""
+"""Files of a clip's folder. The record is written last: with it a folder is complete."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
-SCENE = re.compile(r"scene_\d+\.(usda|scn|vtu|ply)|particles_\d+\.(vtk|ply)|particles\.csv")
-"""Names of the scenes that --export writes there, and of a sequence's particles."""
+SCENE = re.compile(r"scene_\d+(\.pvd|\.ply|_\d+\.vtu)|particles_\d+\.(vtk|ply)|particles\.csv")
+"""Names of the files that --export writes there, and of a sequence's particles."""
 WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, EARLIER, FIT,
+    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, FIT,
     COMPARISON, RECORD,
 )  # fmt: skip
 """All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is

@@ -14,25 +14,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import Video
-from palpate.estimators.calibration_file import ClipLength
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.known_force import KnownForce
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
-from palpate.results.alarm import ForceAlarm, upper_force
+from palpate.results.agreement import REVISED, agreed
+from palpate.results.alarm import BELOW, UNKNOWN, ForceAlarm
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ALWAYS, ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
-from palpate.results.scene.files import scene_text
-from palpate.results.scene.kinds import scene_of
-from palpate.results.scene.scene import FORMATS
+from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.store import writing
 from palpate.results.verdicts import state
+from palpate.results.vtu import deformation_of, write_series
 
 MOST_UNDRAWN = 4
 """Pictures that wait to be drawn."""
@@ -48,13 +49,13 @@ class ClipResults:
         size: width and height of the source frames [px].
         fps: frames a second of the overlay.
         overlay: whether to write the overlay video.
-        known: force that was measured in a part of the clip.
-        calibration: gathers what the clip tells in newtons.
+        calibration: gives newtons.
         fields: whether the estimator gives fields of stiffness.
+        waits: whether pictures of a contact wait for its end, so that they agree with it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
-        export: format of the scenes that are written, one of `results.scene.scene.FORMATS`.
+        export: whether the deformation of every contact is written as .vtu files.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
     Raises:
@@ -68,16 +69,16 @@ class ClipResults:
         fps: float,
         *,
         overlay: bool = True,
-        known: KnownForce | None = None,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
+        waits: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
         seconds: tuple[float, float] = ALWAYS,
-        export: str | None = None,
+        export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
-        self.folder, self._size, self._known, self._export, self._bag = folder, size, known, export, bag
+        self.folder, self._size, self._export, self._bag = folder, size, export, bag
         self._fps, self._seconds, self._limit = fps, seconds, limit
         self.calibration, self.alarm = calibration, alarm
         self.encoder = Video.encoder if overlay else None
@@ -87,6 +88,8 @@ class ClipResults:
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)
         """Of parameters.csv."""
         self.estimates: list[FrameEstimate] = []
+        self._cells: list[list[str]] = []
+        """Rows of the latest frames, which wait for the end of their contact."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far on the `overlay` [s]."""
         self.counts: Counter[str] = Counter()
@@ -94,10 +97,8 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self._contacts: list[ContactForce] = []
-        self.unscaled = known is not None and calibration is None
-        """Whether a known force was given on its own and has told newtons of no run."""
         self.unexported = 0
-        """Number of those that have no scene although scenes are written."""
+        """Number of contacts whose deformation could not be exported."""
         self.drawn: list[InteractionEstimate] = []
         """Those for the picture, with a motion first."""
         self.stretched = False
@@ -112,6 +113,7 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
+                known = None if calibration is None else calibration.known
                 self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
@@ -120,6 +122,7 @@ class ClipResults:
                 self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
                 # What `finish` needs is loaded meanwhile: it takes most of a second.
                 self._drawer.submit(importlib.import_module, "matplotlib.figure")
+                self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and waits else None
         except BaseException:
             self.__exit__()
             raise
@@ -136,58 +139,89 @@ class ClipResults:
 
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Append one frame: its row, and its picture where there is an overlay."""
-        if self.calibration is not None:
-            self.calibration.see(prepared)
         if self.alarm is not None:
-            upper_end = upper_force if self.calibration is None else self.calibration.upper_force
-            upper = None if estimate.estimate is None else upper_end(estimate.estimate)
-            estimate = replace(estimate, alarm=self.alarm.push(estimate.time_s, estimate.contact, upper))
+            upper_end = None if self.calibration is None else self.calibration.upper_force
+            estimate = self.alarm.watch(estimate, upper_end)
         self.estimates.append(replace(estimate, field=None))  # memory must not grow with the clip
         with writing(self.folder.parent):
-            self._rows.writerow(columns.row(self.columns, estimate.values))
+            cells = columns.row(self.columns, estimate.values)
+            if estimate.contact or self._cells:
+                self._cells.append(cells)
+            else:
+                self._rows.writerow(cells)
             if self._fields is not None and estimate.field is not None:
                 self._fields.write(estimate.frame, estimate.field)
-            if self._video is not None:
-                while len(self._drawing) >= MOST_UNDRAWN:
-                    self._drawing.popleft().result()
-                shown = prepared.frame.image, self._size, prepared.picture_labels, estimate
-                self._drawing.append(self._drawer.submit(self._draw, self._video, *shown))
+            shown = Waiting(prepared.frame.image, prepared.picture_labels, estimate)
+            if self._waiting is not None and (len(self._waiting) or estimate.contact):
+                self._waiting.add(shown)
+            else:
+                self._draw(shown)
 
-    def _draw(self, video: Video, *shown: Any) -> None:
-        """Append a picture to the overlay; arguments as of `draw_overlay`."""
+    def _draw(self, frame: Waiting) -> None:
+        """Append a picture to the overlay, if there is one, once those before it are drawn."""
+        if self._video is not None:
+            while len(self._drawing) >= MOST_UNDRAWN:
+                self._drawing.popleft().result()
+            self._drawing.append(self._drawer.submit(self._drawn, self._video, frame))
+
+    def _drawn(self, video: Video, frame: Waiting) -> None:
         start = time.perf_counter()
-        video.write(draw_overlay(*shown))
+        video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate))
         self.seconds["overlay"] += time.perf_counter() - start
+
+    def _agree(self, run: InteractionEstimate, contact: ContactForce) -> None:
+        """Bring the frames that wait into agreement with their contact, which has ended."""
+        forces = dict(zip(contact.frames.tolist(), contact.relative.T.tolist(), strict=True))
+        begun = len(self.estimates) - len(self._cells)
+        places = [list(self.columns).index(name) for name in REVISED if name in self.columns]
+        for index, cells in enumerate(self._cells, start=begun):
+            before = self.estimates[index]
+            frame = self.estimates[index] = agreed(before, run, forces.get(index, [math.nan] * 3))
+            if self.alarm is not None and frame.alarm != before.alarm:
+                self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
+            if frame is not before:
+                revised = columns.row(self.columns, frame.values)
+                for place in places:
+                    cells[place] = revised[place]
+
+    def _write_waiting(self) -> None:
+        """Append the rows and pictures that wait for the end of a contact."""
+        self._rows.writerows(self._cells)
+        frames = self.estimates[len(self.estimates) - len(self._cells) :]
+        self._cells = []
+        if self._waiting is not None:
+            for frame, estimate in zip(self._waiting.drain(), frames, strict=True):
+                self._draw(frame._replace(estimate=estimate))
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
         forces: list[dict[str, Any]] = []
-        if self._known is not None:
+        if self.calibration is not None:
             try:
-                forces = columns.force_rows(run, self._known)
-                self.unscaled &= not forces
+                forces = self.calibration.add(run)
             except NoEstimate as reason:
                 run = replace(run, detail=f"{run.detail} {reason}".strip())
-        if self.calibration is not None:
-            self.calibration.add(run)
         if self.alarm is not None:
             self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
             if run.field.explanation and not run.field.determined:
                 self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
-        self._contacts.append(ContactForce.of(run, self.estimates, forces, self._seconds))
+        contact = ContactForce.of(run, self.estimates, forces, self._seconds)
+        self._contacts.append(contact)
+        self._agree(run, contact)
         self.counts[state(run)] += 1
         if state(run) == "no_estimate":
             self.unexplained[run.detail] += 1
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
+            self._write_waiting()
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
-            if self._export is not None:
-                path = self._partial / f"scene_{run.onset_frame}.{FORMATS[self._export]['ending']}"
+            if self._export:
+                times = np.array([frame.time_s for frame in self.estimates[run.onset :]]) - run.onset_time_s
                 try:
-                    path.write_text(scene_text(scene_of(run), self._export), encoding="utf-8")
+                    write_series(self._partial, f"scene_{run.onset_frame}", deformation_of(run, times))
                 except NoEstimate:
                     self.unexported += 1
             if self._forces is not None:
@@ -202,6 +236,7 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
+            self._write_waiting()
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:
@@ -209,10 +244,8 @@ class ClipResults:
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
             newtons = self.calibration
-            rows, dents = ((), ()) if newtons is None else (newtons.rows, newtons.dents)
-            # Of a slab |F| over stiffness is no length.
-            length = None if "thickness" in record.get("estimator", {}) else self.length
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, dents, length)
+            rows = () if newtons is None else newtons.rows
+            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

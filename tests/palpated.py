@@ -29,7 +29,6 @@ def write_palpation(
     cells: int = 10,
     law: str = "corotational",
     edge: float | None = RADIUS / 3,
-    stiffening: float = 0.0,
     **changed: object,
 ) -> Path:
     """Draw one; returns sequence.yaml.
@@ -37,7 +36,7 @@ def write_palpation(
     Args:
         folder: where.
         presses: force [N] and place as `Body.contact` takes it.
-        young, poisson, law, stiffening, cells: of the slab.
+        young, poisson, law, cells: of the slab.
         edge: longest of an element where the tool presses; None = as the cells are [m].
         noise: along the camera's sight [m].
         count: points of a cloud.
@@ -67,9 +66,7 @@ def write_palpation(
         return (points - eye[:3, 3]) @ eye[:3, :3]
 
     for which, (force, place) in enumerate(presses):
-        skin, rest, vector, contact = press(
-            BODY, young, poisson, force, place, cells, law, BODY.size / 40, edge, stiffening
-        )
+        skin, rest, vector, contact = press(BODY, young, poisson, force, place, cells, law, BODY.size / 40, edge)
         whole = skin.shares @ rest.displacement
         near = np.linalg.norm(skin.vertices - contact, axis=1).argsort()[:4]
         sink = whole[near].mean(axis=0)

@@ -52,7 +52,6 @@ FENCES = {
         "benchmarks/",
     ),
     "jinja2": ("results/page/render.py",),
-    "viser": ("palpate/command/view.py",),
     "pandas": ("evaluation/",),
     "trimesh": (
         "planning/surface.py",
@@ -69,7 +68,6 @@ LIGHT_DOORS = {
     "palpate.command.live": "palpate.estimators.direct.sampling",
     "palpate.command.page": "palpate.results.page.own",
     "palpate.command.plan": "palpate.planning.roadmap",
-    "palpate.command.view": "palpate.physics.msd.simulation",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
     "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }

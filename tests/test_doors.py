@@ -11,6 +11,7 @@ import pytest
 from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
+    "benchmarks.goldens",
     "benchmarks.inference",
     "data.cholecseg8k",
     "data.synthetic",

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
+import meshio
 import numpy as np
 import onnxruntime
 import pytest
@@ -29,7 +30,6 @@ from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
-from palpate.results.scene.files import read_scene
 from palpate.results.store import BAGS
 from palpate.results.writer import ClipResults
 from tests.data.bags import BEGIN, RATE, write_bag
@@ -354,22 +354,26 @@ def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
     assert onsets == ["stamp", "between"]
 
 
-def test_a_determined_press_has_a_scene_and_others_are_counted(synthetic, inputs, tmp_path, capsys):
+def test_a_determined_press_is_exported_and_others_are_counted(synthetic, inputs, tmp_path, capsys):
     folder, arguments = tmp_path / "video01_00000", [str(synthetic), "--output", str(tmp_path), "--onset", "stamp"]
     for again in (False, True):
-        assert infer.main([*arguments, "--export", "vtk"]) == 0
-        found, (run,) = read_scene(folder / "scene_4.vtu"), runs(folder)
-        told = [abs(found.number(name)) for name in PARAMETERS]
+        assert infer.main([*arguments, "--export"]) == 0
+        (run,), names = runs(folder), {path.name for path in folder.glob("scene*")}
+        assert (
+            {"scene_4.pvd", "scene_4.ply", "scene_4_0000.vtu", "scene_4_0010.vtu"}
+            < names
+            <= record(folder)["files"].keys()
+        )
+        read = meshio.read(folder / "scene_4_0010.vtu")
+        told = [abs(np.ravel(read.field_data[name])[0]) for name in PARAMETERS]
         np.testing.assert_allclose(told, [float(run[name]) for name in PARAMETERS], rtol=1e-5)
-        assert found.press.factor.sum() * found.number("time_step") == pytest.approx(0.2)
-        assert record(folder)["files"].keys() > {"scene_4.vtu"}
         if not again:
-            (folder / "scene_4.vtu").unlink()  # so that the clip is not up to date
-    assert infer.main([*arguments, "--export", "sofa"]) == 1
-    assert infer.main([*arguments, "--export", "sofa", "--overwrite"]) == 0
-    assert [path.name for path in folder.glob("scene*")] == ["scene_4.scn"]
-    assert infer.main([str(inputs / "clips" / "folder"), "--output", str(tmp_path), "--export", "usd"]) == 0
-    assert "1 of 1 runs of contact have no scene, as not all" in flat(capsys.readouterr().err)
+            (folder / "scene_4.pvd").unlink()  # so that the clip is not up to date
+    assert infer.main(arguments) == 1
+    assert infer.main([*arguments, "--overwrite"]) == 0
+    assert not list(folder.glob("scene*"))
+    assert infer.main([str(inputs / "clips" / "folder"), "--output", str(tmp_path), "--export"]) == 0
+    assert "1 of 1 runs of contact were not exported, as not all" in flat(capsys.readouterr().err)
 
 
 def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tmp_path, capsys):
@@ -473,7 +477,7 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
     capsys.readouterr()
     (tmp_path / "known.yaml").write_text("stiffness: 8.0\nstiffness_unit: N/scene unit\n")
-    given = ["--calibration", str(tmp_path / "known.yaml"), "--overwrite"]
+    given = ["--force-scale", str(tmp_path / "known.yaml"), "--overwrite"]
     assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
@@ -539,7 +543,7 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
     said = read_messages(tmp_path / f"of {inputs[1].parent.name}" / "same" / BAGS[kind])
     assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
     assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
-    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--known-force", "/wrench") == 1
+    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--force-scale", "/wrench") == 1
     assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
     assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
     assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
@@ -555,7 +559,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (["--depth", "depthpro"], "--depth-model"),
         (
             ["--model", "parameters.onnx"],
-            "--estimator direct needs no network; give --model fem, or leave --model parameters.onnx out.",
+            "--estimator direct needs no network; leave --model parameters.onnx out.",
         ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
@@ -563,7 +567,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
     for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
         (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
-        (["--known-force", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
+        (["--force-scale", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
         (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network or direct."),
         (
@@ -571,14 +575,14 @@ def test_wrong_usage(inputs, tmp_path, capsys):
             "which --estimator online does not give; take network or direct.",
         ),
         (
-            ["--calibration", str(inputs / "measured.yaml"), "--force-limit", "1"],
-            "measured.yaml tells none; give known_s there, or leave --calibration out.",
+            ["--force-scale", str(inputs / "measured.yaml"), "--force-limit", "1"],
+            "measured.yaml has no scale; give known_s there, or leave --force-scale out.",
         ),
         (
             ["--estimator", "online", "--bag", "ros2"],
             "--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.",
         ),
-        (["--model", model, "--export", "usd"], "which --estimator gan does not give; take network, direct or online"),
+        (["--model", model, "--export"], "which --estimator gan does not give; take network, direct or online"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
         (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),
         (
@@ -593,7 +597,6 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         ["--noise", "0"],
         ["--noise", "much"],
         ["--smoothing", "-1"],
-        ["--thickness", "0"],
         ["--force-limit", "0"],
         ["--shaft-diameter", "0.005"],
         ["--shaft-diameter", "5000"],
@@ -651,7 +654,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
     known = f"clip: one\nforce_N: 2.0\nforce_sd_N: 0.02\nforce_time_s: {truth['onset_s'] + 0.1}\n"
     (tmp_path / "known.yaml").write_text(known)
     given = [str(tmp_path / "other"), str(tmp_path / "one"), "--estimator", "direct", "--onset", "stamp"]
-    given += ["--no-overlay", "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    given += ["--no-overlay", "--output", str(tmp_path / "out"), "--force-scale", str(tmp_path / "known.yaml")]
     assert infer.main([*given, "--bag", "ros2"]) == 0
     (one,), (other,) = (rows(tmp_path / "out" / name, "calibrated.csv") for name in ("one", "other"))
     assert (float(one["force"]), float(other["force"])) == pytest.approx((2.0, 2.0), rel=1e-6)
@@ -697,7 +700,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
 )
 def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text(known)
-    given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--calibration", str(tmp_path / "known.yaml")]
+    given = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--force-scale", str(tmp_path / "known.yaml")]
     assert infer.main([*given, *options]) == 2
     assert said in flat(capsys.readouterr().err)
 
@@ -706,7 +709,7 @@ def test_a_shaft_s_diameter_tells_newtons_a_metre_and_millimetres(synthetic, don
     """The drawn shaft's radius is `SHAFT_RADIUS` scene units; its length enters with its uncertainty."""
     truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
     (tmp_path / "known.yaml").write_text(f"force_N: 2.0\nforce_time_s: {truth['onset_s'] + 0.1}\n")
-    given = ["--no-overlay", "--calibration", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
+    given = ["--no-overlay", "--force-scale", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
     assert direct(synthetic, tmp_path / "out", *given) == 0
     folder, (found,) = tmp_path / "out" / "video01_00000", runs(done)
     scale = record(folder)["scale"]
@@ -928,7 +931,7 @@ def test_a_killed_worker_fails_what_is_left_and_keeps_the_rest(named_alike, inpu
 
 def test_the_clip_that_scales_the_others_is_done_first_and_shares_are_refused(inputs, tmp_path, capsys):
     (tmp_path / "known.yaml").write_text("clip: folder\nforce_N: 2.0\nforce_time_s: 0.2")
-    options = ("--no-overlay", "--calibration", str(tmp_path / "known.yaml"))
+    options = ("--no-overlay", "--force-scale", str(tmp_path / "known.yaml"))
     assert call(inputs, tmp_path / "one", *options) == 0
     assert call(inputs, tmp_path / "two", *options, "--jobs", "2") == 0
     assert tables(tmp_path / "two") == tables(tmp_path / "one")

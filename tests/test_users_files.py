@@ -21,13 +21,12 @@ from palpate.data.clip import prepare
 from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
-from palpate.estimators.palpation.curves import HOLD
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.evaluation.benchmark import Benchmark
 from palpate.evaluation.benchmark import main as measure
 from palpate.evaluation.online import __main__ as online
 from palpate.evaluation.palpation import __main__ as palpation
-from palpate.evaluation.palpation import curves, surfaces
+from palpate.evaluation.palpation import surfaces
 from palpate.evaluation.real import __main__ as real
 from palpate.planning import cost_table
 from palpate.results.store import OutputError
@@ -47,10 +46,8 @@ PLACES = {
     "draw": ("video01/notes.txt", f"video01/{LIST}", *(f"video01/video01_00000/{n}" for n in ("truth.json", "x"))),
     "estimate": ("clip/parameters.csv", "clip/run.json", "clip/notes.txt", ".clip.partial-1/notes.txt", *PAGES),
     "judge_pull": ("table.csv", "results.jsonl", "notes.txt"),
-    "judge_palpation": ("table.csv", "notes.txt"),
     "judge_frank": ("table.csv", "results.jsonl", "notes.txt"),
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
-    "calibrate_curves": ("curves.csv", "notes.txt"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
     "benchmark": ("table.csv", "details.csv", "results.jsonl", "run.json"),
@@ -67,10 +64,6 @@ KEPT = (".npz", ".ckpt", ".mp4")
 def inputs(tmp_path: Path) -> Path:
     write_clip(tmp_path / "clips" / "clip", 4, 2)
     write_tiny(tmp_path / "tiny", frames=2)
-    rows = [f"1,0,0,0,{depth},{depth}" for depth in range(5)]
-    (tmp_path / "probes.csv").write_text("\n".join(["probe,contact_x,contact_y,contact_z,depth_mm,fn_N", *rows]))
-    (tmp_path / "forces").mkdir()
-    (tmp_path / "forces" / "hold.csv").write_text("t_s,force_N,displacement_mm\n")
     for name, slope in (("first", 0.1), ("second", 0.2)):
         write_model(tmp_path / f"{name}.onnx", slope=(slope, 0.0, 0.0))
     trainer = {"max_epochs": 1, "accelerator": "cpu", "devices": 1, "enable_model_summary": False}
@@ -88,7 +81,6 @@ def quick(monkeypatch: pytest.MonkeyPatch, blank_pictures: None) -> None:
     patch(synthetic, "clip_seed", lambda seed, index: seed + index)
     write_quickly(monkeypatch)
     patch(real, "evaluate_pull", lambda clip, row: row.update(status="ok", skill=random.random()))
-    monkeypatch.setitem(curves.JUDGES, HOLD, lambda path: {"peak force (N)": random.random()})
     patch(surfaces, "fit_from", lambda *arguments: {"E": random.random()})
     patch(surfaces, "fit_six", lambda *arguments: {"E": random.random()})
     pull = SimpleNamespace(body=SimpleNamespace(count=9))
@@ -126,7 +118,6 @@ def quick_material() -> SimpleNamespace:
         "noise": 0.0,
         "solves": 0,
         "verdict": NOTHING,
-        "stiffens": NOTHING,
     }
     return SimpleNamespace(**found, covariance=np.full((2, 2), np.nan), poses=[], rests=[])
 
@@ -149,10 +140,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         asked = f"--sequences thin-shell-1 --starts k1 --methods PBD --every {chance.choice((5, 10))}"
         return online.main([*asked.split(), "--output", str(out)])
 
-    def calibrate_curves(chance: random.Random, out: Path) -> object:
-        size = ["--indenter", "sphere", "--size", str(1 + chance.random())]
-        return calibrate.main(["curves", str(inputs / "probes.csv"), *size, "--output", str(out)])
-
     def benchmark(chance: random.Random, out: Path) -> object:
         return measure(["--output", str(out), "--clips", str(1 + chance.randrange(3)), "--workers", "0"])
 
@@ -160,11 +147,10 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         """What has no choice of its own."""
         return lambda _, out: door([*map(str, arguments), "--output", str(out)])
 
-    own = (draw, estimate, judge_online, calibrate_curves, benchmark)
+    own = (draw, estimate, judge_online, benchmark)
     return {run.__name__: run for run in own} | {
         "judge_pull": fixed(real.main, "--pulled", inputs),
-        "judge_palpation": fixed(palpation.main, "curves", "--data", inputs / "forces"),
-        "judge_frank": fixed(palpation.main, "frank"),
+        "judge_frank": fixed(palpation.main),
         "calibrate_palpation": fixed(calibrate.main, "palpation", "scene.yaml"),
         "plan_way": lambda chance, out: fixed(plan.main, SHIPPED, "--alpha", chance.random())(chance, out),
         "train_network": lambda _, out: train.main(
@@ -241,10 +227,8 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "draw": {LIST, "truth.json", "frame_0_endo.png"},
         "estimate": {"run.json", "parameters.csv", "fit.png"},
         "judge_pull": {"table.csv"},
-        "judge_palpation": {"table.csv"},
         "judge_frank": {"table.csv", "results.jsonl"},
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
-        "calibrate_curves": {"curves.csv"},
         "calibrate_palpation": {"calibration.json", "errors.csv", "errors.png"},
         "plan_way": {"plan.json", "plan.png"},
         "benchmark": {"table.csv", "details.csv", "results.jsonl", "run.json"},

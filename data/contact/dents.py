@@ -85,7 +85,7 @@ class DentContacts:
         """The next frame; gives those, in order, of which it is now known whether they are in contact."""
         decided = []
         last = self._waiting[-1].prepared if self._waiting else None
-        if frame.status != "no_contact" or (last is not None and frame.frame.number - last.frame.number != 1):
+        if frame.status != "no_contact" or (last is not None and not frame.follows(last.frame.number)):
             # A press that goes on out of view has no known release, and tissue may be another behind the gap.
             decided += self.finish()
             self._rest, self._dent = RestingTissue(), None

@@ -117,7 +117,7 @@ class ContactEvidence:
         The frame before it is decided anew where this one shows that the tool has come to a stand.
         """
         number = prepared.frame.number
-        follows = number - self._number == 1
+        follows = prepared.follows(self._number)
         apart = prepared.status == "no_contact"
         if not (prepared.in_contact and follows):
             # What was known of an earlier contact, or of one before a gap, counts no more.

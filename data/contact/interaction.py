@@ -50,6 +50,8 @@ class Interaction:
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
     brightness: BrightnessSequence | None = None
     """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
+    intervals: int = 1
+    """Frame intervals within which the press began, and ended; more than 1 where frames before those are gaps."""
 
     @property
     def vertex(self) -> int:
@@ -131,6 +133,8 @@ class ContactFrame:
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     light_picture: LabelledPicture | None = None
     """The picture from which that light is."""
+    skipped: int = 0
+    """Number of frames right before it that measure nothing."""
 
 
 class InteractionBuilder:
@@ -175,7 +179,7 @@ class InteractionBuilder:
 
         A frame without depth or mask says nothing about contact: after it the load isn't known any more.
         """
-        self._count, self._followed_on = 1, onset.consecutive
+        self._count, self._followed_on, self._intervals = 1, onset.consecutive, 1 + onset.skipped
         self._followed: list[tuple[int, float, np.ndarray]] = []
         known = math.isfinite(self.noise)
         self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
@@ -197,7 +201,7 @@ class InteractionBuilder:
         if frame.contact:
             self.pressed, self._followed_on, self.load_seconds = index, frame.consecutive, None
         elif index == self.pressed + 1 and self._followed_on and frame.out_of_contact:
-            self.load_seconds = since
+            self.load_seconds, self._intervals = since, max(self._intervals, 1 + frame.skipped)
         position = np.asarray(frame.position, np.float32)
         if since >= self.seconds:
             return
@@ -259,4 +263,4 @@ class InteractionBuilder:
             lit = [(index, since, light) for index, since, light in self._brightness if counts(index, since)]
             frames, times = (np.array([each[part] for each in lit]) for part in (0, 1))
             brightness = self._light.sequence(frames, times, [light for *_, light in lit])
-        return Interaction(self.mesh, press, observation, step, sequence, brightness)
+        return Interaction(self.mesh, press, observation, step, sequence, brightness, self._intervals)

@@ -100,7 +100,7 @@ class LightContacts:
             # Behind a gap the view may be another.
             return [*self._forget(), prepared]
         number, self._number = self._number, prepared.frame.number
-        gap = self._forget() if number is not None and self._number != number + 1 else []
+        gap = self._forget() if number is not None and not prepared.follows(number) else []
         if self._registration is None:
             self._registration = Registration(prepared.depth.shape)
         view, picture, labels = self._registration.push(prepared.shown, *prepared.view)

@@ -70,7 +70,7 @@ class ContactMotion:
 
     def link(self, before: PreparedFrame, after: PreparedFrame) -> None:
         """Fill in the motion of `before`, and the run, tracked point and backward motion of `after`."""
-        before.consecutive = after.frame.number - before.frame.number == 1
+        before.consecutive = after.follows(before.frame.number)
         if not (before.consecutive and before.visible and after.visible):
             # Contact that is already there when the view returns has no known onset.
             self.settle()

@@ -1,6 +1,8 @@
 """Frames with time stamps, where they come from, and the camera that took them.
 
-frames  video files, folders of images and bags as FrameSource; the search for clips
+frames  video files, folders of images and bags as FrameSource; discovery: the search for them
+decoding  the track of a video file, its time stamps and pictures; interlace: whether it is interlaced, deinterlacing
+repeats pictures that repeat the one before
 live    the same as they come from a camera, a stream or a pipe
 layout  how a folder's frames, masks, depth and camera file are named
 coding  how a video is coded, and the same done to other pictures

@@ -167,9 +167,9 @@ def read_wrenches(path: Path, topic: str, shown: str | None) -> np.ndarray:
         InputError: it is no bag; else as of `topic_of` and `time_stamps`.
     """
     if not is_bag(path):
-        raise InputError(f"{printable(path)} is no bag and has no topic {plain(topic)}; give --known-force a table.")
+        raise InputError(f"{printable(path)} is no bag and has no topic {plain(topic)}; give --force-scale a table.")
     begun = time_stamps(read_topic(path, topic_of(path, shown)), printable(path))[0]
-    messages = list(read_topic(path, topic_of(path, topic, WRENCHES, "--known-force"), WRENCHES))
+    messages = list(read_topic(path, topic_of(path, topic, WRENCHES, "--force-scale"), WRENCHES))
     vectors = (None if message is None else message.wrench.force for _, message in messages)
     forces = [np.nan if each is None else float(np.linalg.norm((each.x, each.y, each.z))) for each in vectors]
     times = time_stamps(messages, f"{printable(path)} ({plain(topic)})") - begun

@@ -12,9 +12,13 @@ from typing import NamedTuple
 
 import av
 import numpy as np
+from av.container import InputContainer
 from av.sidedata.sidedata import Type
 from av.video.frame import PictureType
+from av.video.stream import VideoStream
 
+from palpate.data.source.decoding import opened
+from palpate.data.source.layout import InputError
 from palpate.data.source.video import X264, Video
 
 LOOKED_AT = 32
@@ -42,9 +46,9 @@ class Coding(NamedTuple):
 def coding_of(path: Path) -> Coding | None:
     """How a video is coded; None where that isn't said (codecs other than H.264)."""
     try:
-        with av.open(str(path)) as container:
-            found = [(kind, quantiser) for kind, quantiser, _ in _decoded(container, LOOKED_AT, pictures=False)]
-    except (av.FFmpegError, IndexError):
+        with opened(path) as (container, track):
+            found = [(kind, quantiser) for kind, quantiser, _ in _decoded(container, track, LOOKED_AT, pictures=False)]
+    except (av.FFmpegError, InputError):
         return None
     return _coding(found)
 
@@ -75,7 +79,7 @@ def recoded(pictures: Iterable[np.ndarray], quality: float, bidirectional: bool)
             container.mux(stream.encode())
     file.seek(0)
     with av.open(file, "r") as container:
-        found = list(_decoded(container))
+        found = list(_decoded(container, container.streams.video[0]))
     return np.stack([picture for *_, picture in found]), _coding([(kind, quantiser) for kind, quantiser, _ in found])
 
 
@@ -87,10 +91,10 @@ def _coding(frames: list[tuple[PictureType, float | None]]) -> Coding | None:
 
 
 def _decoded(
-    container: av.container.InputContainer, most: int | None = None, pictures: bool = True
+    container: InputContainer, stream: VideoStream, most: int | None = None, pictures: bool = True
 ) -> Iterator[tuple[PictureType, float | None, np.ndarray]]:
     """Kind, mean quantisation parameter and picture, RGB uint8 [H, W, 3], of the first frames."""
-    stream, nothing = container.streams.video[0], np.empty(0)
+    nothing = np.empty(0)
     stream.codec_context.options = {"export_side_data": "venc_params"}
     for index, frame in enumerate(container.decode(stream)):
         if index == most:

@@ -1,45 +1,39 @@
-"""Frames with time stamps from a video file, a folder of images or a bag, and the search for clips.
+"""Frames with time stamps from a video file, a folder of images or a bag.
 
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
 
 import functools
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from os.path import isdir
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 
 from palpate.common.doors import plain
 from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
 from palpate.data.source.coding import Coding, coding_of
-from palpate.data.source.images import printable, read_image, require_pixels
-from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, frame_files, list_folder, read_clip_file
-from palpate.data.source.lerobot import episodes_in, file_of, name_in_data_set, span_of
+from palpate.data.source.decoding import LARGEST_FPS, VideoTrack
+from palpate.data.source.images import picture_size, printable, read_image
+from palpate.data.source.layout import (
+    ClipLayout,
+    InputError,
+    companion_folders,
+    frame_files,
+    read_clip_file,
+    stereo_pair,
+)
+from palpate.data.source.lerobot import file_of, name_in_data_set, span_of
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv"})
-"""Endings of the names of video files."""
-EXACT_COUNT_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".avi"})
-"""Containers whose header holds the true number of frames; elsewhere it is the duration times the frame rate."""
 LEAST_FRAME_BYTES = 10
 """Smallest size of a frame in a file [bytes]; it bounds the number of frames that a header can announce."""
-RESULT_FILE = "run.json"
-"""File that marks a folder of this project's results, whose overlay video is no input."""
-LARGEST_FPS = 1000.0
-"""Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
 LARGEST_FRAME_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
-MOST_FOLDERS = 5_000
-"""Largest number of folders that a search for clips opens, at a millisecond each; large data sets have hundreds."""
-LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
-"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +100,7 @@ class FrameSource(ABC):
 class Pictures(FrameSource):
     """A clip of single pictures whose numbers and time stamps are known before they are read."""
 
+    _notes: Sequence[str] = ()
     _numbers: Sequence[int]
     _times: Sequence[float]
 
@@ -118,12 +113,12 @@ class Pictures(FrameSource):
         problems = []
         for _, found in self._pictures():
             if not isinstance(found, InputError):
-                return picture_size(self.path, found)
+                return picture_size(self.path, *found.shape[1::-1])
             problems.append(found)
         raise InputError(f"{self.path} holds {self.length} images and none can be decoded; {problems[0]}")
 
     def __iter__(self) -> Iterator[Frame]:
-        self.warnings, failed = [], 0
+        self.warnings, failed = [*self._notes], 0
         first, last = self._numbers[0], self._numbers[-1]
         known = zip(self._numbers, self._times, self._pictures(), strict=True)
         for index, (number, time_s, (file, found)) in enumerate(known):
@@ -164,10 +159,17 @@ class FrameFolder(Pictures):
             files = frame_files(folder, layout)
             if not files:
                 raise InputError(f"{printable(folder)} holds no frame images ({layout.image}); give one that does.")
+            _refuse_pairs(folder, [file for _, file in files])
             begin = self._times[-1] + 1 / self.fps if self._times else None
             self._times += _folder_times(folder, files, self.fps, begin)
             self.files += files
         _check_numbers(self.files)
+        patterns = " ".join(filter(None, (*layout.mask_patterns, layout.depth)))
+        unread = [each.name for each in companion_folders(path) if f"{each.name}/" not in patterns]
+        if unread:
+            self._notes = [
+                f"files in {' and '.join(map(plain, unread))} are not read; name them in a layout (--layout)"
+            ]
         self.length, self._numbers = len(self.files), [number for number, _ in self.files]
         self.size = self._first_size()
 
@@ -180,10 +182,7 @@ class FrameFolder(Pictures):
 
 
 class VideoFile(FrameSource):
-    """A video file, or an episode in one, with its own time stamps, upright.
-
-    Frames that the file announces but lacks come as errors.
-    """
+    """A video file, or an episode in one, with its own time stamps, upright and progressive, with square pixels."""
 
     def __init__(self, path: Path, fallback_fps: float = 25.0) -> None:
         """
@@ -194,89 +193,38 @@ class VideoFile(FrameSource):
         Raises:
             InputError: an empty file, not a video, no episode in one, or pictures of an unusable size.
         """
-        self.path, self.name, self.warnings, self._by_av = path, name_of(path), [], False
+        self.path, self.name = path, name_of(path)
         span, path = span_of(path), file_of(path)
-        self._file, self._span = path, span or (-math.inf, math.inf)
         if path.exists() and not path.is_file():
             raise InputError(f"{printable(path)} is no file; give the video itself.")
         if path.stat().st_size == 0:
             raise InputError(f"{path} is an empty file (0 bytes); copy it again.")
-        capture = self._open()
-        size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        require_pixels(printable(path), *size)
-        fps = capture.get(cv2.CAP_PROP_FPS)
-        self.fps = float(fps) if 0 < fps <= LARGEST_FPS else fallback_fps
-        count = round((span[1] - span[0]) * self.fps) if span else capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        image = capture.read()[1] if span is None else None  # OpenCV doesn't begin at an exact time
-        if image is None:  # and is built without some codecs, such as AV1, that of LeRobot data sets
-            self._by_av = True
-            image = next((image for _, image in self._decoded()), None)
-        if image is None:
+        try:
+            str(path).encode("utf-8")
+            self._track = VideoTrack(path, span or (-math.inf, math.inf), fallback_fps)
+        except UnicodeEncodeError as error:
+            raise InputError(f"{printable(path)} has a name that is not valid UTF-8; rename the file.") from error
+        except av.FFmpegError as error:
+            problem = "can't be opened as a video (truncated, or none); copy or convert it again"
+            raise InputError(f"{printable(path)} {problem}.") from error
+        if self._track.size is None:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
-        self.size = picture_size(path, image)
-        self.length = max(int(min(count, path.stat().st_size // LEAST_FRAME_BYTES)), 1) if math.isfinite(count) else 1
-        self._exact = path.suffix.lower() in EXACT_COUNT_SUFFIXES
+        self.size, self.fps = picture_size(path, *self._track.size), self._track.fps
+        self.length = min(self._track.length, path.stat().st_size // LEAST_FRAME_BYTES)
+        self.warnings = [*self._track.notes]
 
     @functools.cached_property
     def coding(self) -> Coding | None:
         """How the pictures were coded; None where the decoder doesn't say."""
-        return coding_of(self._file)
-
-    def _decoded(self) -> Iterator[tuple[float, np.ndarray]]:
-        """Time stamp [s] and picture, BGR, of the frames that can be decoded, up to the first that can't."""
-        if not self._by_av:
-            capture = self._open()
-            while (image := capture.read()[1]) is not None:
-                yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1000, image
-            return
-        begin, end = (instant - 0.5 / self.fps for instant in self._span)
-        with suppress(av.FFmpegError, IndexError), av.open(str(self._file)) as container:
-            if begin > 0:
-                container.seek(round(begin * av.time_base))  # to a frame before that can be decoded alone
-            for frame in container.decode(video=0):
-                time_s = frame.time or 0.0
-                if time_s >= end:
-                    return
-                if time_s >= begin:
-                    yield time_s, frame.to_ndarray(format="bgr24")
-
-    def _open(self) -> cv2.VideoCapture:
-        try:
-            str(self._file).encode("utf-8")
-        except UnicodeEncodeError as error:
-            raise InputError(f"{printable(self._file)} has a name that is not valid UTF-8; rename the file.") from error
-        capture = cv2.VideoCapture(str(self._file), cv2.CAP_FFMPEG)
-        if not capture.isOpened():
-            raise InputError(f"{self._file} can't be opened as a video (truncated, or none); copy or convert it again.")
-        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
-        return capture
+        return coding_of(self._track.file)
 
     def __iter__(self) -> Iterator[Frame]:
-        self.warnings = []
-        decoded, number, stamp, start, longest = 0, 0, 0.0, None, 1 / self.fps
-        for position, image in self._decoded():
-            if start is None:
-                start = position
-            else:
-                # Some containers hold no time stamps; time must rise all the same.
-                gap = position - start - stamp if position - start > stamp else 1 / self.fps
-                stamp, longest = stamp + gap, max(longest, gap)
-                # A jump in the time stamps is a jump in the numbers, so that the frames around it are no neighbours.
-                number += max(1, round(gap * self.fps))
-            error = self.size_error(image, f"Frame {number} of {self.path}")
-            rgb = None if error else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-            yield Frame(decoded, number, stamp, rgb, None, error)
-            decoded += 1
-        missing = self.length - decoded
-        if not self._exact:
-            # A varying frame rate gives fewer frames than the duration; only time that no frame covers is missing.
-            uncovered = round(self.length - (stamp + longest) * self.fps)
-            missing = uncovered if uncovered > max(2, 0.1 * self.fps) else 0
-        if missing > 0:
-            self.warnings.append(f"truncated: {decoded} of {decoded + missing} frames decoded")
-        for step in range(1, missing + 1):
-            error = f"{self.path} ends before frame {number + step} or is damaged; copy it again."
-            yield Frame(decoded + step - 1, number + step, stamp + step / self.fps, None, None, error)
+        self.warnings = [*self._track.notes]
+        for index, (number, time_s, image) in enumerate(self._track):
+            named = f"Frame {number} of {self.path}"
+            error = f"{named} is damaged; copy it again." if image is None else self.size_error(image, named)
+            yield Frame(index, number, time_s, None if error else image, None, error)
+        self.warnings += self._track.damage()
 
 
 class RosBag(Pictures):
@@ -339,21 +287,6 @@ def halves(source: FrameSource, layout: ClipLayout) -> FrameSource:
     return Halves(source, layout.right == "side-by-side") if layout.halved else source
 
 
-def picture_size(path: Path, image: np.ndarray) -> tuple[int, int]:
-    """(width, height) of a clip's pictures.
-
-    Raises:
-        InputError: they are too small, or too long for their height.
-    """
-    height, width = image.shape[:2]
-    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
-        raise InputError(
-            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
-            f"and at most {LARGEST_ASPECT}:1."
-        )
-    return width, height
-
-
 def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, begin: float | None) -> Sequence[float]:
     """Time stamps of a folder's frames [s], starting at `begin` where other frames come before.
 
@@ -366,6 +299,15 @@ def _folder_times(folder: Path, files: Sequence[tuple[int, Path]], fps: float, b
     elif len(times) != len(files):
         raise InputError(f"{folder} has {len(files)} frames and its clip.json {len(times)} times; make them agree.")
     return times if begin is None else [begin + time_s - times[0] for time_s in times]
+
+
+def _refuse_pairs(folder: Path, files: Sequence[Path]) -> None:
+    """Raise an InputError where left and right pictures lie in one folder."""
+    pair = stereo_pair(files)
+    if pair is not None:
+        left, right = (re.sub(r"\d+(?=\D*$)", "{number}", file.name) for file in pair)
+        problem = f"holds left and right pictures ({pair[0].name}, {pair[1].name}); give a layout (--layout)"
+        raise InputError(f"{printable(folder)} {problem} with image: '{left}' and right: '{right}'.")
 
 
 def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
@@ -402,63 +344,3 @@ def name_of(clip: Path) -> str:
     if clip.name in ("sequence.yaml", "sequence.yml"):
         return clip.resolve().parent.name
     return clip.resolve().name if clip.is_dir() else name_in_data_set(clip) or clip.stem
-
-
-def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
-    """Clips under the given paths, in natural order within each: video files, bags, frame folders, folders of those.
-
-    Raises:
-        InputError: a path does not exist, can't be listed, or holds no clip, or episodes that nobody can tell apart.
-    """
-    clips: dict[Path, None] = {}
-    for given in map(Path, inputs):
-        if str(given).startswith("camera:"):
-            raise InputError(f"{given} is a live camera; give its number to palpate live, or record a video file.")
-        try:
-            file_of(given).stat()
-            found = _search(given, layout) if given.is_dir() else [given]
-        except OSError as error:
-            raise InputError(f"{printable(given)} can't be opened ({error.strerror}); check the path.") from error
-        if not given.is_dir() and given.suffix.lower() in IMAGE_SUFFIXES:
-            raise InputError(f"{printable(given)} is a single image; give the folder of the clip's frames.")
-        if not found:
-            raise InputError(f"{printable(given)} holds no video, bag or folder of frames; give one that does.")
-        clips |= {each: None for path in found for each in ([path / name for name in episodes_in(path)] or [path])}
-    return list(clips)
-
-
-def _search(top: Path, layout: ClipLayout) -> list[Path]:
-    """Clips in a folder and below, in natural order.
-
-    Raises:
-        InputError: there are more folders than `MOST_FOLDERS`.
-        OSError: the folder can't be listed.
-    """
-    found: list[Path] = []
-    visited: set[tuple[int, int]] = set()  # links may lead in circles
-    left = [top]
-    while left:
-        folder = left.pop()
-        try:
-            if not folder.is_dir():
-                found.append(folder)
-                continue
-            state = folder.stat()
-            place = state.st_dev, state.st_ino
-            if place in visited or (folder / RESULT_FILE).is_file():
-                continue
-            visited.add(place)
-            if len(visited) > MOST_FOLDERS:
-                problem = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
-                raise InputError(f"{printable(top)} {problem}.")
-            if is_bag(folder) or frame_files(folder, layout):
-                found.append(folder)
-                continue
-            entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
-        except OSError:
-            if folder == top:
-                raise
-            found.append(folder)  # opening it fails later, and the other clips go on
-            continue
-        left += reversed([e for e in entries if isdir(e) or e.suffix.lower() in VIDEO_SUFFIXES or is_bag(e)])
-    return found

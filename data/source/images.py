@@ -24,6 +24,8 @@ MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
 MOST_PATH_LETTERS = 600
 """Largest number of letters of a path in an error message."""
+LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
+"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 _STDERR_LOCK = threading.Lock()
 """Lets one thread at a time redirect descriptor 2, else one would restore what another has put there."""
 _PIXEL_LIMIT = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
@@ -102,6 +104,20 @@ def require_pixels(named: str, width: int, height: int) -> None:
     """
     if width * height > MOST_PIXELS:
         raise InputError(f"{named} is {width}x{height}, more than {_PIXEL_LIMIT}.")
+
+
+def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
+    """(width, height) of a clip's pictures.
+
+    Raises:
+        InputError: they are too small, or too long for their height.
+    """
+    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
+        raise InputError(
+            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
+            f"and at most {LARGEST_ASPECT}:1."
+        )
+    return width, height
 
 
 def _packed(content: bytes) -> int:

@@ -10,8 +10,9 @@ import json
 import math
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from os.path import isfile
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
@@ -29,6 +30,10 @@ HALVES = ("side-by-side", "top-bottom")
 """How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 """Endings of the names of image files."""
+COMPANION = re.compile(r"(^|[_-])(masks?|depths?|disp|disparity|labels?)([_-]|$)", re.IGNORECASE)
+"""Names of folders that hold masks or depth of the pictures beside them."""
+SIDE = re.compile(r"(?<![^\W\d_])(left|right|[lr])(?![^\W\d_])", re.IGNORECASE)
+"""Word in the names of a stereo pair's pictures."""
 FRAME_RATES = (1e-6, 1e4)
 """Lowest and highest frame rate of a clip [1/s]."""
 LARGEST_OPENING_PX = 1001
@@ -274,6 +279,8 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     shown = [path for path in list_folder(clip) if path.suffix.lower() in IMAGE_SUFFIXES and path.name[0] != "."]
     named = [path for path in shown if not path.stem.endswith("_mask")]
     images = [path for path in named if not any(expression.fullmatch(path.name) for expression in companions)]
+    if not images and (inner := _pictures_among(clip)):
+        return frame_files(inner, layout)
     digits = [re.findall(r"\d+", path.stem) for path in images]
     numbers = [int(runs[-1]) if runs else -1 for runs in digits]
     steps = np.diff(numbers) if len(numbers) > 1 else np.array([1])
@@ -281,6 +288,30 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     if min(numbers, default=-1) < 0 or steps.min() < 1 or np.median(steps) != 1:
         numbers = list(range(len(images)))
     return list(zip(numbers, images, strict=True))
+
+
+def companion_folders(folder: Path) -> list[Path]:
+    """Subfolders with masks or depth by their names, which are no clips of their own."""
+    return [entry for entry in list_folder(folder) if COMPANION.search(entry.name) and isdir(entry)]
+
+
+def _pictures_among(folder: Path) -> Path | None:
+    """The one subfolder of pictures, where others hold their masks or depth."""
+    beside = companion_folders(folder)
+    others = [entry for entry in list_folder(folder) if isdir(entry) and entry not in beside] if beside else []
+    held = [each for each in others if any(file.suffix.lower() in IMAGE_SUFFIXES for file in each.iterdir())]
+    return held[0] if len(held) == 1 else None
+
+
+def stereo_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
+    """A left and a right picture of the same name but for that word, where most files have such a counterpart."""
+    named: dict[tuple[str, str], Path] = {}
+    for file in files:
+        side = SIDE.search(file.stem)
+        if side:
+            named[side[1][0].lower(), SIDE.sub("*", file.stem, count=1)] = file
+    pairs = [(file, named["r", rest]) for (side, rest), file in named.items() if side == "l" and ("r", rest) in named]
+    return pairs[0] if 4 * len(pairs) > len(files) else None
 
 
 def clip_folder(layout: ClipLayout, frame_path: Path) -> Path:

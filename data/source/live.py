@@ -12,7 +12,9 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 
-from palpate.data.source.frames import LARGEST_FPS, Frame, FrameSource, VideoFile, picture_size
+from palpate.data.source.decoding import LARGEST_FPS
+from palpate.data.source.frames import Frame, FrameSource, VideoFile
+from palpate.data.source.images import picture_size
 from palpate.data.source.layout import InputError
 
 STALLED = 2.0
@@ -56,7 +58,7 @@ class LiveSource(FrameSource):
             self._changed.wait_for(lambda: self._waiting or self._ended)
             if not self._waiting:
                 raise self._error or InputError(f"{name} gives no picture; check that it is there and not in use.")
-            self.size = picture_size(self.path, self._waiting[0][2])
+            self.size = picture_size(self.path, *self._waiting[0][2].shape[1::-1])
 
     def _take(self) -> None:
         begun, number = math.nan, -1

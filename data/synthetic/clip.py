@@ -19,7 +19,6 @@ from palpate.data.synthetic.grip import GrippedMotion, draw_grip
 from palpate.data.synthetic.render import Renderer
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import GrippedSlab, PressedSlab, draw_slab
 from palpate.data.synthetic.truth import PressedMotion, TrueMotion, draw_motion
 from palpate.data.synthetic.turning import CameraTurning
 
@@ -44,7 +43,7 @@ class SyntheticClip:
     """Observed z, shape [F, H, W], float32 [scene units], 0 = invalid."""
 
 
-Truth = PressedMotion | GrippedMotion | PressedSlab | GrippedSlab
+Truth = PressedMotion | GrippedMotion
 """True motion of a clip."""
 
 
@@ -58,8 +57,6 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
         SceneError: the settings leave nothing to draw.
     """
     scene, generator = draw_scene(settings, np.random.default_rng([seed, 0])), np.random.default_rng([seed, 1])
-    if settings.tissue == "slab":
-        return scene, draw_slab(scene, generator)
     return scene, draw_grip(scene, generator) if settings.action == "grip" else draw_motion(scene, generator)
 
 

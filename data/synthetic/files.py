@@ -16,8 +16,6 @@ from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import LAW, SlabMotion
-from palpate.data.synthetic.slab import SUBSTEPS as SLAB_SUBSTEPS
 from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
@@ -25,7 +23,6 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What is said of units, and of arrays."""
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
-SLAB_INTEGRATOR = f"finite elements ({LAW}), trapezoidal rule, {SLAB_SUBSTEPS} steps a frame"
 COLORS = np.zeros((256, 3), np.uint8)
 """RGB of every grey class code."""
 COLORS[[entry.grey for entry in CLASSES.values()]] = [entry.color for entry in CLASSES.values()]
@@ -46,7 +43,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
     _write_png(stem, "_depth", stored_depth)
 
 
-def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion, seed: int) -> None:
+def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
     camera = dataclasses.asdict(reported_camera(scene.camera, settings))
@@ -75,14 +72,11 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         (folder / name).write_text(as_json(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion | SlabMotion) -> dict[str, Any]:
+def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion) -> dict[str, Any]:
     """Entries of truth.json that one kind of motion alone has."""
     if isinstance(motion, GrippedMotion):
         ratios = {"foundation_over_stiffness": motion.anchor, "damping_over_stiffness": motion.damping}
         return ratios | {"integrator": GRIP_INTEGRATOR}
-    if isinstance(motion, SlabMotion):
-        slab = dataclasses.asdict(motion.tissue)
-        return {"slab": slab, "peak_displacement": motion.peak, "integrator": SLAB_INTEGRATOR}
     zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
     return {
         "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),

@@ -59,29 +59,6 @@ class SceneSettings:
     """Stiffness of gripped tissue on one side of a line near the grip, divided by that on the other."""
     breathing: Annotated[Range, 0, 20] = (0.0, 0.0)
     """Distance over which breathing carries all tissue of a grip to and fro, drawn uniformly [grid px]."""
-    tissue: Literal["sheet", "slab"] = "sheet"
-    """Model of the tissue: a sheet of springs, which is what estimators fit, or a soft slab of finite elements, for
-    which stiffness, damping, force, regime, delays, spread, relaxation, regions and breathing have no effect: its force
-    is the one with which a linear slab would reach a displacement drawn from peak_displacement."""
-    slab_young: Annotated[Range, 1e-6, 1e9] = (60.0, 600.0)
-    """Young's modulus E of a slab, drawn log-uniformly [force/scene unit²]."""
-    slab_poisson: Annotated[float, 0, 0.49] = 0.45
-    """Poisson's ratio ν of a slab."""
-    slab_density: Annotated[float, 1e-9, 1e9] = 1500.0
-    """Density of a slab [mass/scene unit³]."""
-    slab_thickness: Annotated[Range, 0.005, 0.3] = (0.05, 0.08)
-    """Thickness of a slab, drawn log-uniformly [scene units]."""
-    slab_damping: Annotated[Range, 0, 1e6] = (10.0, 300.0)
-    """Force per momentum of a slab, proportional to mass, drawn log-uniformly; (0, 0) is none [1/s]."""
-    slab_branch: Annotated[Range, 0, 100] = (0.0, 0.0)
-    """Stiffness of a relaxing branch over the slow one's (standard linear solid), drawn log-uniformly; (0, 0) is
-    none."""
-    slab_branch_time: Annotated[Range, 1e-3, 100] = (0.05, 0.3)
-    """Relaxation time of that branch, drawn log-uniformly [s]."""
-    slab_inclusion: Annotated[float, 0.01, 100] = 1.0
-    """E of a ball inside a slab, divided by E around it; 1 is none."""
-    slab_stiffening: Annotated[float, 0, 1e4] = 0.0
-    """b of a slab's law, by which it stiffens where it strains (`physics.fem.laws.respond`); 0 is none."""
     patch_radius: Annotated[Range, 0, 20] = (0.0, 0.0)
     """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
     vertex alone."""
@@ -159,14 +136,13 @@ class SceneSettings:
             raise ValueError(f"scene.width and height {self.width}x{self.height} are below the grid's; give more.")
         if self.rise[1] + self.fall[1] > 1:
             raise ValueError(f"scene.rise {self.rise[1]:g} and fall {self.fall[1]:g} add up to more than 1; give less.")
-        if self.tissue == "sheet":
-            rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}
-            for name, fastest in rates.items():
-                if fastest > LARGEST_RATE:
-                    raise ValueError(
-                        f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
-                        f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
-                    )
+        rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}
+        for name, fastest in rates.items():
+            if fastest > LARGEST_RATE:
+                raise ValueError(
+                    f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
+                    f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
+                )
         require_choices(self, "scene.")
 
     @property

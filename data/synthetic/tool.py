@@ -14,7 +14,6 @@ import numpy as np
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
-from palpate.data.synthetic.slab import GrippedSlab
 from palpate.data.synthetic.surface import SheetView
 from palpate.data.synthetic.truth import TrueMotion
 
@@ -80,7 +79,7 @@ def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
 
     A tool that presses draws back along its entry, out of the organ.
     """
-    if isinstance(motion, GrippedMotion | GrippedSlab):
+    if isinstance(motion, GrippedMotion):
         return motion.course[frame]
     if motion.in_contact[frame]:
         return np.zeros(2)

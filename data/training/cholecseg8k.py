@@ -24,7 +24,7 @@ from palpate.common.files import read_beside
 from palpate.data.cache import PreparedClip, require_models
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.frames import discover
+from palpate.data.source.discovery import discover
 from palpate.data.source.layout import ClipLayout, InputError, frame_files, load_layout, read_clip_file
 from palpate.data.training.preparation import prepare_all
 from palpate.data.training.samples import SampleSettings, list_frames

@@ -7,8 +7,6 @@ problem      one followed point by least squares from several starts; field: the
 contact_fit  from there to an estimate
 lit_sheet    what a camera with a light next to it sees of a pressed plane
 brightness   that light by least squares; brightness_fit: from there to an estimate
-slab_motion, slab_fit  the same by finite elements beneath the surface, where its thickness is given; what it tells, in
-             the end, and what else would explain the dent
 sampling     mean and covariance of the posterior by importance sampling
 error_model  how errors of a tracked contact belong together
 """

@@ -90,7 +90,7 @@ def fit_brightness(
     sequence = contact.brightness
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
-    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds
+    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
     thin = dataclasses.replace(contact, brightness=sequence.chosen(some))
     problem = BrightnessProblem(thin, mechanics, within, np.zeros(2))

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.error_model import log_likelihoods, variance_scale
 from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
     DELAYS,
@@ -31,7 +31,6 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.mechanics import Mechanics
 
-FieldProblem = SequenceProblem[PressMotion]
 Problem = ContactProblem | SequenceProblem
 LARGEST_MISFIT = 1.5
 """The model does not explain what lies farther from its best fit than this many σ."""
@@ -71,7 +70,7 @@ def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
 def concluded(
     problem: Problem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None, **more: Any
 ) -> Estimate:
-    """What a fit of a press comes to.
+    """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
     Args:
         problem: that was fitted.
@@ -86,36 +85,23 @@ def concluded(
     if draws is not None:
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
     information = problem.information(mean)
-    known = {"theta": motion.theta(mean), "covariance": spread[:3, :3], "shape": motion.shape(mean)}
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
-    more |= {"expected_information": trusted, "modes": count_modes(optima, prior)}
-    return press_estimate(problem, box, best.logs, mean, information, **known, **more)
-
-
-def press_estimate(
-    problem: Problem, box: np.ndarray, best: np.ndarray, mean: np.ndarray, information: np.ndarray, **known: Any
-) -> Estimate:
-    """The estimate of a press, with the covariance of a large noise added where the contact may hide its own bottom.
-
-    Args:
-        problem: that was fitted.
-        box: lower and upper ends of all parameters, those of the tissue first, shape [2, D].
-        best: parameters that explain it best, shape [D].
-        mean: parameters by which the delays are said, shape [D].
-        information: of all parameters, shape [D, D].
-        known: further fields of the estimate.
-    """
-    motion, prior, delays = problem.motion, box_information(box), mean[problem.motion.delays]
+    delays = mean[motion.delays]
     found = Estimate(
+        theta=motion.theta(mean),
+        covariance=spread[:3, :3],
+        shape=motion.shape(mean),
         information=information[:3, :3],
+        expected_information=trusted,
+        modes=count_modes(optima, prior),
         noise=problem.sigma,
-        misfit=problem.misfit(best),
+        misfit=problem.misfit(best.logs),
         largest_misfit=LARGEST_MISFIT,
-        at_bound=np.minimum(best - box[0], box[1] - best)[:3] < AT_BOUND,
+        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         delays=tuple((motion.within * delays).tolist()),
         delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
-        **known,
+        **more,
     )
     if not is_oblique(found):
         return found
@@ -177,7 +163,7 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
+def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
     """Optima of a sequence's fit, the best first; the problem has looked at that one.
 
     Args:
@@ -197,7 +183,7 @@ def field_optima(problem: FieldProblem, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
-def sampled(problem: FieldProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
+def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -219,24 +205,24 @@ def fit_press(
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as of `SequenceProblem.of_press`.
+        contact, mechanics, within, noise: as of `SequenceProblem`.
         tissue: the box of φ, shape [2, 3].
     """
-    step = SequenceProblem.of_press(contact, mechanics, within, noise)
+    step = SequenceProblem(contact, mechanics, within, noise)
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
-    patch = SequenceProblem.of_press(contact, mechanics, within, noise, PatchMotion)
+    patch = SequenceProblem(contact, mechanics, within, noise, PatchMotion)
     shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
-def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
+def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
     """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
@@ -263,7 +249,7 @@ def field_starts(problem: FieldProblem, box: np.ndarray) -> np.ndarray:
     return apart(candidates, misfits, low, high, motion.starts)
 
 
-def raced(problem: FieldProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
@@ -300,7 +286,9 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 
 
-def _sample_field(problem: FieldProblem, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float) -> Draws:
+def _sample_field(
+    problem: SequenceProblem, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float
+) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)

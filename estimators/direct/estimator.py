@@ -6,8 +6,6 @@ shape (`estimators.direct.patch`), or the motion of its one followed point
 (`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
 of the press (`estimators.direct.motion`). Around these optima the posterior is sampled (`estimators.direct.sampling`),
 with a uniform prior on the box of these: mean and covariance of φ are the estimate.
-
-Where the tissue's thickness is given a slab of finite elements takes the sheet's place (`estimators.direct.slab_fit`).
 """
 
 import dataclasses
@@ -16,15 +14,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, FIELD, OBSERVATIONS, Horizon, Interaction
+from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, OBSERVATIONS, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.direct.contact_fit import fit_contact, fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.direct.problem import ContactProblem
-from palpate.estimators.direct.slab_fit import fit_slab
-from palpate.estimators.direct.slab_motion import DENSITY, LAW, POISSON, SLAB_BOUNDS
 from palpate.estimators.estimate import Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
@@ -50,12 +46,10 @@ class DirectEstimator:
         horizon: how much of a contact is looked at.
         noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
         mechanics: integrator of the fitted model.
-        bounds: admissible box, in which the prior is uniform; F presses. None = RECOMMENDED, of a slab SLAB_BOUNDS.
-        thickness: of a slab of finite elements that is fitted instead of a sheet [scene units]; None = a sheet.
+        bounds: admissible box, in which the prior is uniform; F presses.
 
     Raises:
-        ValueError: a noise that is too small or not finite, a box that reaches 0, a thickness that is not positive, a
-            slab for a single followed point.
+        ValueError: a noise that is too small or not finite, a box that reaches 0.
     """
 
     name = "direct"
@@ -67,24 +61,15 @@ class DirectEstimator:
         horizon: Horizon = None,
         noise: float | None = None,
         mechanics: Mechanics = FITTED,
-        bounds: Bounds | None = None,
-        thickness: float | None = None,
+        bounds: Bounds = RECOMMENDED,
     ) -> None:
         if noise is not None and not LEAST_SIGMA <= noise < math.inf:
             raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
         if observation not in (None, *OBSERVATIONS):
             raise ValueError(f"observation is {observation!r}; choose {' or '.join(OBSERVATIONS)}.")
-        if thickness is not None and not 0 < thickness < math.inf:
-            raise ValueError(f"thickness is {thickness}; give a positive length in scene units.")
-        if thickness is not None and observation not in (None, FIELD):
-            raise ValueError(f"a slab is fitted to all visible tissue; leave --observation {observation} out.")
-        if bounds is None:
-            bounds = RECOMMENDED if thickness is None else SLAB_BOUNDS
         self.onset, self.observation, self.horizon = onset, observation, horizon
-        self.noise, self.mechanics, self.bounds, self.thickness = noise, mechanics, bounds, thickness
+        self.noise, self.mechanics, self.bounds = noise, mechanics, bounds
         model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
-        if thickness is not None:
-            model |= {"slab": {"thickness": thickness, "law": LAW, "poisson": POISSON, "density": DENSITY}}
         seen = {"onset": onset, "observation": observation or "auto", "horizon": horizon}
         self.described = {"name": self.name, **seen, "noise": noise, **model}
         """All that the fits depend on besides the clip."""
@@ -104,8 +89,8 @@ class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
-        super().__init__(clip, estimator.mechanics, estimator.horizon, estimator.thickness)
-        self.by_light = estimator.observation in (None, BRIGHTNESS) and estimator.thickness is None
+        super().__init__(clip, estimator.mechanics, estimator.horizon)
+        self.by_light = estimator.observation in (None, BRIGHTNESS)
         self.needs_light = estimator.observation in (BRIGHTNESS, BOTH)
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
@@ -131,6 +116,7 @@ class DirectSession(RunSession):
             NoEstimate: fewer than three observations, or no noise level.
         """
         estimator, count = self.estimator, len(contact.observation)
+        within = self._within * contact.intervals
         noise = contact.noise if estimator.noise is None else estimator.noise
         if not (math.isfinite(noise) and noise > 0):
             raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
@@ -140,14 +126,10 @@ class DirectSession(RunSession):
             )
         sequence = contact.sequence
         with_sequence = sequence is not None and len(sequence.times) >= LEAST_OBSERVATIONS
-        if estimator.thickness is not None:
-            if not with_sequence:
-                raise NoEstimate("A slab needs the depth around the contact, and too few frames show it.")
-            return fit_slab(contact, estimator.thickness, self._within, estimator.noise)
         if estimator.observation != CONTACT and with_sequence:
-            found = fit_press(contact, self.mechanics, self._within, estimator.noise, estimator.log_box)
+            found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
         else:
-            problem = ContactProblem(contact, self.mechanics, noise, self._within)
+            problem = ContactProblem(contact, self.mechanics, noise, within)
             found = fit_contact(problem, problem.motion.box(estimator.log_box))
         return found, simulated_motion(contact, found, self.mechanics)
 

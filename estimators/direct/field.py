@@ -11,8 +11,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from palpate.data.contact.depth_sequence import SequenceNoise, smooth_errors
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.error_model import rounding_covariance
-from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.motion import Kind, PressMotion
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.likelihood import LeastSquares, Linearised
 from palpate.physics.mechanics import Mechanics
@@ -38,28 +36,7 @@ HIDDEN = 1e6
 """Standard deviation of what isn't seen [σ]."""
 
 
-class SequenceMotion(Protocol):
-    """How V vertices move at N instants, by D parameters: of a sheet, or of a slab beneath."""
-
-    def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements [N, V, 3] and their derivatives by all parameters [N, V, 3, D]."""
-
-    def finer(self, logs: np.ndarray) -> np.ndarray:
-        """Displacements as finer time steps have them, shape [N, V, 3]."""
-
-    def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
-
-        Args:
-            sunk: change of the depth of every pixel of a square, shape [N, P] [scene units].
-            averages: whether a pixel is the mean of several of the picture.
-        """
-
-
-M = TypeVar("M", bound=SequenceMotion)
-
-
-class SequenceProblem(LeastSquares, Generic[M]):
+class SequenceProblem(LeastSquares):
     """Weighted residuals of a sequence and their derivatives by all parameters of a press; V vertices, P pixels, N
     frames.
 
@@ -67,21 +44,27 @@ class SequenceProblem(LeastSquares, Generic[M]):
 
     Args:
         contact: with a depth-change sequence of one frame or more.
-        motion: makes the model of some vertices [V] at some instants [N] [s].
+        mechanics: of the fits.
+        within: as of `PressMotion`.
         noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
-        parts: as of `Patches`.
+        kind: of motion: what is fitted of the press.
     """
 
     def __init__(
-        self, contact: Interaction, motion: Callable[[np.ndarray, np.ndarray], M], noise: float | None, parts: int = 1
+        self,
+        contact: Interaction,
+        mechanics: Mechanics,
+        within: float = 0.0,
+        noise: float | None = None,
+        kind: Kind = PressMotion,
     ) -> None:
         sequence = contact.sequence
         assert sequence is not None
         if noise is not None:
             sequence = dataclasses.replace(sequence, noise=SequenceNoise(noise, 0.0))
         self.contact, self.sequence = contact, sequence
-        self.patches = Patches(contact.mesh, contact.vertex, sequence.size, parts=parts)
-        self.motion = motion(self.patches.vertices, sequence.times)
+        self.patches = Patches(contact.mesh, contact.vertex, sequence.size, parts=kind.parts)
+        self.motion = kind(contact, mechanics, self.patches.vertices, sequence.times, within)
         self.observed = sequence.change.reshape(len(sequence.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
         self._smooth = smooth_errors(sequence.noise.total)
@@ -89,29 +72,6 @@ class SequenceProblem(LeastSquares, Generic[M]):
         """Error of the simulator's own steps, taken off all its displacements, shape [N, V, 3] [scene units]."""
         self.seen = np.isfinite(self.observed)
         """Pixels that show tissue which is known, shape [N, P], bool; all of `look` comes to be known by it."""
-
-    @classmethod
-    def of_press(
-        cls,
-        contact: Interaction,
-        mechanics: Mechanics,
-        within: float = 0.0,
-        noise: float | None = None,
-        kind: type[PressMotion] = PressMotion,
-    ) -> SequenceProblem[PressMotion]:
-        """The depth-change sequence of a sheet that is pressed.
-
-        Args:
-            contact, noise: as above.
-            mechanics: of the fits.
-            within: as of `PressMotion`.
-            kind: of motion: what is fitted of the press.
-        """
-
-        def motion(vertices: np.ndarray, times: np.ndarray) -> PressMotion:
-            return kind(contact, mechanics, vertices, times, within)
-
-        return SequenceProblem(contact, motion, noise, kind.parts)
 
     @property
     def sigma(self) -> float:
@@ -151,11 +111,7 @@ class SequenceProblem(LeastSquares, Generic[M]):
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
     def model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """What the model itself gets wrong: `model_errors` of the motion, shape [P, N, B].
-
-        Args:
-            sunk: change of every pixel's depth, shape [N, P] [scene units].
-        """
+        """What the model itself gets wrong, as of `PressMotion`."""
         return self.motion.model_errors(sunk, self.patches.averages)
 
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -225,7 +181,7 @@ class SequenceProblem(LeastSquares, Generic[M]):
         sigma = np.sqrt(self.sequence.noise.total**2 + self._walls[used])
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
 
-    def coarser(self: SequenceProblem[PressMotion]) -> SequenceProblem[PressMotion]:
+    def coarser(self) -> SequenceProblem:
         """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
         found = copy.copy(self)
         found.motion = self.motion.coarser()

@@ -33,64 +33,7 @@ _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 
 _SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
-class DelayedMotion:
-    """How a press whose instants may be unknown moves tissue: what its parameters after the tissue's own are.
-
-    Args:
-        contact: mesh and load.
-        times: instants since the time stamp at which the press was observed to begin, shape [N] [s].
-        within: the press began, and ended, at most so long before or after the time stamps [s]; 0 = at them.
-    """
-
-    tissue = 3
-    """Parameters before the delays."""
-
-    def __init__(self, contact: Interaction, times: np.ndarray, within: float) -> None:
-        self.contact, self.times, self.within = contact, times, within
-
-    @property
-    def delays(self) -> slice:
-        """Which of the parameters are delays: none, that of the beginning, or both."""
-        return slice(self.tissue, self.tissue + (1 + self.contact.released if self.within else 0))
-
-    def with_delays(self, tissue: np.ndarray) -> np.ndarray:
-        """Lower and upper ends of tissue's parameters [2, …] and of the delays, shape [2, D]."""
-        return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - self.tissue)])
-
-    def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
-        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
-        if not self.contact.released:
-            return math.inf
-        delayed = self.within * (logs[self.tissue + 1] - logs[self.tissue]) if self.within else 0.0
-        return self.contact.load_seconds + delayed + longer
-
-    def since(self, logs: np.ndarray) -> np.ndarray:
-        """The instants since the beginning of the press, shape [N] [s]."""
-        return self.times - (self.within * logs[self.tissue] if self.within else 0.0)
-
-    def seen(self, curves: Sequence[np.ndarray], step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N, …, D].
-
-        Args:
-            curves: displacements after every step, their derivatives by tissue's parameters, and by the load's duration
-                where that is unknown, shape [T, …, D'] each.
-            step: [s].
-            logs: all parameters.
-        """
-        since = self.since(logs)
-        (found, rate), (by_tissue, _), *others = (between_steps(curve, step, since) for curve in curves)
-        if not self.within:
-            return found[..., 0], by_tissue
-        # A later beginning moves all of the motion, and shortens the load.
-        delayed = -rate * (since > 0)[:, None, None, None]
-        if not self.contact.released:
-            return found[..., 0], np.concatenate([by_tissue, self.within * delayed], axis=-1)
-        ((by_duration, _),) = others
-        parts = [by_tissue, self.within * (delayed - by_duration), self.within * by_duration]
-        return found[..., 0], np.concatenate(parts, axis=-1)
-
-
-class PressMotion(DelayedMotion):
+class PressMotion:
     """Displacements of M vertices at N instants for any parameters, D = 3, 4 or 5.
 
     Args:
@@ -120,9 +63,46 @@ class PressMotion(DelayedMotion):
         self.mechanics, self.vertices = mechanics, vertices
         self.steps = np.rint(times / mechanics.time_step).astype(np.int64) - 1
         """Index into a trajectory that starts at the time stamp of the instants, shape [N]."""
-        super().__init__(contact, (self.steps + 1) * mechanics.time_step, within)
+        self.contact, self.times, self.within = contact, (self.steps + 1) * mechanics.time_step, within
         self.longest = int(self.steps.max()) + 1 + math.ceil(within / mechanics.time_step)
         """Steps of a simulation: the press may have begun earlier."""
+
+    @property
+    def delays(self) -> slice:
+        """Which of the parameters are delays: none, that of the beginning, or both."""
+        return slice(3, 3 + (1 + self.contact.released if self.within else 0))
+
+    def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
+        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
+        if not self.contact.released:
+            return math.inf
+        delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
+        return self.contact.load_seconds + delayed + longer
+
+    def since(self, logs: np.ndarray) -> np.ndarray:
+        """The instants since the beginning of the press, shape [N] [s]."""
+        return self.times - (self.within * logs[3] if self.within else 0.0)
+
+    def seen(self, curves: Sequence[np.ndarray], step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N, …, D].
+
+        Args:
+            curves: displacements after every step, their derivatives by tissue's parameters, and by the load's duration
+                where that is unknown, shape [T, …, D'] each.
+            step: [s].
+            logs: all parameters.
+        """
+        since = self.since(logs)
+        (found, rate), (by_tissue, _), *others = (between_steps(curve, step, since) for curve in curves)
+        if not self.within:
+            return found[..., 0], by_tissue
+        # A later beginning moves all of the motion, and shortens the load.
+        delayed = -rate * (since > 0)[:, None, None, None]
+        if not self.contact.released:
+            return found[..., 0], np.concatenate([by_tissue, self.within * delayed], axis=-1)
+        ((by_duration, _),) = others
+        parts = [by_tissue, self.within * (delayed - by_duration), self.within * by_duration]
+        return found[..., 0], np.concatenate(parts, axis=-1)
 
     @property
     def centred(self) -> np.ndarray:
@@ -131,7 +111,7 @@ class PressMotion(DelayedMotion):
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
-        return self.with_delays(tissue)
+        return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - 3)])
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F], shape [3]."""
@@ -176,8 +156,14 @@ class PressMotion(DelayedMotion):
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """As of `SequenceMotion`: dents as wholes that lie aside, or are too deep; columns of every frame, then of
-        all."""
+        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
+
+        Dents as wholes lie aside, or are too deep: columns of every frame, then of all.
+
+        Args:
+            sunk: change of the depth of every pixel of a square, shape [N, P] [scene units].
+            averages: whether a pixel is the mean of several of the picture.
+        """
         frames, pixels = sunk.shape
         if not (averages and (self.astray or self.uneven)):
             return np.zeros((pixels, frames, 0))

@@ -5,6 +5,5 @@ sheet        one foundation and the force, with the grip's motion unknown
 lattice      the points as a sheet's nodes, and a sheet whose grip moves as it was observed to
 grip_estimate what all of that tells, and what is determined
 stiffness_fit where it is stiffer, with the grip's motion unknown, and how well that is known
-pull_fit     force over E by a slab of finite elements, where its thickness is given
 whitening    neighbours' errors made independent, and how many of them are correlated
 """

@@ -236,9 +236,9 @@ class NetworkSession(RunSession):
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        estimator, contacts, within = self.estimator, [contact], self._onset_error
+        estimator, contacts, within = self.estimator, [contact], self._onset_error * contact.intervals
         if not estimator.sees_sequence:
-            contacts, within = onset_perturbations(contact, self._onset_error, LEAST_OBSERVATIONS), 0.0
+            contacts, within = onset_perturbations(contact, within, LEAST_OBSERVATIONS), 0.0
         with self.timed("network"):
             features = [estimator.features(each, within) for each in contacts]
             window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)

@@ -138,7 +138,7 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
     contact, start, within = task
     problem = ContactProblem(contact, MECHANICS, NOMINAL_NOISE, within)
     best, rms = _explained(problem, start)
-    field = SequenceProblem.of_press(contact, MECHANICS, within, NOMINAL_NOISE)
+    field = SequenceProblem(contact, MECHANICS, within, NOMINAL_NOISE)
     field.look(best)
     tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
     change = np.where(field.seen, field.observed, np.nan)

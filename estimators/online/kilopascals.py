@@ -10,8 +10,8 @@ from collections import deque
 
 import numpy as np
 
-from palpate.estimators.calibration_file import SHEET_FACTOR
 from palpate.estimators.estimate import NINETY
+from palpate.estimators.force_scale import SHEET_FACTOR
 from palpate.estimators.known_force import LEAST_KNOWN, fit_factor
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import ParticleField

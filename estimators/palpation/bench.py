@@ -4,21 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import register, thinned
-from palpate.estimators.palpation.skin import Match, Skin, cover, shapes_at
-from palpate.physics.fem import Equilibrium, Material, find_equilibrium, make_solid
-from palpate.physics.fem.curved import bend
-from palpate.physics.fem.laws import respond
+from palpate.estimators.palpation.skin import Match, Skin
+from palpate.physics.fem import Equilibrium, Material, find_equilibrium
 from palpate.physics.fem.linear_system import LinearSystem
-from palpate.physics.fem.meshing import refine
-from palpate.physics.fem.solid import EDGES, EIGHTHS
 
 FACTORED = 60_000
-"""Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte, and up to
-which a body is refined: beyond, a fit would take too long, and memory grows faster than the body."""
+"""Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
 SHOWN = 0.02
@@ -61,8 +55,6 @@ class Bench:
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         """Equilibria that were computed, those that failed included."""
-        self.stiffening = 0.0
-        """b of the law whose stiffness grows by a factor e where the body is strained; 0 = it isn't looked for."""
         self.near: LinearSystem | None = None
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
@@ -84,67 +76,13 @@ class Bench:
         self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
         """Of the points along the sight, by what of them has not moved [m]."""
 
-    @property
-    def unknowns(self) -> int:
-        """Of the material."""
-        return 3 if self.stiffening else 2
-
-    def watch_stiffening(self, rests: Sequence[Equilibrium]) -> None:
-        """Count the growth of the stiffness by where bodies' energy is, of that under which most is."""
-        means = []
-        for rest in rests:
-            shape = respond(self.law, rest.energy.solid.deformation(rest.displacement), np.ones(()), np.zeros(()))
-            means.append(np.average(shape.energy, weights=shape.energy * rest.energy.solid.weights))
-        self.stiffening = 1 / float(max(means))
-
-    def refine(self) -> csr_array:
-        """Go on with elements half as long, all of them where that isn't too many unknowns.
-
-        Else those whose middle is closer to a contact than the tool's radius, or than they are long.
-        They are divided as straight ones, in whose place the curved ones' own shape functions put the new nodes: the
-        body stays as it is.
-
-        Returns:
-            of the nodes' values in those of the new ones, shape [N', N].
-
-        Raises:
-            ValueError: the unknowns would be more than FACTORED.
-        """
-        skin, coarse = self.skin, self.skin.body.elements[:, :4]
-        straight = make_solid(skin.body.rest[: coarse.max() + 1], coarse, order=2)
-        if 8 * skin.body.rest.size <= FACTORED:
-            nodes, whole = straight.rest, np.repeat(np.arange(len(coarse)), 8)
-            tetrahedra = skin.body.elements[:, EIGHTHS].reshape(-1, 4)
-        else:
-            corners = straight.rest[coarse]
-            longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1)
-            apart = [np.linalg.norm(corners.mean(axis=1) - each.contact, axis=1) for each in self.palpations]
-            radius = np.array([[each.tool_radius] for each in self.palpations])
-            longest[(np.array(apart) > np.maximum(radius, longest)).all(axis=0)] = np.inf
-            # Halves of an edge may be longer than half of it by rounding.
-            nodes, tetrahedra, whole = refine(straight.rest[: coarse.max() + 1], coarse, (0.5 + 1e-9) * longest)
-        fine = make_solid(nodes, tetrahedra, order=2)
-        if fine.rest.size > FACTORED:
-            raise ValueError(f"a finer mesh has {fine.rest.size} unknowns, more than {FACTORED}.")
-        of = np.empty(len(fine.rest), np.int64)
-        of[fine.elements] = whole[:, None]
-        shares = shapes_at(straight, of, fine.rest)
-        body = bend(fine, shares @ skin.body.rest - fine.rest)
-        self.skin = cover(body, skin.vertices, skin.triangles, skin.shares.sum(axis=1) < 0.5)
-        self.held = shares @ self.held > 1 - 1e-9
-        self.forces = [self.skin.pressed(each.contact, each.tool_radius, each.force) for each in self.palpations]
-        self.near = None
-        return shares
-
-    def rest(
-        self, young: float, poisson: float, growth: float = 0.0, *, starts: Sequence[np.ndarray | None]
-    ) -> list[Equilibrium]:
+    def rest(self, young: float, poisson: float, *, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
         """The body under each force.
 
         Raises:
             NoEquilibrium: it can't bear one.
         """
-        return self._found(Material(self.law, young, poisson, self.stiffening * growth), starts)
+        return self._found(Material(self.law, young, poisson), starts)
 
     def linear(self, young: float, poisson: float) -> list[Equilibrium]:
         """The same by Hooke's law at small strain, where displacements go with 1/E."""

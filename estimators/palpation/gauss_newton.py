@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench
 from palpate.estimators.palpation.registration import turned
@@ -32,8 +31,6 @@ FARTHEST, WIDEST = 10.0, 0.15
 STRIDE = 0.1
 """Of a pose's standard deviation as the tool tells it: what a step moves it by where the body leaves it open, as a ball
 its turns. Facets pull it to and fro there."""
-GROWTH = 3.0
-"""Up to which every growth of the stiffness, the logarithm of its factor where the body is strained, is as likely."""
 ROUNDS = 15
 """Simulations of every press at most."""
 TURNED = 0.25
@@ -49,15 +46,14 @@ class State:
     moved: np.ndarray
     """Displacement of the surface's vertices, shape [V, 3] [m]."""
     slopes: np.ndarray
-    """Its derivatives by relative compliance, E's inverse over that simulated, by ν and, of K = 3, by the growth of the
-    stiffness, shape [V, 3, K] [m]."""
+    """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
     nodes: np.ndarray
     """Displacement of the body's nodes, shape [N, 3] [m]."""
     node_slopes: np.ndarray
-    """Its derivatives likewise, shape [N, 3, K] [m]."""
+    """Its derivatives by the same, shape [N, 3, 2] [m]."""
 
     def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes with a change of what `slopes` are by, [K], shape [N, 3] [m]."""
+        """Displacement of the nodes with a change of what `slopes` are by, [2], shape [N, 3] [m]."""
         return self.nodes + self.node_slopes @ change
 
 
@@ -68,23 +64,22 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
         if id(rest) in states:  # one press seen several times
             continue
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
-        factors = np.array([-float(np.mean(rest.material.young)), 1.0, bench.stiffening])
-        slopes = (rest.tangents() * factors)[..., : bench.unknowns]
+        slopes = rest.tangents() * np.array([-float(np.mean(rest.material.young)), 1.0])
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
         moved = bench.skin.shares @ rest.displacement
-        surface = scale * moved, scale * on_skin.reshape(-1, 3, bench.unknowns)
+        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
         states[id(rest)] = State(*surface, scale * rest.displacement, scale * slopes)
     return [states[id(rest)] for rest in rests]
 
 
-def _unknowns(which: int, count: int) -> np.ndarray:
-    """Indices of what a palpation's points tell of, K of the material and six, shape [K + 6]."""
-    return np.concatenate([np.arange(count), count + np.arange(6 * which, 6 + 6 * which)])
+def _unknowns(which: int) -> np.ndarray:
+    """Indices of what a palpation's points constrain, two of the material and six of its pose, shape [8]."""
+    return np.concatenate([np.arange(2), 2 + np.arange(6 * which, 6 + 6 * which)])
 
 
 class System:
-    """Residuals with a change of K of the material, relative 1/E, ν and, of three, the growth of the stiffness, from
-    what was simulated, linearised by it and every pose's six."""
+    """Residuals with a change of relative 1/E and ν from what was simulated, linearised by these and every pose's
+    six."""
 
     def __init__(
         self,
@@ -92,19 +87,17 @@ class System:
         states: Sequence[State],
         change: np.ndarray,
         poses: Sequence[np.ndarray],
-        ends: np.ndarray,
+        ends: tuple[float, float],
         chosen: Sequence[np.ndarray] | None = None,
     ) -> None:
         self.bench, self.states, self.change, self.poses, self.ends = bench, states, change, list(poses), ends
-        self.count = len(change)
         self.chosen: list[np.ndarray] = []
         """Which points count, of each press [P]: the same ones until something is simulated again."""
-        self.skin, triangles = bench.skin, bench.skin.triangles
-        """The bench may go on with a finer one."""
+        skin, triangles = bench.skin, bench.skin.triangles
         residuals, blocks, sinks, places = [], [], [], []
         for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
             moved = state.moved + state.slopes @ change
-            match, cosine = bench.matched(self.skin.vertices + moved, which, pose)
+            match, cosine = bench.matched(skin.vertices + moved, which, pose)
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
             counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
             if np.count_nonzero(counts) < 12:
@@ -112,15 +105,15 @@ class System:
                     "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
                 )
             along = match.normal[counts] / cosine[counts, None]
-            met = match.at(triangles, self.skin.vertices + moved)[counts]
+            met = match.at(triangles, skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
             # A sight turns about its eye together with its point: what moves is where it meets the surface.
             blocks.append(np.hstack([by_material, np.cross(met, along), along]))
             residuals.append(match.distance[counts])
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
-            places.append(match.at(triangles, self.skin.vertices)[counts])
+            places.append(match.at(triangles, skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's K and the six of the pose that a point was observed from, shape [R, K + 6]."""
+        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
         limit, size = OUTLIER * bench.noise, np.abs(self.residual)
@@ -138,8 +131,8 @@ class System:
             step = trust * step
             before = 1 + system.change[0]
             compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
-            more = np.clip(system.change[1:] + step[1 : self.count], *self.ends)
-            change, turns = np.array([compliance - 1, *more]), step[self.count :].reshape(-1, 6)
+            poisson = np.clip(system.change[1] + step[1], *self.ends)
+            change, turns = np.array([compliance - 1, poisson]), step[2:].reshape(-1, 6)
             poses = [turned(pose, part) for pose, part in zip(system.poses, turns, strict=True)]
             following = System(self.bench, self.states, change, poses, self.ends, self.chosen)
             if following.cost > ROUGH * system.cost and trust > SHORTEST:
@@ -155,7 +148,7 @@ class System:
 
         ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
         """
-        off = [0.0] * self.count
+        off = [0.0] * 2
         for pose, each in zip(self.poses, self.bench.palpations, strict=True):
             gone = pose @ np.linalg.inv(each.pose)
             turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
@@ -163,7 +156,7 @@ class System:
         normal, right = np.diag(self._precision()), -self._precision() * off
         weighted = self.jacobian * self.precision[:, None]
         for which in range(len(self.poses)):
-            own, unknowns = self.which == which, _unknowns(which, self.count)
+            own, unknowns = self.which == which, _unknowns(which)
             normal[np.ix_(unknowns, unknowns)] += weighted[own].T @ self.jacobian[own]
             right[unknowns] -= weighted[own].T @ self.residual[own]
         return normal, right
@@ -171,71 +164,53 @@ class System:
     def _precision(self) -> np.ndarray:
         """What is known of the unknowns beforehand, shape [U]."""
         poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
-        return np.concatenate([[0.0] * self.count, *poses])
+        return np.concatenate([[0.0] * 2, *poses])
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss–Newton's, shape [U], none where it would leave its range; sd of the material's K by the noise, [K]."""
+        """Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise, [2]."""
         normal, right = self._normal()
-        sd = np.sqrt(np.diag(np.linalg.inv(normal))[: self.count])
+        sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
         normal += np.diag(self._precision()) / STRIDE**2
         found = np.linalg.solve(normal, right)
-        (low, high), at, ahead = self.ends, self.change[1:], found[1 : self.count]
+        (low, high), at = self.ends, self.change[1]
         free = np.ones(len(right), bool)
-        free[1 : self.count] = ~((at <= low) & (ahead < 0) | (at >= high) & (ahead > 0))
-        if not free.all():
+        free[1] = not ((at <= low and found[1] < 0) or (at >= high and found[1] > 0))
+        if not free[1]:
             found = np.zeros(len(right))
             found[free] = np.linalg.solve(normal[free][:, free], right[free])
         return found, sd
 
     def still(self) -> bool:
         """Whether what was simulated is as good."""
-        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[: self.count])
+        sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
         return bool((np.abs(self.change) < CLOSE * sd).all())
 
-    def odds(self, model_error: float, growth: float) -> float:
-        """For a growth that is as likely anywhere up to GROWTH against none, by Laplace's approximation.
-
-        Args:
-            model_error: as of `covariance`.
-            growth: that was simulated.
-        """
-        best = growth + self.change[2] + np.linalg.solve(*self._normal())[2]
-        sd = float(np.sqrt(self.covariance(model_error)[2, 2]))
-        inside = ndtr((GROWTH - best) / sd) - ndtr(-best / sd)
-        return float(sd / GROWTH * np.sqrt(2 * np.pi) * inside * np.exp(min(0.5 * (best / sd) ** 2, 600.0)))
-
     def covariance(self, model_error: float) -> np.ndarray:
-        """Of (log E, ν and, of three, the growth): the sensor's noise, and displacements that mesh and law have wrong
-        by that share."""
+        """Covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets wrong."""
         normal = self._normal()[0]
         normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
         inverse = np.linalg.inv(normal)
         # Beyond so many points sums over pairs gain nothing: errors are correlated among neighbours.
         count = len(self.sinks)
         some = np.unique(np.linspace(0, count - 1, min(count, 800)).astype(int))
-        own = inverse[: self.count, np.stack([_unknowns(which, self.count) for which in self.which[some]])]
+        own = inverse[:2, np.stack([_unknowns(which) for which in self.which[some]])]
         gain = np.einsum("isu,su->is", own, self.jacobian[some]) * self.precision[some]
         reach = float(np.ptp(self.bench.skin.vertices, axis=0).max()) / 4
         apart = np.square(self.places[some, None] - self.places[None, some]).sum(axis=2)
         correlation = np.exp(-apart / (2 * reach**2))
         lever = gain * self.sinks[some] * (count / len(some))
-        found = inverse[: self.count, : self.count] + model_error**2 * lever @ correlation @ lever.T
-        # A law that is not the body's errs in its own way under each force, which looks like stiffening.
-        apart = correlation * (self.which[some, None] == self.which[None, some])
-        found[2:, 2:] += model_error**2 * lever[2:] @ apart @ lever[2:].T
-        sign = np.diag([-1.0, 1.0, 1.0][: self.count])  # log E falls as the compliance grows
+        found = inverse[:2, :2] + model_error**2 * lever @ correlation @ lever.T
+        sign = np.diag([-1.0, 1.0])  # log E falls as the compliance grows
         return sign @ found @ sign
 
 
-Fit = tuple[float, np.ndarray, list[Equilibrium], System]
-"""E, ν with the growth as simulated last, the bodies, and what was solved from there."""
+Fit = tuple[float, float, list[Equilibrium], System]
+"""E and ν as simulated last, the bodies, and what was solved from there."""
 
 
-def ends(at: np.ndarray) -> np.ndarray:
-    """How far ν and, of two, the growth may change between two simulations, shape [2, K - 1]."""
-    low, high = np.array([POISSON, (0.0, 2 * GROWTH)][: len(at)]).T
-    widest = np.array([WIDEST, 1.0][: len(at)])
-    return np.stack([np.maximum(low - at, -widest), np.minimum(high - at, widest)])
+def ends(poisson: float) -> tuple[float, float]:
+    """How far ν may change between two simulations."""
+    return max(POISSON[0] - poisson, -WIDEST), min(POISSON[1] - poisson, WIDEST)
 
 
 def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
@@ -243,8 +218,8 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
 
     Args:
         bench: the body.
-        begun: E [Pa], (ν, growth) or (ν,), and what is known so far, its steps not made yet; without bodies, by the
-            linear law, to which there is no way back.
+        begun: E [Pa], ν, and what is known so far, its steps not made yet; without bodies, by the linear law, to which
+            there is no way back.
         report: as of `fit_material`.
 
     Raises:
@@ -253,12 +228,12 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
     young, at, rests, system = begun
     found, steps, trust, stiffer = system.solved(), 0, 1.0, 1.0
     while True:
-        aim = stiffer * young / (1 + trust * found.change[0]), at + trust * found.change[1:]
+        aim = stiffer * young / (1 + trust * found.change[0]), at + trust * float(found.change[1])
         starts: list[np.ndarray | None] = [None] * len(bench.palpations)
         if rests:
             starts = [state.predicted(trust * found.change) for state in found.states]
         try:
-            tried = bench.rest(aim[0], *aim[1], starts=starts)
+            tried = bench.rest(*aim, starts=starts)
         except NoEquilibrium:
             if rests:
                 trust /= 3
@@ -268,7 +243,7 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
                 raise
             continue
         states = states_of(bench, tried, 1.0)
-        following = System(bench, states, np.zeros(found.count), found.poses, ends(aim[1]))
+        following = System(bench, states, np.zeros(2), found.poses, ends(aim[1]))
         if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
@@ -278,7 +253,6 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
-        more = f", b {bench.stiffening * at[1]:.3g}" if len(at) > 1 else ""
-        report(f"step {steps}: E {young:.4g} Pa, ν {at[0]:.3f}{more}, {1000 * found.noise:.3g} mm left")
+        report(f"step {steps}: E {young:.4g} Pa, ν {at:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             return young, at, rests, found

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.palpation.bench import Bench, Palpation
 from palpate.estimators.palpation.gauss_newton import POISSON, State, System, ends, iterated, states_of
 from palpate.estimators.palpation.skin import Skin
-from palpate.estimators.palpation.stiffening_check import STIFFENS, check_stiffening
 from palpate.physics.fem import Equilibrium
 from palpate.physics.identifiability import LIMIT
 
@@ -72,12 +70,6 @@ class MaterialFit:
     """Root mean square distance that is left [m]."""
     solves: int
     """Equilibria that were computed."""
-    stiffens: str
-    """STIFFENS, STRAIGHT (odds are as much against it), or UNKNOWN."""
-    stiffening: np.ndarray
-    """b of the law (`physics.fem.laws.respond`) with its 90 % interval, shape [3]; 0 but where it stiffens."""
-    skin: Skin
-    """The surface on the mesh of `rests`, which is finer where stiffening was asked for."""
 
     @property
     def young_sd(self) -> float:
@@ -122,19 +114,12 @@ def fit_material(
     rests = bench.linear(settings.young, poisson)
     require_along(bench, settings.young, rests)
     scale = _scale(bench, rests)
-    young, at = settings.young / scale, np.array([poisson])
-    begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(at))
-    fit = iterated(bench, (young, at, [], begun), report)
-    verdict, (young, at, rests, found) = check_stiffening(bench, fit, settings.model_error, report)
-    interval = np.zeros(3)
-    covariance = found.covariance(settings.model_error)
+    begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(poisson))
+    young, poisson, rests, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
     # By the derivatives, from what was simulated last.
-    young, at = float(young / (1 + found.change[0])), at[: found.count - 1] + found.change[1:]
-    if verdict == STIFFENS:
-        half = NINETY * float(np.sqrt(covariance[2, 2]))
-        interval = bench.stiffening * np.maximum(at[1] + half * np.array([0.0, -1.0, 1.0]), 0)
-    told = (young, float(at[0]), covariance[:2, :2], found.poses, rests, found.noise, bench.solves)
-    return MaterialFit(*told, verdict, interval, found.skin)
+    young, poisson = float(young / (1 + found.change[0])), float(poisson + found.change[1])
+    covariance = found.covariance(settings.model_error)
+    return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
 
 
 def require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
@@ -178,7 +163,7 @@ def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
         moved = scale * (bench.skin.shares @ rest.displacement)
         slopes = np.stack([moved, still], axis=-1)
         states.append(State(still, slopes, np.zeros(0), np.zeros(0)))
-    system = System(bench, states, np.zeros(2), bench.poses, np.zeros((2, 1)))
+    system = System(bench, states, np.zeros(2), bench.poses, (0.0, 0.0))
     against = np.zeros(len(rests), bool)
     for which, each in enumerate(bench.palpations):
         own = system.which == which

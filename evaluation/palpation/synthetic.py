@@ -62,7 +62,7 @@ class Body:
             nodes, tetrahedra = box((self.size, self.size, self.height), (cells, cells, high))
             nodes = nodes - [self.size / 2, self.size / 2, 0]
             if longest is not None:
-                nodes, tetrahedra, _ = refine(nodes, tetrahedra, longest)
+                nodes, tetrahedra = refine(nodes, tetrahedra, longest)
         body = make_solid(nodes, tetrahedra, order=2)
         floor = float(body.rest[:, 2].min())
         if self.shape == "ball":
@@ -109,7 +109,6 @@ def press(
     law: str = "neo_hookean",
     spacing: float | None = None,
     edge: float | None = None,
-    stiffening: float = 0.0,
 ) -> tuple[Skin, Equilibrium, np.ndarray, np.ndarray]:
     """The truth: a body under a force along its normal; skin, rest, force [3] and contact [3].
 
@@ -122,14 +121,13 @@ def press(
         law: of `physics.fem.LAWS`.
         spacing: of the surface's vertices; None = a 26th of the body's size [m].
         edge: longest of an element where the tool presses; None = as the cells are [m].
-        stiffening: b of the law.
     """
     contact, normal = body.contact(*place)
     longest = None if edge is None else around(contact[None], TOOL, edge)
     skin, held = body.skin(cells, body.size / 26 if spacing is None else spacing, longest)
     vector = -force * normal
     forces = skin.pressed(contact, TOOL, vector)
-    rest = find_equilibrium(skin.body, Material(law, young, poisson, stiffening), held, forces=forces)
+    rest = find_equilibrium(skin.body, Material(law, young, poisson), held, forces=forces)
     return skin, rest, vector, contact
 
 

@@ -53,7 +53,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     # Of what lies so many rows and columns away, as far as the sequence shows that.
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
     recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
-    problem = SequenceProblem.of_press(recentred, MECHANICS, within, kind=_kind(motion))
+    problem = SequenceProblem(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _of_tissue(problem, logs, motion)
 

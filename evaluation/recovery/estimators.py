@@ -1,7 +1,6 @@
 """What the benchmark compares: the estimators that users run, and a constant that ignores its input."""
 
 import functools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from palpate.data.synthetic.scene import SceneError
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import Estimator
 from palpate.estimators.estimate import Estimate
-from palpate.estimators.open import FEM, OF_THETA, EstimatorOptions, open_estimator
+from palpate.estimators.open import OF_THETA, EstimatorOptions, open_estimator
 from palpate.evaluation.recovery.suites import FITTED_ON, GRID_SIZE, SUITES, suite_clip_seed
 from palpate.models.onnx_session import ModelFileError, PosteriorModel
 from palpate.physics.mechanics import theta_of
@@ -52,12 +51,9 @@ def describe(options: EstimatorOptions) -> dict[str, Any]:
     Raises:
         ModelFileError: its network can't be used.
     """
-    # A slab is given the tissue's thickness of every clip, so no estimator can be opened for all.
-    solid = options.name == "direct" and options.model == Path(FEM)
-    model = None if solid else getattr(opened(options), "model", None)
+    model = getattr(opened(options), "model", None)
     posterior = model if isinstance(model, PosteriorModel) else None
-    fitted = {"fits": FEM} if solid else {}
-    return fitted | {
+    return {
         "model_sha256": "" if model is None else model.sha256,
         "weights_sha256": "" if posterior is None else posterior.metadata.get("training", {}).get("weights_sha256", ""),
         "calibrated": None if posterior is None else posterior.calibrated,

@@ -1,4 +1,4 @@
-"""Estimates of a grip or a pull compared with the truth; `trial` explains the rows' names."""
+"""Estimates of a grip compared with the truth; `trial` explains the rows' names."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
-from palpate.data.synthetic.slab import GrippedSlab
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.evaluation.harness import Row
@@ -47,16 +46,6 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     tip = place + motion.course * scene.settings.cell
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
     return np.append(False, steps > STIRRED)
-
-
-def pulled(scene: Scene, motion: GrippedSlab, answer: list) -> Row:
-    """Compare a pull on a slab with the truth."""
-    said = _grip_of(answer)
-    if isinstance(said, dict):
-        return said
-    run, grip = said
-    found: Row = {"verdict": run.verdict, "warned": not grip.explained}
-    return found | {"curve": force_curve(run.onset, grip, motion.reaction, scene.settings.fps)}
 
 
 def force_curve(onset: int, grip: GripEstimate, reaction: np.ndarray, fps: float) -> np.ndarray:

@@ -33,7 +33,7 @@ class Suite:
     """One way to observe, or to spoil, the clips of a split; suites.yaml says what its fields mean."""
 
     of: str
-    """What moves the tissue: `press` and `grip` on a sheet, or `slab`, some of either on finite elements."""
+    """What moves the tissue: `press` or `grip`, on a sheet."""
     name: str
     reason: str
     errors: Mapping[str, Any]

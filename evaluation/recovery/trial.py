@@ -4,7 +4,7 @@ A trial is one clip in all wanted suites, because the true motion costs most and
 is a row a suite and estimator; what doesn't exist is left out. θ = [k_s, k_d, F], lengths in scene units:
 
 suite, index, estimator, seed   the clip, and who was asked
-action, regime                  `press` or `grip`; of a press on a sheet, how it is damped
+action, regime                  `press` or `grip`; of a press, how it is damped
 status, reason                  `ok`, or why there is no estimate: its draw failed (`no scene`), no run of contact was
                                 found (`no contact`), one was found but in another frame (`other onset`), the estimator
                                 declined (`no estimate`), or something broke (`error`)
@@ -12,7 +12,7 @@ seconds                         time that the estimate took
 verdict, warned                 as estimated; whether the estimate says that its model doesn't explain the motion, or
                                 that a dent may hide its bottom
 
-of a press on a sheet, and without the truth's on a slab:
+of a press:
 
 theta, estimate, covariance     true and estimated θ, shape [3], and the estimated covariance of log θ, shape [3, 3]
 information                     Fisher information of log θ and both delays from the contact's motion for σ = 1
@@ -23,26 +23,18 @@ onset_off, release_off          frames from the true onset, or release, to the o
 place_off                       how far the contact was found from the true one [grid px]
 noise, misfit, at_bound         σ that the estimator believed in; its misfit; whether θ lies at its range's end, [3]
 
-of a grip on a sheet:
+of a grip:
 
 contact_right                   share of the frames in which something moves whose contact is the true one
 skill                           as estimated
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
-
-of a slab of finite elements:
-
-tissue                          true numbers in the order of `data.synthetic.slab.SlabTissue`, shape [9]
-true_force                      size of the true force of a press
-fitted                          what was fitted, one of `estimators.open.MODELS`; of finite elements θ = [E, αρ, F]
-curve                           as of a grip
 """
 
 import functools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -54,20 +46,18 @@ from palpate.data.synthetic.clip import Truth, draw_truth, synthetic_clip
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene, SceneError
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.slab import GrippedSlab, SlabMotion
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
-from palpate.estimators.open import FEM, EstimatorOptions
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 from palpate.evaluation.harness import OK, Row, attempted
 from palpate.evaluation.recovery.bounds import MECHANICS, contact_information, field_information
 from palpate.evaluation.recovery.estimators import Candidate, opened
-from palpate.evaluation.recovery.grip_truth import gripped, pulled
+from palpate.evaluation.recovery.grip_truth import gripped
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE
 
 MOTION = "motion"
@@ -88,7 +78,7 @@ class Trial:
     horizon: Horizon = None
     """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
-    """Width and height of pictures of presses on a sheet [px]."""
+    """Width and height of pictures of presses [px]."""
     contact: Literal["touching", "motion"] = "touching"
     """How contacts are found; with motion clips are drawn without the tool, and an onset one frame off counts."""
 
@@ -144,11 +134,7 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -
         return failed(known["status"], known["reason"])
     rows = []
     for name, candidate in candidates.items():
-        named = known | {"estimator": name}
-        if isinstance(motion, SlabMotion) and isinstance(candidate, EstimatorOptions) and candidate.model == Path(FEM):
-            candidate = replace(candidate, thickness=motion.tissue.thickness)
-            named["fitted"] = FEM
-        rows.append(named | estimated(candidate, clip, compare))
+        rows.append(known | {"estimator": name} | estimated(candidate, clip, compare))
     return rows
 
 
@@ -157,12 +143,6 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(gripped, clip.scene, motion)
-    if not isinstance(motion, PressedMotion):
-        known: Row = {"tissue": np.array(astuple(motion.tissue))}
-        if isinstance(motion, GrippedSlab):
-            return known, functools.partial(pulled, clip.scene, motion)
-        force = float(np.abs(motion.force).max())
-        return known | {"true_force": force}, functools.partial(_pressed, motion.onset_frame)
     contacts = observed_contacts(clip.frames, clip.info, trial.horizon)
     if not contacts:
         return {"status": "no contact", "reason": "no onset of contact was found."}, None

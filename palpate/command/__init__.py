@@ -1,4 +1,4 @@
-"""What a user types: `palpate infer`, `live`, `train`, `calibrate`, `plan`, `page`, `view`; in a checkout `infer.py` …
+"""What a user types: `palpate infer`, `live`, `train`, `calibrate`, `plan`, `page`; in a checkout `infer.py` …
 
 infer      video → estimates
 live       camera, stream or pipe → a line of JSON a frame
@@ -6,6 +6,5 @@ train      fit, validate, test or export the parameter network, from one configu
 tracking   the MLflow run of a training
 calibrate  measured forces → material constants
 page       results → pages for a browser
-view       results → a look in three dimensions
 plan       an instrument's path past tissue that gives way
 """

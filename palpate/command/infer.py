@@ -7,6 +7,7 @@ clips stay, and the same command continues).
 """
 
 import argparse
+from typing import Any
 
 from palpate.common.command_line import add_listed, path_option, real_number, whole_number
 from palpate.common.files import read_beside
@@ -21,7 +22,6 @@ from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
 from palpate.results.record import program_version
 from palpate.results.run import run
-from palpate.results.scene.scene import FORMATS
 from palpate.results.store import BAGS
 
 
@@ -42,7 +42,6 @@ TYPES = {
     "jobs": whole_number(1, MOST_THREADS),
     "path": path_option,
     "threads": whole_number(0, MOST_THREADS),
-    "thickness": real_number("a thickness; give a positive length", 1e-6),
     "diameter": real_number("a shaft's diameter; give 1 to 30 mm, such as 5 or 8", 1.0, 30.0),
     "limit": real_number("a limit of force; give a positive number", 1e-9),
     "pixels": real_number("a width in pixels; give 0 or more", 0.0),
@@ -55,10 +54,18 @@ CHOICES = {
     "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
-    "scenes": tuple(FORMATS),
     "bags": tuple(BAGS),
 }
 """What infer.yaml calls types and choices."""
+
+
+WORDS = {"presets": ", ".join(preset_names()), "smoothing": SMOOTHING}
+"""Words that stand for their braces in infer.yaml."""
+
+
+def declared() -> dict[str, dict[str, Any]]:
+    """Return the options of infer.yaml by name."""
+    return read_beside(__file__)["options"]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -69,6 +76,6 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     texts = read_beside(__file__)
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
-    add_listed(parser, texts["options"], TYPES, CHOICES, presets=", ".join(preset_names()), smoothing=SMOOTHING)
+    add_listed(parser, declared(), TYPES, CHOICES, **WORDS)
     parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
     return parser

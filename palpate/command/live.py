@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.common.command_line import add_listed, path_option, real_number, size_of, whole_number
+from palpate.command import infer
+from palpate.common.command_line import add_listed, real_number, size_of, whole_number
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json, read_beside
 from palpate.data.clip import ClipStream
@@ -38,8 +39,8 @@ from palpate.estimators.network.estimator import FAST, NetworkEstimator
 from palpate.estimators.open import EstimatorOptions, open_estimator, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
-from palpate.results.alarm import ForceAlarm, known_seconds, upper_force
-from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values
+from palpate.results.alarm import ForceAlarm, known_seconds
+from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values, known
 
 SCALED_IN = 0.5
 """The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
@@ -48,7 +49,7 @@ WAITING, UNDECIDED = 1, 16
 LOOPBACK = "127.0.0.1"
 REMEMBERED = 1 << 16
 """So many frames' lateness counts."""
-NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask")
+NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated")
 """Statuses that later frames don't change."""
 MOST_UNSENT = 100
 """Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""
@@ -148,14 +149,13 @@ class JsonLines:
         """Print an estimate of a frame or of a run of contact."""
         if isinstance(output, FrameEstimate):
             self._frames += 1
-            found = _known(output.values, FRAMES) | {"decided": True} | self._lateness(output.frame, decided=True)
-            if self.alarm is not None:
-                upper = None if output.estimate is None else upper_force(output.estimate)
-                found["alarm"] = self.alarm.push(output.time_s, output.contact, upper)
+            output = output if self.alarm is None else self.alarm.watch(output)
+            found = known(FRAMES, output.values) | {"decided": True} | self._lateness(output.frame, decided=True)
+            found |= {} if self.alarm is None else {"alarm": output.alarm}
         else:
             if self.alarm is not None:
                 self.alarm.end_run()
-            found = {"interaction": _known(interaction_values(output), INTERACTIONS)}
+            found = {"interaction": known(INTERACTIONS, interaction_values(output))}
         self._send(found)
 
     def _lateness(self, number: int, *, decided: bool) -> dict[str, Any]:
@@ -187,12 +187,6 @@ class JsonLines:
         )
 
 
-def _known(values: dict[str, Any], columns: dict[str, str]) -> dict[str, Any]:
-    """What is known, by column; numbers that are none are left out."""
-    found = {name: values.get(name) for name in columns}
-    return {name: value for name, value in found.items() if value is not None and value == value and value != ""}
-
-
 def _size(text: str) -> tuple[int, int]:
     """Width and height [px]."""
     found = size_of(text)
@@ -201,19 +195,20 @@ def _size(text: str) -> tuple[int, int]:
     return found
 
 
-TYPES = {
-    "path": path_option,
+SHARED = ("--force-limit", "--model", "--masks", "--depth", "--camera")
+"""Options of `palpate infer` that are this command's, too."""
+TYPES = infer.TYPES | {
     "seconds": real_number("a time in seconds; give a positive one", 1e-3),
     "size": _size,
     "rate": real_number("a rate; give 1 frame a second or more", 1.0),
     "every": whole_number(1, 100),
     "port": whole_number(1, 65535),
-    "limit": real_number("a limit of force; give a positive number", 1e-9),
 }
 """What live.yaml calls types."""
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_listed(parser, read_beside(__file__), TYPES, {"halves": HALVES}, loopback=LOOPBACK)
+    options = read_beside(__file__) | {name: infer.declared()[name] for name in SHARED}
+    add_listed(parser, options, TYPES, {"halves": HALVES}, loopback=LOOPBACK, **infer.WORDS)
     return parser

@@ -1,6 +1,6 @@
 """The cheapest way of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
-    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR] [--planner roadmap|ompl]
+    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR]
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
@@ -29,7 +29,6 @@ from palpate.planning.cost_table import open_tables
 from palpate.planning.pictures import Pressed, draw_in_space, draw_plan, force_along
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
-from palpate.planning.sampled import plan_by_ompl
 from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, as_path, waypoints
@@ -38,7 +37,7 @@ from palpate.results.store import OutputError, make_output, writing
 SOFTEST = 50.0
 """Tissue is stiffer [Pa]."""
 NAMES = ("plan.json", "plan.png")
-PLANNERS, SHARE = ("roadmap", "ompl"), real_number("a number from 0 on", 0.0)
+SHARE = real_number("a number from 0 on", 0.0)
 SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
 
 
@@ -46,7 +45,7 @@ def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 a way was found; 1 there is none, or something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate plan", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), {"path": path_option, "share": SHARE}, {"planners": PLANNERS})
+    add_listed(parser, read_beside(__file__), {"path": path_option, "share": SHARE})
     return parser
 
 
@@ -66,8 +65,6 @@ def main(arguments: list[str] | None = None) -> int:
             require_own(*(options.output / name for name in (SPACE_NAMES if isinstance(scene, SpaceScene) else NAMES)))
         if isinstance(scene, SpaceScene):
             return _plan_in_space(scene, options, cache, console)
-        if options.planner != "roadmap":
-            raise InputError(f"{options.scene} has no mesh, which --planner is for; leave the option out.")
         return _plan(scene, options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -114,19 +111,19 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
 
 
 def _plan_in_space(scene: SpaceScene, options: Any, cache: Path, console: Console) -> int:
-    output, planner, names = options.output, options.planner, SPACE_NAMES[: 4 if options.picture else 3]
+    output, names = options.output, SPACE_NAMES[: 4 if options.picture else 3]
     make_output(output)
     with writing(cache):
         costs, found = open_costs(scene, cache)
     say(console, "road map found in the cache" if found else "road map made")
     begun = time.perf_counter()
-    plan = plan_by_ompl(costs) if planner == "ompl" else plan_in_space(costs)
+    plan = plan_in_space(costs)
     seconds = time.perf_counter() - begun
     rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
     record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
     straight = costs.plan(np.stack([costs.start, costs.goal]))
     record["straight_cost"] = straight.cost if np.isfinite(straight.cost) else None  # over the limit
-    record |= {"planner": planner, "alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
+    record |= {"alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
     texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"

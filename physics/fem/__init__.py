@@ -4,11 +4,8 @@ laws           energy, stress and tangent of the materials; polar: rotations of 
 solid          nodes and elements, linear or quadratic, and the sums over them
 meshing        tetrahedra of a grid's cells, of what an incomplete surface encloses, divided where an instrument presses
 curved         quadratic elements whose outer faces follow a surface
-slab           beneath an open surface that one camera sees, elements crowding where an instrument presses
 surface        places on triangles that are closest to points
 equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces
-dynamics       implicit time steps: mass-proportional damping, standard linear solid; derivatives by all of it
-modes          small motions by eigenmodes, for many E and dampings of one body
 linear_system  symmetric sparse systems, factorised or iterated
 """
 
@@ -20,6 +17,5 @@ __getattr__ = exported(
         "palpate.physics.fem.solid": ("Solid", "make_solid"),
         "palpate.physics.fem.meshing": ("Meshed", "NoBody", "box", "mesh_surface"),
         "palpate.physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
-        "palpate.physics.fem.dynamics": ("Inertia", "Motion", "Relaxation", "simulate"),
     },
 )

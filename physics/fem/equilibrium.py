@@ -11,10 +11,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, diags_array
 
-from palpate.physics.fem.laws import Material, Response, respond, stress_by_stiffening
+from palpate.physics.fem.laws import Material, Response, respond
 from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.solid import Solid
-from palpate.physics.load import Grip, Load
 
 TOLERANCE = 1e-10
 """Largest force out of balance, over the largest sum of the elements' forces at a node."""
@@ -32,40 +31,20 @@ class NoEquilibrium(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Potential energy of a body whose displacement is u: elastic, and what time stepping adds to it.
-
-    scale·elastic(u) + ½ F·H·F + ½ u·A·u - f·u
-    """
+    """Potential energy of a body whose displacement is u: elastic(u) + ½ u·A·u - f·u."""
 
     solid: Solid
     material: Material
     forces: np.ndarray
     """f, shape [N, 3] [N]."""
     quadratic: csr_array | None = None
-    """A, shape [3N, 3N] [N/m]: inertia and damping within a time step."""
-    scale: float = 1.0
-    """Of the elastic stress: 1 + what a relaxing branch adds to it."""
-    history: np.ndarray | None = None
-    """H, second Piola–Kirchhoff stress left from before, shape [E, Q, 3, 3] [Pa]; of law `linear` the stress itself."""
+    """A, shape [3N, 3N] [N/m]: drag within a time step; None = none."""
 
     def response(self, displacement: np.ndarray, tangent: bool = False) -> Response:
         """Energy [J], stress and tangent of the material at every quadrature point."""
         gradient = self.solid.deformation(displacement)
-        law = self.material.law
         mu, lam = (np.broadcast_to(value, len(self.solid.elements))[:, None] for value in self.material.lame)
-        energy, stress, slope = respond(law, gradient, mu, lam, stiffening=self.material.stiffening, tangent=tangent)
-        energy, stress = self.scale * energy, self.scale * stress
-        if slope is not None:
-            slope = self.scale * slope
-        if self.history is not None:
-            added = self.history if law == "linear" else np.matmul(gradient, self.history)
-            stress = stress + added
-            strain = gradient - np.eye(3) if law == "linear" else gradient / 2
-            energy = energy + (added * strain).sum((-2, -1))
-            if slope is not None and law != "linear":
-                stretched = np.einsum("ik,eqlj->eqijkl", np.eye(3), self.history)
-                slope = slope + stretched.reshape(slope.shape)
-        return Response(energy, stress, slope)
+        return respond(self.material.law, gradient, mu, lam, tangent=tangent)
 
     def value(self, response: Response, displacement: np.ndarray) -> tuple[float, float]:
         """The energy, infinite where the law isn't defined, and what rounding may make of it [J]."""
@@ -143,16 +122,13 @@ class Equilibrium:
         return found.reshape(*self.displacement.shape, -1)
 
     def tangents(self) -> np.ndarray:
-        """Derivatives of the displacement by E (of a body with one), ν and the law's stiffening b, [N, 3, 3]."""
+        """Derivatives of the displacement by E (of a body with one) and ν, [N, 3, 2]."""
         material, solid = self.material, self.energy.solid
-        constants = material.lame[0], *material.lame_by_poisson
-        mu, *slopes = (np.broadcast_to(value, len(solid.elements))[:, None] for value in constants)
-        gradient, law, stiffening = solid.deformation(self.displacement), material.law, material.stiffening
+        slopes = (np.broadcast_to(value, len(solid.elements))[:, None] for value in material.lame_by_poisson)
         # The stress is linear in the Lamé constants, and these in E.
         by_young = solid.forces(self.response.stress) / np.mean(material.young)
-        by_poisson = solid.forces(respond(law, gradient, *slopes, stiffening=stiffening).stress)
-        by_stiffening = solid.forces(stress_by_stiffening(law, gradient, mu, stiffening))
-        return self.moved_by(-np.stack([by_young, by_poisson, by_stiffening], axis=-1))
+        by_poisson = solid.forces(respond(material.law, solid.deformation(self.displacement), *slopes).stress)
+        return self.moved_by(-np.stack([by_young, by_poisson], axis=-1))
 
 
 def find_equilibrium(
@@ -163,7 +139,6 @@ def find_equilibrium(
     motion: np.ndarray | None = None,
     forces: np.ndarray | None = None,
     start: np.ndarray | None = None,
-    steps: int = 1,
     near: LinearSystem | None = None,
 ) -> Equilibrium:
     """Where a body comes to rest.
@@ -175,8 +150,6 @@ def find_equilibrium(
         motion: where those are, from rest, shape [N, 3] [m]; the others' entries don't count; None = at rest.
         forces: on the nodes, shape [N, 3] [N]; None = none.
         start: displacement to begin at, shape [N, 3] [m]; None = rest.
-        steps: load steps, in which the motion goes from that at `start`, and the forces from those that hold the body
-            there, to what is given.
         near: `Equilibrium.solver` of a state close by with the same components held, which saves time and changes
             nothing else.
 
@@ -200,7 +173,7 @@ def find_equilibrium(
     none = Energy(solid, material, np.zeros(shape))
     resting = -none.out_of_balance(none.response(begun), begun)[0]
     displacement, iterations = begun, 0
-    done, step, halvings = 0.0, 1.0 / steps, 0
+    done, step, halvings = 0.0, 1.0, 0
     while done < 1:
         aim = 1.0 if done + step > 1 - 1e-9 else done + step
         energy = Energy(solid, material, resting + aim * (forces - resting))
@@ -221,7 +194,6 @@ def settle(
     displacement: np.ndarray,
     goal: np.ndarray,
     held: np.ndarray,
-    system: LinearSystem | None = None,
     near: LinearSystem | None = None,
     tolerance: float = TOLERANCE,
 ) -> tuple[np.ndarray, int, LinearSystem | None]:
@@ -232,7 +204,6 @@ def settle(
         displacement: to begin at, shape [N, 3].
         goal: where the prescribed components go, shape [N, 3].
         held: which are prescribed, shape [N, 3], bool.
-        system: the matrix of the free components where it is known not to change (law `linear`); None = assembled anew.
         near: that of a state close by, whose factors help.
         tolerance: as TOLERANCE.
 
@@ -246,7 +217,7 @@ def settle(
     jump = np.where(held, goal - displacement, 0.0)
     moving = bool(jump.any())
     balanced = np.inf
-    response = energy.response(displacement, tangent=system is None or moving)
+    response = energy.response(displacement, tangent=True)
     for iteration in range(_ITERATIONS):
         force, size = energy.out_of_balance(response, displacement)
         if not np.isfinite(size):
@@ -257,26 +228,23 @@ def settle(
         relative = left / size if size > 0 else 0.0
         if not moving and relative <= tolerance:
             return displacement, iteration, near
-        right, solver = force.ravel(), system
-        if response.tangent is not None:
-            matrix = energy.matrix(response)
-            right = right - matrix @ jump.ravel() if moving else right
-            solver = system or LinearSystem(matrix[free][:, free].tocsr(), near)
-        assert solver is not None
+        right, matrix = force.ravel(), energy.matrix(response)
+        right = right - matrix @ jump.ravel() if moving else right
+        solver = LinearSystem(matrix[free][:, free].tocsr(), near)
         value, rounding = energy.value(response, displacement)
         path, accuracy = np.zeros(displacement.size), max(_FORCING * min(1.0, relative), 1e-13)
-        path[free], slope, near = _downhill(right[free], solver, system is not None, accuracy)
+        path[free], slope, near = _downhill(right[free], solver, accuracy)
         whole = path.reshape(-1, 3) + (jump if moving else 0.0)
         if moving:  # the potential of another boundary can't be compared
             displacement, moving = displacement + whole, False
-            response = energy.response(displacement, tangent=system is None)
+            response = energy.response(displacement, tangent=True)
             if not np.isfinite(energy.value(response, displacement)[0]):
                 raise NoEquilibrium("the load step turns an element inside out; give smaller ones.")
             continue
         length = 1.0
         while True:
             trial = displacement + length * whole
-            response = energy.response(trial, tangent=system is None)
+            response = energy.response(trial, tangent=True)
             if energy.value(response, trial)[0] <= value + _ARMIJO * length * slope + rounding:
                 break
             length /= 2
@@ -291,9 +259,7 @@ def settle(
     raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")
 
 
-def _downhill(
-    right: np.ndarray, solver: LinearSystem, fixed: bool, accuracy: float
-) -> tuple[np.ndarray, float, LinearSystem]:
+def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple[np.ndarray, float, LinearSystem]:
     """A step of the free components along which the energy falls, its slope along that, and the system that gave it.
 
     Where Newton's own goes up, the matrix's diagonal is raised.
@@ -301,7 +267,6 @@ def _downhill(
     Args:
         right: forces out of balance, shape [U].
         solver: of the matrix of the free components.
-        fixed: whether that stays as it is.
         accuracy: as of `LinearSystem.solve`.
 
     Raises:
@@ -309,7 +274,7 @@ def _downhill(
     """
     matrix = solver.matrix
     for shift in (0.0, 1e-4, 1e-2, 1.0):
-        if shift > 0 and not fixed:
+        if shift > 0:
             solver = LinearSystem((matrix + diags_array(shift * np.abs(matrix.diagonal()))).tocsr())
         try:
             path = solver.solve(right, accuracy)
@@ -318,23 +283,6 @@ def _downhill(
                 continue
             raise NoEquilibrium("the matrix is singular: too little of the body is held.") from error
         slope = -float(right @ path)
-        if slope < 0 or fixed:
+        if slope < 0:
             break
     return path, slope, solver
-
-
-def applied(load: Load, nodes: int, step: int, force: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a load does in one of its steps: held components [nodes, 3], their motion and the nodal forces, likewise.
-
-    Args:
-        load: a press or a grip.
-        nodes: N of the body.
-        step: which of the load's steps.
-        force: F of a press [N]; a grip takes none.
-    """
-    held, motion, forces = np.zeros((nodes, 3), bool), np.zeros((nodes, 3)), np.zeros((nodes, 3))
-    if isinstance(load, Grip):
-        held[load.vertices], motion[load.vertices] = True, load.displacement[step]
-    else:
-        np.add.at(forces, load.vertices, force * load.factor[step] * load.weights[:, None] * load.direction)
-    return held, motion, forces

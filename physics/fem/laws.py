@@ -10,8 +10,6 @@ neo_hookean         μ/2 (tr FᵀF - 3) - μ log J + λ/2 log² J (Bonet & Wood 
 stable_neo_hookean  Smith, de Goes & Kim 2018, equation 14, reparametrised as there (section 3.4) so that (μ, λ) are
                     Lamé's; also defined where an element is turned inside out
 
-Each may stiffen as tissue does, by one number more (`respond`).
-
 F is of shape [..., 3, 3], F_ij = ∂x_i/∂X_j; nine-vectors are row by row.
 """
 
@@ -107,13 +105,9 @@ _LAWS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, bool], Response]]
 }
 LAWS = tuple(_LAWS)
 """Names of the laws."""
-_STEEPEST = 100.0
-"""Of b·w, from where on the energy counts as infinite."""
 
 
-def respond(
-    law: str, gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, *, stiffening: float = 0.0, tangent: bool = False
-) -> Response:
+def respond(law: str, gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, *, tangent: bool = False) -> Response:
     """Energy, stress and, where asked for, tangent of a law.
 
     Args:
@@ -121,29 +115,10 @@ def respond(
         gradient: F, shape [..., 3, 3].
         mu: shear modulus, of a shape that broadcasts to [...] [unit of stress].
         lam: Lamé's first constant, likewise.
-        stiffening: b, with which the law's energy μ·w + λ·v becomes μ·(exp(b·w) - 1)/b + λ·v, as isotropic tissue
-            stiffens (Demiray 1972, where w is the neo-Hookean (tr FᵀF - 3)/2); at rest nothing changes.
         tangent: whether it is wanted.
     """
-    one, none = np.ones(gradient.shape[:-2]), np.zeros(gradient.shape[:-2])
-    if not stiffening:
-        return _LAWS[law](gradient, mu * one, lam * one, tangent)
-    shape, volume = (_LAWS[law](gradient, *constants, tangent) for constants in ((one, none), (none, one)))
-    steep = stiffening * shape.energy
-    rise = mu * np.exp(np.minimum(steep, _STEEPEST))
-    energy = np.where(steep < _STEEPEST, (rise - mu) / stiffening + lam * volume.energy, np.inf)
-    stress = _of(rise) * shape.stress + _of(lam * one) * volume.stress
-    if shape.tangent is None or volume.tangent is None:
-        return Response(energy, stress, None)
-    flat = shape.stress.reshape(*shape.stress.shape[:-2], 9)
-    slope = _of(rise) * (shape.tangent + stiffening * _outer(flat, flat)) + _of(lam * one) * volume.tangent
-    return Response(energy, stress, slope)
-
-
-def stress_by_stiffening(law: str, gradient: np.ndarray, mu: np.ndarray, stiffening: float) -> np.ndarray:
-    """Derivative of the stress by b, shape [..., 3, 3]; arguments as of `respond`."""
-    shape = respond(law, gradient, np.ones(()), np.zeros(()))
-    return _of(mu * shape.energy * np.exp(np.minimum(stiffening * shape.energy, _STEEPEST))) * shape.stress
+    one = np.ones(gradient.shape[:-2])
+    return _LAWS[law](gradient, mu * one, lam * one, tangent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +126,7 @@ class Material:
     """A law and its constants.
 
     Raises:
-        ValueError: an unknown law; E that is not positive; ν outside (-1, 0.5); b below 0.
+        ValueError: an unknown law; E that is not positive; ν outside (-1, 0.5).
     """
 
     law: str
@@ -160,8 +135,6 @@ class Material:
     """Young's modulus E, one number or one an element, shape [E] [Pa]."""
     poisson: float
     """Poisson's ratio ν."""
-    stiffening: float = 0.0
-    """b, as `respond` has it."""
 
     def __post_init__(self) -> None:
         if self.law not in LAWS:
@@ -170,8 +143,6 @@ class Material:
             raise ValueError("Young's modulus is not a positive number everywhere; give one in pascals.")
         if not -1 < self.poisson < 0.5:
             raise ValueError(f"Poisson's ratio is {self.poisson:g}; give one above -1 and below 0.5.")
-        if not 0 <= self.stiffening < np.inf:
-            raise ValueError(f"stiffening is {self.stiffening:g}; give 0 or more.")
 
     @property
     def lame(self) -> tuple[np.ndarray, np.ndarray]:

@@ -44,21 +44,17 @@ def around(places: np.ndarray, radius: float, edge: float) -> Longest:
     return longest
 
 
-def refine(
-    nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest | np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple[np.ndarray, np.ndarray]:
     """Divide tetrahedra until their edges are short enough.
 
     Args:
         nodes: shape [N, 3] [m].
         tetrahedra: corners, shape [E, 4], of positive volume.
-        longest: how long edges may be, given at the elements' middle; or of each tetrahedron and all its parts, shape
-            [E] [m].
+        longest: how long edges may be, given at the elements' middle.
 
     Returns:
-        nodes, those given first; corners of the tetrahedra, of positive volume; which of those given each is part of.
+        nodes, those given first; corners of the tetrahedra, of positive volume.
     """
-    whole = np.arange(len(tetrahedra))
     while True:
         sides = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
         found, which = np.unique(sides, axis=0, return_inverse=True)
@@ -69,10 +65,9 @@ def refine(
         rank = np.empty(len(pairs), np.int64)
         rank[np.lexsort([np.arange(len(pairs)), np.round(length / length.max(), 9)])] = np.arange(len(pairs))
         own = which[np.arange(len(which)), rank[which].argmax(axis=1)]
-        limit = longest(nodes[tetrahedra].mean(axis=1)) if callable(longest) else longest[whole]
-        wanted = length[own] > limit
+        wanted = length[own] > longest(nodes[tetrahedra].mean(axis=1))
         if not wanted.any():
-            return nodes, tetrahedra, whole
+            return nodes, tetrahedra
         while True:  # whoever stands around an edge to be halved is halved before, if not by it
             halved = np.zeros(len(pairs), bool)
             halved[own[wanted]] = True
@@ -89,7 +84,6 @@ def refine(
         parts = [np.where(old == end[:, None], middle[own[some]][:, None], old) for end in ends.T]
         nodes = np.concatenate([nodes, nodes[pairs[halved]].mean(axis=1)])
         tetrahedra = np.concatenate([tetrahedra[~some], *parts])
-        whole = np.concatenate([whole[~some], whole[some], whole[some]])
 
 
 _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -223,7 +217,7 @@ def mesh_surface(
     drawn = functools.partial(_drawn, corners=corners, samples=samples, away=thick, floor=floor)
     nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
-        nodes, tetrahedra, _ = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
+        nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
         nodes = drawn(nodes, tetrahedra)
     return Meshed(nodes, tetrahedra, tuple(notes))
 

@@ -6,7 +6,6 @@ what nearly incompressible material and bending need: linear ones lock.
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import factorial
 
 import numpy as np
 from scipy.sparse import bsr_array, csr_array
@@ -80,14 +79,6 @@ class Solid:
         """
         stressed = np.matmul(self.weights[..., None, None] * tangent, self._strains)
         return self._assembled(np.matmul(self._strains.transpose(0, 1, 3, 2), stressed).sum(axis=1))
-
-    @cached_property
-    def mass(self) -> csr_array:
-        """Consistent mass matrix of density 1, shape [3N, 3N] [m³]."""
-        blocks = self.volumes[:, None, None] * _reference_mass(self.elements.shape[1])
-        nodes = self.elements.shape[1]
-        full = np.einsum("eab,ij->eaibj", blocks, np.eye(3)).reshape(len(blocks), 3 * nodes, 3 * nodes)
-        return self._assembled(full)
 
     @cached_property
     def _strains(self) -> np.ndarray:
@@ -177,19 +168,3 @@ def qualities(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     longest = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2).max(axis=1)
     volume = np.linalg.det(corners[:, 1:] - corners[:, :1])
     return np.divide(volume, longest**3, out=np.zeros_like(volume), where=longest > 0)
-
-
-def _reference_mass(nodes: int) -> np.ndarray:
-    """∫ N_a N_b over an element of volume 1, by ∫ ξ₀ⁱ ξ₁ʲ ξ₂ᵏ ξ₃ˡ = 6 i! j! k! l!/(i + j + k + l + 3)!."""
-    corners = np.eye(4, dtype=int)
-    shapes = [[(1.0, corner)] for corner in corners]
-    if nodes == 10:
-        shapes = [[(2.0, 2 * corner), (-1.0, corner)] for corner in corners]
-        shapes += [[(4.0, corners[a] + corners[b])] for a, b in EDGES]
-
-    def integral(powers: np.ndarray) -> float:
-        return 6 * float(np.prod([factorial(power) for power in powers])) / factorial(int(powers.sum()) + 3)
-
-    return np.array(
-        [[sum(p * q * integral(i + j) for p, i in one for q, j in two) for two in shapes] for one in shapes]
-    )

@@ -9,8 +9,6 @@ from typing import Any
 from palpate.common.files import read_beside
 from palpate.results import store
 from palpate.results.calibrated import NEWTONS
-from palpate.results.columns import INTERACTIONS
-from palpate.results.forces import DENT
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
@@ -61,7 +59,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
     """
     record = store.read_record(folder)
     template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
-    files = [name for name in store.own_files(folder) if (folder / name).is_file()]
+    # A series of .vtu files is listed by its index.
+    files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
     shown = summary_of(folder) | more(folder, record) | {"template": template}
     shown["files"] = [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files]
     return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
@@ -71,10 +70,7 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a video shows besides what all show."""
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    nothing, known = dict.fromkeys(INTERACTIONS, ""), ("onset_frame", "onset_time_s", "verdict")
-    # A dent's press has no row in interactions.csv, only a report of its force.
-    dents = [nothing | {name: str(of[name]) for name in known} for of in report["contacts"] if of["verdict"] == DENT]
-    contacts = [_contact(run, forces) for run, forces in zip(runs + dents, report["contacts"], strict=True)]
+    contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
     shown = (folder / store.OVERLAY).is_file()
     settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return {

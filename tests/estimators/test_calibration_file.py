@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.calibration_file import MASS, SHEET_FACTOR, STIFFNESS, Calibration, ClipLength, read_calibration
+from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS, ClipLength
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
@@ -78,19 +79,6 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
         read_calibration(tmp_path / "calibration.json")
 
 
-def test_moduli_of_curves_differ_from_place_to_place(tmp_path: Path) -> None:
-    rows = ["file,curve,quantity,value,low,high,unit"]
-    rows += [f"a,{i},E,{value},{value / 1.1},{value * 1.1},kPa" for i, value in enumerate((8.0, 10.0, 12.5))]
-    (tmp_path / "curves.csv").write_text("\n".join([*rows, "a,hold,relaxation time,1,,,s"]))
-    young = read(tmp_path, palpation="curves.csv", thickness_m=0.004).young
-    assert young is not None
-    own = math.log(1.21) / (2 * NINETY)
-    assert young == pytest.approx((1e4, math.hypot(math.log(1.25), own)))
-    (tmp_path / "curves.csv").write_text("\n".join([rows[0], "a,1,stiffness,0.3,0.2,0.4,N/mm"]))
-    with pytest.raises(InputError, match="holds no modulus in kPa, or one that can"):
-        read(tmp_path, palpation="curves.csv", thickness_m=0.004)
-
-
 def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
     stated = read(tmp_path, **FORCE, metres_per_depth=0.1, metres_per_depth_sd=0.01).length(
         ClipLength(2.0, 2.0, by="stereo")
@@ -114,9 +102,8 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({**FORCE, "force_N": -1.0}, "force_N is -1.0; give a positive number."),
         ({**FORCE, "force_sd_N": -1.0}, "force_sd_N is -1.0; give 0 or more."),
         ({**FORCE, "known_s": [0, 1]}, "force_N and known_s each tell newtons; give one."),
-        ({"known_s": [0, 1]}, "known_s and rest_s are parts of measured; give that."),
+        ({"known_s": [0, 1]}, "known_s is a part of measured; give that."),
         ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
-        ({"measured": "forces.csv", "rest_s": [0, 1]}, "rest_s needs known_s, whose dents tell the scale."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
         (STIFF | {"homogeneous": "stiffness"}, "homogeneous is for a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),
@@ -124,7 +111,6 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
         ({"measured": "no.csv"}, "no.csv is no table of forces"),
         ({"palpation": "no.json", "thickness_m": 0.1}, "no.json can't be read as a palpation's calibration.json"),
-        ({"palpation": "no.csv", "thickness_m": 0.1}, "no.csv is no table of calibrate.py"),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, fields: dict[str, Any], told: str) -> None:

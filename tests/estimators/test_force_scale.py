@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from palpate.estimators import calibration_file as module
-from palpate.estimators.calibration_file import MASS, ClipLength, PressedRun, scale_by_force, scale_by_stiffness
+from palpate.estimators import force_scale as module
 from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.force_scale import MASS, ClipLength, PressedRun, scale_by_force, scale_by_stiffness
 from palpate.estimators.known_force import KnownForce
 from tests.estimators.estimates import GOOD, NONE
 

@@ -1,7 +1,5 @@
 """Estimators opened by name say all that their numbers depend on."""
 
-from pathlib import Path
-
 import pytest
 
 from palpate.estimators.open import EstimatorOptions, open_estimator
@@ -37,24 +35,6 @@ def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -
 def test_the_network_goes_by_one_observation() -> None:
     with pytest.raises(ValueError, match="both is not for --estimator network; take direct"):
         open_estimator(EstimatorOptions("network", observation="both"))
-
-
-def test_direct_fits_a_slab_where_it_is_told_how_thick_tissue_is() -> None:
-    sheet = open_estimator(EstimatorOptions("direct", Path("sheet")))
-    assert sheet.described == open_estimator(EstimatorOptions("direct")).described
-    slab = open_estimator(EstimatorOptions("direct", Path("fem"), thickness=0.06))
-    assert slab.described["slab"]["thickness"] == 0.06
-    assert slab.described["bounds"] != sheet.described["bounds"]
-    for options, reason in (
-        (EstimatorOptions("direct", Path("fem")), "must be told how thick the tissue is; give --thickness"),
-        (EstimatorOptions("direct", thickness=0.06), "--thickness is for --model fem; a sheet has none"),
-        (EstimatorOptions("network", thickness=0.06), "--thickness is for --estimator direct --model fem"),
-        (EstimatorOptions("online", thickness=0.06), "--thickness is not for --estimator online"),
-        (EstimatorOptions("direct", Path("fem"), thickness=-1.0), "give a positive length"),
-        (EstimatorOptions("direct", Path("fem"), thickness=0.06, observation="contact"), "leave --observation contact"),
-    ):
-        with pytest.raises(ValueError, match=reason):
-            open_estimator(options)
 
 
 def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:

@@ -140,7 +140,6 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--estimator", "network"), "give its file as --model FILE"),
         (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
         (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
-        (("--direct-model", "fem"), "--direct-model fem is for --suite fem --estimator direct"),
         (
             ("--contact", "motion", "--suite", "hover"),
             "--contact motion is for direct and network on suites of presses",

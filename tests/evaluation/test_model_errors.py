@@ -38,7 +38,7 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
 
 
 def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
-    (tmp_path / "other.yaml").write_text("slab_young: {value: 1.0}\n")
+    (tmp_path / "other.yaml").write_text("contact_rest: {value: 1.0}\n")
     with pytest.raises(ValueError, match=r"other\.yaml holds other entries than pull_force, "):
         read_entries(tmp_path / "other.yaml")
 

@@ -1,7 +1,6 @@
 """Plans in space: a body's distances, what presses on it cost, ways that keep below a limit, and what is told."""
 
 import json
-import sys
 from dataclasses import replace
 
 import cv2
@@ -17,12 +16,10 @@ from palpate.planning import space_map
 from palpate.planning.press import simulate_press
 from palpate.planning.pressing import RADIUS, WORK_SD, PressingCosts, unit_press
 from palpate.planning.roadmap import Blocked
-from palpate.planning.sampled import plan_by_ompl
 from palpate.planning.scene import SoftObject, SpaceScene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.surface import measure
 from palpate.planning.waypoints import waypoints
-from tests.planning.test_scene import SHIPPED
 
 DEPTHS = np.linspace(0, 4, 81)
 PRESS = np.stack([DEPTHS, DEPTHS, DEPTHS**2 / 2])
@@ -254,25 +251,6 @@ def test_bad_input_is_a_sentence(body, cache, capsys, changes, said):
         trimesh.Trimesh(scale * box.vertices, box.faces).export(body.parent / f"{unit}.ply")
     assert planned(body, cache, "bad", **changes)[1] == 1
     assert said in " ".join(capsys.readouterr().err.split())
-
-
-@pytest.mark.slow
-def test_ompl_finds_nothing_cheaper_by_more_than_5_percent(scene, cache):
-    pytest.importorskip("ompl", reason="OMPL is not installed")
-    costs = open_costs(replace(scene, limit_N=0.3, alpha=0.5), cache)[0]
-    ours, theirs = plan_in_space(costs), plan_by_ompl(costs, 10.0)
-    assert theirs.cost >= 0.95 * ours.cost
-    assert theirs.cost < 2 * ours.cost  # the same objective
-    assert theirs.places[[0, -1]] == pytest.approx(np.stack([costs.start, costs.goal]))
-    assert np.isfinite(costs.price(theirs.places[:-1], theirs.places[1:])).all()
-
-
-def test_ompl_that_is_missing_and_a_scene_without_mesh_are_sentences(body, cache, capsys, monkeypatch, tmp_path):
-    assert door.main([str(SHIPPED), "--output", str(tmp_path), "--planner", "ompl"]) == 1
-    assert "has no mesh, which --planner is for" in " ".join(capsys.readouterr().err.split())
-    monkeypatch.setitem(sys.modules, "ompl.base", None)
-    assert planned(body, cache, "ompl", options=("--planner", "ompl"))[1] == 1
-    assert 'needs OMPL; pip install "palpate[ompl]"' in " ".join(capsys.readouterr().err.split())
 
 
 def test_no_way_below_the_limit_is_a_sentence(scene, cache):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from palpate.data.prepared import PreparedFrame
-from palpate.data.source.frames import Frame
-from palpate.estimators.calibration_file import ClipLength, read_calibration
+from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import InteractionEstimate
 from palpate.results import calibrated as newtons
@@ -134,24 +133,6 @@ def test_without_newtons_the_factor_and_the_correlation_are_told(tmp_path: Path)
     assert told.rows[0].get("force") is None
 
 
-def test_a_press_that_no_tool_shows_is_told_by_its_dent(tmp_path: Path) -> None:
-    """The dent is a hundredth of a scene unit a newton; the second second is known, the third is told."""
-    rows, columns = np.mgrid[:60, :80]
-    shape = np.exp(-((rows - 30) ** 2 + (columns - 40) ** 2) / (2 * 12.0**2))
-    force = np.concatenate([np.zeros(25), np.linspace(0.2, 4, 25), np.linspace(4, 1, 25)])
-    write_forces(tmp_path, force, 0.04)
-    told = calibrated(tmp_path, measured="forces.csv", known_s=[1.0, 1.99], rest_s=[0.0, 0.97])
-    for index, value in enumerate(force):
-        depth = (0.6 - 0.01 * value * shape).astype(np.float32)
-        frame = Frame(index, index, 0.04 * index, np.zeros((4, 4, 3), np.uint8))
-        told.see(PreparedFrame(frame, "no_tool", "", depth, np.zeros(shape.shape, np.uint8)))
-    told.conclude(UNKNOWN)
-    (curve,) = told.curves
-    assert (curve.onset_frame, curve.unit) == (25, newtons.NEWTONS)
-    np.testing.assert_allclose(curve.force, force[25:], atol=0.02)
-    assert told.record()["comparison"]["rms_error_N"] < 0.01
-
-
 def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
     times = np.linspace(0.1, 0.8, 8)
     grip = GripEstimate(0.6, 0.1, times, times / 0.8, np.zeros(8))
@@ -165,7 +146,7 @@ def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
 def test_the_tables_are_written_and_are_the_program_s_own(tmp_path: Path) -> None:
     write_forces(tmp_path, np.full(100, 2.0))
     told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 1.0])
-    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, known=told.known, calibration=told) as output:
+    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, calibration=told) as output:
         output.add(GOOD)
         output.calibrate(UNKNOWN)
         output.finish({"program": "infer.py"}, title="clip")

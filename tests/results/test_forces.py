@@ -9,7 +9,6 @@ import pytest
 from palpate.common.files import as_json
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.calibrated import Curve
 from palpate.results.columns import TEXTS
 from palpate.results.forces import ALWAYS, RELATIVE, ContactForce, forces_record
 from tests.estimators.estimates import ESTIMATE, GOOD, NONE
@@ -120,17 +119,3 @@ def test_time_above_a_limit_has_the_interval_of_the_force() -> None:
     found = told(held, ".xxxxxxxxxxxx", limit=(2.2, "N"), calibrated=[row])
     assert [found[name] for name in names] == pytest.approx([0, 0, 9 * STEP, 3 * STEP])
     assert told(GOOD, ".xxxxxx.")["above_s"] is None
-
-
-def test_a_dent_tells_the_force_of_a_press_without_an_instrument() -> None:
-    """It acts from the first to the last frame whose interval excludes 0."""
-    force = np.array([0.1, 0.1, 1, 3, 2, 0.1, 1, 0.1, 0])
-    curve = Curve(2, STEP * np.arange(2, 11), force, force - 0.5, force + 0.5, "N")
-    estimates = [FrameEstimate(at, STEP * at, "no_tool", contact=False) for at in range(11)]
-    report = json.loads(as_json(forces_record([], estimates, 25.0, (2.0, "N"), dents=[curve])))
-    (found,) = report["contacts"]
-    assert found == found | {"onset_frame": 4, "verdict": "dent", "contact_frames": 5, "unknown_frames": 0, "peak": 3}
-    assert [found[f"mean{end}"] for end in ("", "_low", "_high")] == pytest.approx([1.42, 0.92, 1.92])
-    assert [found[f"above_s{end}"] for end in ("", "_low", "_high")] == pytest.approx([2 * STEP, STEP, 2 * STEP])
-    small = dataclasses.replace(curve, low=-np.ones(9))
-    assert forces_record([], estimates, 25.0, dents=[small])["contacts"] == []

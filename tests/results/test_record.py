@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from palpate.common.files import digest_of
@@ -17,7 +16,6 @@ from palpate.data.source.frames import FrameSource, open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.contract import Chosen, ClipInfo
 from palpate.estimators.gan import GanEstimator
-from palpate.estimators.known_force import KnownForce
 from palpate.estimators.model_settings import preparation_settings
 from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import FrameEstimate
@@ -81,8 +79,7 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     source = open_source(path, settings.layout)
     clip = ClipStream(source, settings)
     session = estimator.start(ClipInfo.of(clip))
-    known = KnownForce(np.array([1e9, 1e9 + 1]), np.ones(2))  # by another clock than the clip's
-    with ClipResults(tmp_path / "out", source.size, source.fps, known=known) as results:
+    with ClipResults(tmp_path / "out", source.size, source.fps) as results:
         frames = list(clip)
         found = [item for frame in frames for item in session.push(frame)] + list(session.finish())
         for frame, estimate in zip(frames, found[:-1], strict=True):
@@ -107,7 +104,6 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     }
     assert {"decode", "masks", "depth", "geometry", "overlay"} <= set(stored["timings_s"])
     assert {"palpate", "python", "numpy", "onnxruntime"} <= set(stored["versions"])
-    assert stored["warnings"][-1].startswith("no results in newtons: --known-force tells those of pulls")
     assert stored["fingerprint"] == digest_of(causes)
 
 

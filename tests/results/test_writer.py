@@ -11,10 +11,12 @@ import pytest
 
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
+from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate
 from palpate.results.alarm import ForceAlarm
+from palpate.results.calibrated import ClipCalibration
 from palpate.results.columns import FORCES, FRAMES, INTERACTIONS
 from palpate.results.plots import MOST_PANELS
 from palpate.results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
@@ -65,11 +67,14 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     grip = GripEstimate(0.6, 0.1, times, times / 0.8, np.zeros(8))
     run = dataclasses.replace(NONE, onset_time_s=0.5, grip=grip)
     late = dataclasses.replace(run, onset_time_s=5.0)
-    known = KnownForce(np.array([0.5, 0.9]), np.array([0.0, 1.5]))
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, known=known) as output:
+    times_s = np.linspace(0.5, 0.9, 3)
+    table = "\n".join(f"{time},{force}" for time, force in zip(times_s, 3.75 * (times_s - 0.5), strict=True))
+    (tmp_path / "forces.csv").write_text(f"time_s,force_N\n{table}\n")
+    calibration = ClipCalibration(read_calibration(tmp_path / "forces.csv"))
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, calibration=calibration) as output:
         for item in (run, NONE, late):
             output.add(item)
-        assert not output.unscaled
+        output.calibrate(ClipLength(1.0))
         output.finish({"program": PROGRAM}, title="clip")
     found = read_rows(tmp_path / "clip" / "forces.csv")
     assert tuple(found[0]) == tuple(FORCES)
@@ -80,7 +85,8 @@ def test_a_known_force_tells_that_of_all_frames_in_newtons(tmp_path: Path) -> No
     said = [row["detail"] for row in read_rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
     assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
-    assert "forces.csv" in own_files(tmp_path / "clip")
+    assert {"forces.csv", "calibrated.csv"} < {*own_files(tmp_path / "clip")}
+    assert calibration.reason == ""
 
 
 def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from palpate.data.source.camera import Camera, load_camera
 from palpate.data.source.frames import FrameSource, open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
-from palpate.estimators.calibration_file import ClipLength
+from palpate.estimators.force_scale import ClipLength
 from tests.networks import write_network
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 740, 540, 732.0, 0.0046

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from palpate.data.source.camera import Rig, clip_camera
-from palpate.data.source.frames import FrameSource, discover, halves, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import FrameSource, halves, open_source
 from palpate.data.source.layout import ClipLayout, InputError
-from palpate.estimators.known_force import force_reader
+from palpate.estimators.calibration_file import read_calibration
 from tests.data.bags import RATE, write_bag
 
 LAYOUT = ClipLayout()
@@ -120,13 +121,13 @@ def test_a_topic_of_wrenches_is_a_known_force(tmp_path, name):
         yield "/tool/wrench", b"none"
 
     path = write_bag(tmp_path / name, recorded)
-    known = force_reader(Path("/tool/wrench"))(path, None)
+    known = read_calibration(Path("/tool/wrench")).of_clip(path, None).measured
     assert known.times[:4] == pytest.approx([-0.08, -0.04, 0.0, 0.04], abs=1e-12)
     assert known.force == pytest.approx([0.0, 5.0, 10.0, 15.0, np.nan], nan_ok=True)
-    with pytest.raises(InputError, match=r"WrenchStamped on /tool/wrench; name one of these as --known-force\."):
-        force_reader(Path("/tool"))(path, None)
-    with pytest.raises(InputError, match=r"is no bag and has no topic /tool; give --known-force a table\."):
-        force_reader(Path("/tool"))(tmp_path, None)
+    with pytest.raises(InputError, match=r"WrenchStamped on /tool/wrench; name one of these as --force-scale\."):
+        read_calibration(Path("/tool")).of_clip(path, None)
+    with pytest.raises(InputError, match=r"is no bag and has no topic /tool; give --force-scale a table\."):
+        read_calibration(Path("/tool")).of_clip(tmp_path, None)
 
 
 @pytest.mark.parametrize("name", FORMATS)

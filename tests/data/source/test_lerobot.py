@@ -15,7 +15,8 @@ from pyarrow import parquet
 from palpate.common.files import file_sha256
 from palpate.data.cache import cache_key
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.frames import discover, open_source
+from palpate.data.source.discovery import discover
+from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.estimators.direct.estimator import DirectEstimator
 from palpate.estimators.onset import STAMP

@@ -19,7 +19,7 @@ from palpate.common.files import file_sha256
 from palpate.common.options import field_texts
 from palpate.common.output import LIST
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.source.frames import discover
+from palpate.data.source.discovery import discover
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
 from palpate.data.synthetic.__main__ import main, picture_size

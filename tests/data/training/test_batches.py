@@ -162,7 +162,7 @@ def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     sequence = replace(contact.sequence, change=contact.sequence.change + drawn, noise=SequenceNoise(1e-3, 0.0))
     contact = replace(contact, sequence=sequence, observation=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = SequenceProblem.of_press(contact, MECHANICS)
+    problem = SequenceProblem(contact, MECHANICS)
     problem.look(logs)
     residual, jacobian = problem.linearise(logs)
     dent, here = join_sequences([contact]), torch.from_numpy(theta_of(logs))[None]

@@ -100,9 +100,9 @@ def shorter(contact: Interaction, frames: int = 5) -> Interaction:
 
 def problem_of(
     contact: Interaction, logs: np.ndarray | None = None, *, within: float = 0.0, noise: float | None = None, **look
-) -> SequenceProblem[PressMotion]:
+) -> SequenceProblem:
     """A problem that was looked at."""
-    problem = SequenceProblem.of_press(contact, MECHANICS, within, noise)
+    problem = SequenceProblem(contact, MECHANICS, within, noise)
     problem.look(logs_of() if logs is None else logs, **look)
     return problem
 
@@ -114,7 +114,7 @@ def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.nd
 
 
 def expected_covariance(
-    problem: SequenceProblem[PressMotion], change: np.ndarray, weight: np.ndarray, steep: np.ndarray
+    problem: SequenceProblem, change: np.ndarray, weight: np.ndarray, steep: np.ndarray
 ) -> np.ndarray:
     """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
 

@@ -22,12 +22,12 @@ BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)
 
 
 def fit(contact: Interaction, within: float = 0.0) -> Estimate:
-    problem = SequenceProblem.of_press(contact, MECHANICS, within)
+    problem = SequenceProblem(contact, MECHANICS, within)
     return sampled(problem, field_optima(problem, BOX), BOX)
 
 
 def starts_of(contact: Interaction) -> np.ndarray:
-    return field_starts(SequenceProblem.of_press(contact, MECHANICS), BOX)
+    return field_starts(SequenceProblem(contact, MECHANICS), BOX)
 
 
 def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
@@ -37,7 +37,7 @@ def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
 
 def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     theta = REGIMES["critical"]
-    problem, starts = SequenceProblem.of_press(contact_of(theta), MECHANICS), starts_of(contact_of(theta))
+    problem, starts = SequenceProblem(contact_of(theta), MECHANICS), starts_of(contact_of(theta))
     assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
     for index, start in enumerate(starts):
@@ -54,7 +54,7 @@ def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
 
 def test_starts_have_the_delay_that_suits_them() -> None:
     theta, delay = REGIMES["under-damped"], 0.5
-    problem = SequenceProblem.of_press(contact_of(theta, delay, delay), MECHANICS, WITHIN)
+    problem = SequenceProblem(contact_of(theta, delay, delay), MECHANICS, WITHIN)
     starts = field_starts(problem, problem.motion.box(BOX))
     assert starts.shape[1] == 5
     np.testing.assert_array_equal(starts[:, 3], starts[:, 4])

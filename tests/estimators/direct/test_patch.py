@@ -124,7 +124,7 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
-    problem = SequenceProblem.of_press(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
+    problem = SequenceProblem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     depth = 0.02 * np.exp(-((rows - 6.5) ** 2 + (columns - 8.0) ** 2) / 18)
     sunk = np.linspace(0.2, 1, frames)[:, None, None] * depth
@@ -139,6 +139,6 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = SequenceProblem.of_press(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
+    coarse = SequenceProblem(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
     assert coarse.model_errors(sunk.reshape(frames, -1)).shape[2] == 0
-    assert SequenceProblem.of_press(sequence_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    assert SequenceProblem(sequence_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0

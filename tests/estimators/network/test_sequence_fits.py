@@ -131,7 +131,7 @@ def test_an_exact_sequence_is_explained(within: float) -> None:
         assert not slopes[:, 3:].any()
         assert not tangents[..., 3:].any()
     # Of the amounts, derivatives are those of what the pixels show.
-    field = SequenceProblem.of_press(contact, MECHANICS, within, fits.NOMINAL_NOISE)
+    field = SequenceProblem(contact, MECHANICS, within, fits.NOMINAL_NOISE)
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):

@@ -7,6 +7,8 @@ from typing import cast
 
 import numpy as np
 import pytest
+from tests.estimators.online.pulls import by_palpation, draw_pull, holds
+from tests.estimators.online.pulls import followed as followed_pull
 
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.determined import Determined
@@ -14,8 +16,6 @@ from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.results.overlay import _described_field
-from tests.estimators.online.drawn_pulls import by_palpation, draw_pull, holds
-from tests.estimators.online.drawn_pulls import followed as followed_pull
 from tests.estimators.online.test_estimator import SETTINGS, SHARES, run, write_annotated
 from tests.evaluation.real_clips import SIZE, write
 from tests.results.fields import FIELD_SEEN
@@ -93,7 +93,7 @@ def followed(folder: Path, *more: str, settings: str, camera: str = "camera") ->
 
 @pytest.mark.usefixtures("all_known", "blank_module")
 def test_a_known_force_and_a_metric_clip_tell_kilopascals_on_video(clip: Path) -> None:
-    forces = "--known-force", str(clip / "forces.csv")
+    forces = "--force-scale", str(clip / "forces.csv")
     row, field, said = followed(clip, *forces, settings="sheet_m: 0.002\n")
     young, low, high = (field[f"young_kPa{end}"] for end in ("", "_low", "_high"))
     known = field["known"]
@@ -106,7 +106,7 @@ def test_a_known_force_and_a_metric_clip_tell_kilopascals_on_video(clip: Path) -
     np.testing.assert_allclose((high / young)[known], (young / low)[known], rtol=1e-4)
     assert not (clip / "out/clip/forces.csv").exists()
     for options, more, factor in (
-        (("--known-force", str(clip / "twice.csv")), {}, 2),
+        (("--force-scale", str(clip / "twice.csv")), {}, 2),
         (forces, {"camera": "longer"}, 0.5),
         (forces, {"settings": "sheet_m: 0.004\n"}, 0.5),
     ):
@@ -137,7 +137,7 @@ def test_a_palpation_at_a_pixel_tells_kilopascals_on_video(clip: Path) -> None:
 
 @pytest.mark.usefixtures("blank_module")
 def test_a_field_that_is_not_determined_has_no_kilopascals(clip: Path) -> None:
-    row, field, said = followed(clip, "--known-force", str(clip / "forces.csv"), settings="sheet_m: 0.002\n")
+    row, field, said = followed(clip, "--force-scale", str(clip / "forces.csv"), settings="sheet_m: 0.002\n")
     assert (row["young_kPa"], row["field_known"]) == ("", "0")
     assert "kilopascals" not in said
     assert "young_kPa" not in field
@@ -148,10 +148,10 @@ def test_a_field_that_is_not_determined_has_no_kilopascals(clip: Path) -> None:
     [
         (
             SETTINGS,
-            ("--known-force", "forces.csv"),
-            "--known-force and sheet_m in --settings tell kPa of online together",
+            ("--force-scale", "forces.csv"),
+            "--force-scale and sheet_m in --settings give kPa of online together",
         ),
-        ("sheet_m: 0.002\n", (), "--known-force and sheet_m in --settings tell kPa of online together"),
+        ("sheet_m: 0.002\n", (), "--force-scale and sheet_m in --settings give kPa of online together"),
         ("sheet_m: 0.002\nthickness: 0.1\n", (), "sheet_m is for a sheet of which no palpation tells kilopascals"),
         ("palpation: e.json\n", (), "palpation and palpated_at belong together; give both"),
         ("palpation: no.json\npalpated_at: [5, 5]\n", (), "no.json"),

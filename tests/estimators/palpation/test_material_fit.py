@@ -2,32 +2,29 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
 
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from palpate.estimators.palpation import bench as benches
 from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.gauss_newton import states_of
 from palpate.estimators.palpation.material_fit import NOTHING, require_along
 from palpate.estimators.palpation.registration import MOST_ALIGNED, thinned
-from palpate.estimators.palpation.stiffening_check import STIFFENS, UNKNOWN
 from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 
 @functools.cache
-def pressed(force: float, b: float = 0.0, cells: int = 4, law: str = "corotational"):
-    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), cells, law=law, stiffening=b)
+def pressed(force: float):
+    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational")
 
 
-def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800, **body: Any) -> Palpation:
-    """A press by the fit's own mesh and law, unless `pressed` is asked for others: what is left is the noise."""
-    return observe(*pressed(force, **body), sensor, seed, count=count)
+def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800) -> Palpation:
+    """A press by the fit's own mesh and law: what is left is the noise."""
+    return observe(*pressed(force), sensor, seed, count=count)
 
 
 @pytest.fixture(scope="module")
@@ -126,52 +123,3 @@ def test_a_pose_is_found_by_a_part_of_the_points() -> None:
     points = np.arange(3.0 * (5 * MOST_ALIGNED + 1)).reshape(-1, 3)
     assert 0.8 * MOST_ALIGNED <= len(thinned(points)) <= MOST_ALIGNED
     np.testing.assert_array_equal(thinned(points[:7]), points[:7])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("b", [0.0, 100.0])
-def test_stiffening_is_found_where_it_is_and_where_forces_tell(slab, b: float) -> None:
-    """By presses of 0.4 and 2.5 N, of 3.5 N on what stiffens, whose dents are less than half as deep.
-
-    That is drawn with elements as long as those under the tool that such a fit ends on, half of its first mesh's.
-    """
-    skin, held, _ = slab
-    body = {"b": b, "cells": 8 if b else 4, "count": 3000}
-    found = fit_material(skin, held, [observed(0.4, **body), observed(3.5 if b else 2.5, **body)])
-    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd < 0.5
-    middle, low, high = found.stiffening
-    assert (found.stiffens == STIFFENS) == (b > 0)
-    assert low <= b <= high
-    assert b == 0 or 50 < low < middle < high < 200
-
-
-@pytest.mark.slow
-def test_a_body_of_another_law_and_a_finer_mesh_does_not_look_like_one_that_stiffens(slab) -> None:
-    """On the fit's coarse mesh the odds for stiffening are 10^14 to one, and E is a third too high without."""
-    skin, held, _ = slab
-    body = {"law": "neo_hookean", "cells": 6, "count": 3000}
-    seen = [observed(force, seed=3 + i, **body) for i, force in enumerate((0.3, 1.0, 2.5))]
-    found = fit_material(skin, held, seen)
-    assert (found.stiffens, *found.stiffening) == (UNKNOWN, 0, 0, 0)
-    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd < 0.3
-
-
-@pytest.mark.slow
-def test_a_body_too_large_to_be_refined_is_not_said_to_stiffen(slab, monkeypatch) -> None:
-    """Even if it does: E is then that of the fit with b on the first mesh."""
-    skin, held, _ = slab
-    monkeypatch.setattr(benches, "FACTORED", skin.body.rest.size)
-    said: list[str] = []
-    seen = [observed(force, b=100.0, count=3000) for force in (0.4, 2.5)]
-    found = fit_material(skin, held, seen, report=said.append)
-    assert (found.stiffens, *found.stiffening) == (UNKNOWN, 0, 0, 0)
-    assert said[-1].startswith("it looks like stiffening, which can't be checked: a finer mesh has")
-    assert found.skin is skin
-    assert all(rest.material.stiffening > 50 for rest in found.rests)
-    assert abs(np.log(found.young / 1e4)) < 3 * found.young_sd < 0.5
-
-
-def test_forces_that_are_alike_do_not_tell_whether_a_body_stiffens(slab) -> None:
-    skin, held, seen = slab
-    found = fit_material(skin, held, [seen, observed(1.1)])
-    assert (found.stiffens, *found.stiffening) == (UNKNOWN, 0, 0, 0)

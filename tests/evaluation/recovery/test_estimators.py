@@ -1,7 +1,5 @@
 """Estimators of the benchmark: what is refused, and what is recorded of them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from rich.progress import Progress
@@ -26,8 +24,6 @@ def test_the_record_says_what_estimates_depend_on():
     direct = EstimatorOptions("direct", onset="stamp", observation="contact", noise=0.002, horizon="press")
     told = {"noise": 0.002, "observation": "contact", "seen": "press", "onset": "stamp"}
     assert describe(direct) == nothing | told
-    slab = describe(EstimatorOptions("direct", Path("fem"), onset="stamp"))
-    assert slab == nothing | {"fits": "fem", "noise": None, "observation": None, "seen": None, "onset": "stamp"}
     network = describe(EstimatorOptions("network"))
     assert network["model_sha256"] == sha256_of(SHIPPED)
     assert len(network["weights_sha256"]) == 64

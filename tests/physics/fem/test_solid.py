@@ -1,4 +1,4 @@
-"""Shape functions, mass and the sums over elements."""
+"""Shape functions and the sums over elements."""
 
 import numpy as np
 import pytest
@@ -19,15 +19,6 @@ def test_gradients_are_exact_for_polynomials_of_the_order(order: int) -> None:
         square[:, 0] = body.rest[:, 1] ** 2
         mean = (body.weights * body.deformation(square)[..., 0, 1]).sum()
         assert mean == pytest.approx(1.0, rel=1e-13)  # ∫ 2y over the cube
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_mass_integrates_products_of_the_shape_functions(order: int) -> None:
-    body = block(2, order, seed=0)
-    x = np.zeros_like(body.rest)
-    x[:, 0] = body.rest[:, 0] ** order
-    assert x.ravel() @ (body.mass @ x.ravel()) == pytest.approx(1 / (2 * order + 1), rel=1e-12)
-    assert body.volumes.sum() == pytest.approx(1.0, rel=1e-13)
 
 
 def test_a_lattice_fills_its_cells_and_its_surface_is_closed() -> None:

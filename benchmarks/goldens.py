@@ -1,0 +1,194 @@
+"""Goldens: numbers that a change of the code must leave as they are.
+
+    python -m benchmarks.goldens [--group recovery online …] [--write]
+
+Computes each group and compares it with tests/goldens.json, to a relative tolerance of 1e-4; `--write` replaces the
+groups computed. Groups: network and direct (six synthetic clips with depth), rgb (their video files), recovery (one
+clip of each suite), online (Liang 2024, one sequence), palpation and plan (Frank 2010), real (two real clips; left out
+where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status: 0 equal or written; 1 different; 2 wrong usage.
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import csv
+import itertools
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, get_args
+
+import numpy as np
+from rich.console import Console
+
+from palpate.api import calibrate, plan
+from palpate.command.infer import main as infer
+from palpate.common.command_line import say
+from palpate.common.options import options
+from palpate.common.provenance import ROOT
+from palpate.data.synthetic.__main__ import main as draw
+from palpate.evaluation.benchmark import main as recover
+from palpate.evaluation.harness import read_results
+from palpate.evaluation.online.__main__ import main as follow
+from palpate.evaluation.palpation.example import main as press
+from palpate.evaluation.real.__main__ import main as judge
+from palpate.evaluation.recovery.suites import EVERY
+
+GOLDENS = ROOT / "tests" / "goldens.json"
+REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
+TOLERANCE = 1e-4
+"""Relative difference that rounding makes between machines and numbers of threads."""
+QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
+COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
+"""Columns of interactions.csv."""
+ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "force")
+"""Fields of a row of the recovery benchmark."""
+REAL = ("frames in contact", "verdict", "skill in frames kept back", "reaction_over_stiffness")
+Group = Literal["network", "direct", "rgb", "recovery", "online", "palpation", "plan", "real"]
+Values = dict[str, float | str]
+
+
+@dataclass(frozen=True)
+class Goldens:
+    """What is computed."""
+
+    group: tuple[Group, ...] = get_args(Group)
+    """which"""
+    write: bool = False
+    """replace the goldens of these groups"""
+
+
+def inferred(folder: Path, ending: str, *arguments: str, count: int = 6) -> Values:
+    """Estimates of the demo's clips: a value per clip, contact and column."""
+    clips = folder / "clips"
+    draw(["--output", str(clips), "--clips", str(count), "--frames", "32", "--seed", "1"])
+    inputs = [str(path) for path in sorted(clips.glob(f"*/*_00000{ending}"))]
+    infer([*inputs, "--output", str(folder / "results"), "--no-overlay", *arguments])
+    found: Values = {}
+    for path in sorted((folder / "results").glob("*/interactions.csv")):
+        with path.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                found |= {f"{path.parent.name} {row['onset_frame']} {name}": row[name] for name in COLUMNS}
+    return found
+
+
+def recovered(folder: Path, suites: Sequence[str] = ()) -> Values:
+    """Estimates of the first clip of suites; of every suite of presses and grips by default."""
+    asked = suites or [name for name, suite in EVERY.items() if suite.of != "slab"]
+    model = str(ROOT / "models" / "weights" / "contact.onnx")
+    recover(["--output", str(folder), "--suite", *asked, "--estimator", "direct", "network", "--model", model,
+             "--clips", "1", "--workers", "0"])  # fmt: skip
+    found: Values = {}
+    for key, row in read_results(folder / "results.jsonl", ("suite", "estimator")).items():
+        for name in ROWS:
+            values = np.ravel(row.get(name, []))
+            found |= {" ".join((*key, name, str(place))): value for place, value in enumerate(values.tolist())}
+    return found
+
+
+def table_of(folder: Path, *columns: str) -> Values:
+    """Values of a table.csv by the columns that name them, without times."""
+    with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return {" ".join(row[name] for name in columns): row["value"] for row in rows if "step" not in row["measure"]}
+
+
+def followed(folder: Path) -> Values:
+    """Liang's table for one sequence and start, of fewer frames, particles and points."""
+    follow(["--output", str(folder), "--sequences", "thin-shell-1", "--starts", "k1", "--frames", "30",
+            "--particles", "150", "--points", "1000"])  # fmt: skip
+    return table_of(folder, "sequence", "start", "method", "measure")
+
+
+def palpated(folder: Path) -> Values:
+    """Modulus and Poisson's ratio of the example."""
+    press(["--output", str(folder)])
+    fit = calibrate(folder / "scene.yaml")
+    return {name: getattr(fit, name) for name in ("young", "young_sd", "poisson", "poisson_sd", "noise")}
+
+
+def planned(folder: Path) -> Values:
+    """The path between two curtains."""
+    found = plan(ROOT / "configs" / "scenes" / "two_curtains.yaml", folder)
+    places = {f"place {number}": value for number, value in enumerate(found.places.ravel().tolist())}
+    return {"cost": found.cost, "deformation": found.deformation, "way": found.way} | places
+
+
+def real(folder: Path) -> Values:
+    """Pulls in real clips."""
+    if not (REAL_DATA / "cholecseg8k").is_dir():
+        return {}
+    judge(["--data", str(REAL_DATA), "--output", str(folder)])
+    found = table_of(folder, "clip", "measure")
+    return {key: value for key, value in found.items() if key.endswith(REAL)}
+
+
+GROUPS: dict[str, Callable[[Path], Values]] = {
+    "network": lambda folder: inferred(folder, ""),
+    "direct": lambda folder: inferred(folder, "", "--estimator", "direct"),
+    "rgb": lambda folder: inferred(folder, ".mp4"),
+    "recovery": recovered,
+    "online": followed,
+    "palpation": palpated,
+    "plan": planned,
+    "real": real,
+}
+
+
+def rounded(values: Values) -> Values:
+    """Texts as they are; numbers to six significant digits, without those that are no number."""
+    found: Values = {}
+    for name, value in values.items():
+        try:
+            number = float(f"{float(value):.6g}")
+        except ValueError:
+            found[name] = value
+            continue
+        if math.isfinite(number):
+            found[name] = number
+    return {name: value for name, value in found.items() if value != ""}
+
+
+def differences(values: Values, goldens: Values) -> list[str]:
+    """A sentence per value that is another, new or missing."""
+
+    def same(value: Any, golden: Any) -> bool:
+        if isinstance(value, float) and isinstance(golden, float):
+            return math.isclose(value, golden, rel_tol=TOLERANCE)
+        return value == golden
+
+    names = dict.fromkeys(itertools.chain(goldens, values))
+    pairs = {name: (values.get(name, "missing"), goldens.get(name, "missing")) for name in names}
+    return [f"{name}: {value}, golden {golden}" for name, (value, golden) in pairs.items() if not same(value, golden)]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compare or write; returns the exit status."""
+    asked: Goldens = options(Goldens, arguments, "benchmarks.goldens", __doc__)
+    console, status = Console(), 0
+    for group in asked.group:
+        with TemporaryDirectory() as folder:
+            values = rounded(GROUPS[group](Path(folder)))
+        if group == "real" and not values:
+            say(console, f"real: left out, there is no {REAL_DATA}; set TISSUE_REAL_DATA.", "yellow")
+            continue
+        goldens = json.loads(GOLDENS.read_text(encoding="utf-8"))
+        if asked.write:
+            goldens[group] = values
+            GOLDENS.write_text(json.dumps(goldens, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        found = differences(values, goldens.get(group, {}))
+        status |= bool(found)
+        say(console, f"{group}: {len(values)} values, {len(found)} different", "red" if found else "")
+        for text in found:
+            say(console, f"  {text}")
+    return status
+
+
+if __name__ == "__main__":
+    run_door(main)

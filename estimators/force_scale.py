@@ -1,0 +1,279 @@
+"""Newtons for scene units: one scale from a known force or a known stiffness, and the errors that follow.
+
+The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and F
+is c·F. A property that contacts share gives c elsewhere: either the mass of a vertex, as in the simulator (Bini 2026,
+table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ with one
+unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from palpate.data.clip import ClipStream
+from palpate.data.depth.sources import FARTHEST, NEAREST
+from palpate.data.source.layout import InputError
+from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
+from palpate.estimators.records import InteractionEstimate
+from palpate.physics.identifiability import LIMIT, covariance
+from palpate.physics.mechanics import PARAMETERS
+
+SHEET_FACTOR = 0.75
+"""k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
+diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
+MASS, STIFFNESS = "mass", "stiffness"
+EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
+"""b by the property that contacts share."""
+FORCE_ROW = np.array([0.0, 0.0, 1.0])
+"""Row that picks log |F| from φ."""
+
+
+@dataclass(frozen=True)
+class ClipLength:
+    """Length of a scene unit of a clip."""
+
+    scale: float
+    """Depth that is one scene unit, in the depth source's unit."""
+    metres: float | None = None
+    """Length of a scene unit, where depth is metric or a length is stated [m]."""
+    log_sd: float = 0.0
+    """Standard deviation of the logarithm of `metres`."""
+    stored: bool = False
+    """Whether depth comes from files, whose unit is then taken to be the same in all clips."""
+    by: str = ""
+    """By what `metres` is known, or why it isn't where that is worth saying."""
+
+    @classmethod
+    def of(cls, clip: ClipStream) -> ClipLength:
+        """As the clip itself tells it; raises as `stated` does."""
+        metres, log_sd, by = clip.metres or (None, 0.0, "")
+        own = cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
+        return own.stated(metres, log_sd, by, str(clip.source.path)) if own.stored and metres else own
+
+    def stated(self, metres: float, log_sd: float, by: str, where: str) -> ClipLength:
+        """The same where a file, named by `where`, states the length of a unit of depth [m].
+
+        Raises:
+            InputError: tissue would lie nearer or farther away than NEAREST and FARTHEST.
+        """
+        if (unit := self.scale * metres) > FARTHEST or unit < NEAREST:
+            raise InputError(f"{where}: by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres.")
+        return replace(self, metres=unit, log_sd=log_sd, by=by)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The same in words and millimetres, with a 90 % interval."""
+        if self.metres is None or not math.isfinite(self.metres):
+            return {"mm": None, "by": self.by, "says": "scene units are not metric"}
+        mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)
+        says = f"1 scene unit = {mm:.3g} mm ({mm / half:.3g} to {mm * half:.3g}), metric by {self.by}"
+        return {"mm": mm, "mm_low": mm / half, "mm_high": mm * half, "by": self.by, "says": says}
+
+    def over(self, other: ClipLength) -> float | None:
+        """A scene unit of this clip over that of another; None where it isn't known."""
+        if self.metres is not None and other.metres is not None:
+            return self.metres / other.metres
+        return self.scale / other.scale if self.stored and other.stored else None
+
+
+@dataclass(frozen=True, eq=False)
+class PressedRun:
+    """Summary of a run of contact that has an estimate; all logarithms are of k_s, k_d and |F|."""
+
+    onset_frame: int
+    """Number of the first frame in contact."""
+    begin: float
+    """Time stamp of that frame [s]."""
+    end: float
+    """Time at which contact ended, or was observed last [s]."""
+    logs: np.ndarray
+    """φ, shape [3]."""
+    covariance: np.ndarray | None
+    """Covariance of φ, shape [3, 3]; None from an estimator without uncertainty."""
+    expected: np.ndarray | None
+    """Covariance of φ by which the verdict is given, shape [3, 3]."""
+    explained: bool
+    """Whether the model explains the motion."""
+
+    @classmethod
+    def of(cls, run: InteractionEstimate) -> PressedRun | None:
+        """Summarise a run; None where it has no estimate, or a parameter is zero."""
+        found, contact = run.estimate, run.interaction
+        if found is None or contact is None or not np.all(found.theta):
+            return None
+        end = run.onset_time_s + (contact.load_seconds if run.load_s is None else run.load_s)
+        expected = covariance(found.verdict_information) if found.covariance is not None else None
+        known = np.log(np.abs(found.theta)), found.covariance, expected, found.explained
+        return cls(run.onset_frame, run.onset_time_s, end, *known)
+
+    def pressing(self, times: np.ndarray) -> np.ndarray:
+        """Whether the force acts at some times, shape as given, bool."""
+        return (times >= self.begin - 1e-9) & (times < self.end - 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class ForceScale:
+    """The scale that turns estimates of a clip into newtons."""
+
+    log: float
+    """g: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
+    variance: float
+    """Variance of g."""
+    homogeneous: str
+    """The property that contacts share, MASS or STIFFNESS."""
+    source: str
+    """Where the scale comes from, in words."""
+    used: dict[int, float]
+    """Weight in g of every run of this clip that determined it, by the number of its first frame."""
+    metric: bool = False
+    """Whether g comes from a stiffness in N/m, and so depends on the length of a scene unit."""
+
+    def elsewhere(self, here: ClipLength, there: ClipLength) -> ForceScale:
+        """The scale of another clip.
+
+        c is a mass times the length of a scene unit over a time squared, c·k_s a stiffness in N/m times that length.
+
+        Raises:
+            NoEstimate: the ratio of the clips' scene units isn't known.
+        """
+        longer = there.over(here)
+        if longer is None:
+            raise NoEstimate(
+                "A scene unit of the clip with the known force can't be compared with this clip's; give "
+                "metres_per_depth."
+            )
+        return replace(self, log=self.log + math.log(longer), used={})
+
+    def of(self, run: PressedRun, length: ClipLength) -> Physical:
+        """A run in physical units."""
+        to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
+        metric = length.metres is not None
+        mean = to_physical @ run.logs + self.log
+        if length.metres is not None:
+            mean[:2] -= math.log(length.metres)
+        length_error = np.array([self.metric - metric, self.metric - metric, self.metric], np.float64) * length.log_sd
+        weight = self.used.get(run.onset_frame, 0.0)
+
+        def spread(own: np.ndarray | None) -> np.ndarray | None:
+            if own is None:
+                return None
+            # Where this run determined g, g = … - weight·(F's row)·φ.
+            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.homogeneous])
+            found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
+            return found + np.outer(length_error, length_error)
+
+        return Physical(mean, spread(run.covariance), spread(run.expected), metric)
+
+
+@dataclass(frozen=True, eq=False)
+class Physical:
+    """A run of contact in physical units."""
+
+    logs: np.ndarray
+    """Logarithms of k_s, k_d and |F|, shape [3] [N/m, N·s/m, N; per scene unit where its length isn't known]."""
+    covariance: np.ndarray | None
+    """Covariance of `logs`, shape [3, 3]."""
+    expected: np.ndarray | None
+    """Covariance of `logs` by which the verdict is given, shape [3, 3]."""
+    metric: bool
+    """Whether stiffness and damping are per metre."""
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Names of the parameters whose log standard deviation is below `physics.identifiability.LIMIT`."""
+        if self.expected is None:
+            return ()
+        determined = np.sqrt(np.maximum(np.diag(self.expected), 0)) < LIMIT
+        return tuple(name for name, known in zip(PARAMETERS, determined, strict=True) if known)
+
+    @property
+    def log_sd(self) -> np.ndarray | None:
+        """Standard deviations of the logarithms, shape [3]."""
+        return None if self.covariance is None else np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+
+KnownPress = tuple[int, float, float]
+"""First frame of a run, its force [N] and the standard deviation of the force's logarithm."""
+
+
+def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], homogeneous: str, source: str) -> ForceScale:
+    """Scale from forces that are known in some runs.
+
+    Args:
+        runs: the runs of a clip.
+        forces: those that are known.
+        homogeneous: the property that contacts share, MASS or STIFFNESS.
+        source: where the forces come from, in words.
+
+    Raises:
+        NoEstimate: the estimated force of none of these runs is determined.
+    """
+    by_frame, row = {run.onset_frame: run for run in runs}, FORCE_ROW + EXPONENTS[homogeneous]
+    found: dict[int, tuple[float, float]] = {}
+    why = "no press was estimated in the run of contact whose force is known"
+    for frame, force, log_sd in forces:
+        run = by_frame.get(frame)
+        if run is None:
+            continue
+        if not run.explained:
+            why = f"the model does not explain the motion of the run at frame {frame}, whose force is known"
+            continue
+        if run.expected is not None and not row @ run.expected @ row < LIMIT**2:
+            name = "force" if homogeneous == MASS else "force over stiffness"
+            why = f"the estimated {name} of the run at frame {frame}, whose force is known, is not determined"
+            continue
+        own = 0.0 if run.covariance is None else float(row @ run.covariance @ row)
+        found[frame] = math.log(force) - float(row @ run.logs), log_sd**2 + own
+    if not found:
+        raise NoEstimate(f"No results in newtons: {why}.")
+    precise = {frame: 1 / max(variance, 1e-12) for frame, (_, variance) in found.items()}
+    total = sum(precise.values())
+    weights = {frame: value / total for frame, value in precise.items()}
+    log = sum(weights[frame] * value for frame, (value, _) in found.items())
+    variance = sum(weights[frame] ** 2 * spread for frame, (_, spread) in found.items())
+    return ForceScale(log, variance, homogeneous, source, weights)
+
+
+def measured_presses(runs: Sequence[PressedRun], measured: KnownForce, known: tuple[float, float]) -> list[KnownPress]:
+    """Forces of the runs that were measured within some seconds, as `scale_by_force` takes them.
+
+    The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.
+    """
+    found = []
+    for run in runs:
+        here = run.pressing(measured.times) & (known[0] <= measured.times) & (measured.times <= known[1])
+        force = np.abs(measured.force[here])
+        if len(force) >= LEAST_KNOWN and force.mean() > 0:
+            factor, variance, _ = fit_factor(np.ones(len(force)), force)
+            found.append((run.onset_frame, factor, math.sqrt(variance) / factor))
+    return found
+
+
+def scale_by_stiffness(value: float, log_sd: float, metric: bool, length: ClipLength, source: str) -> ForceScale:
+    """Scale from the stiffness k_s that the tissue has at all contacts.
+
+    Args:
+        value: k_s [N/m, or N per scene unit].
+        log_sd: standard deviation of the stiffness's logarithm.
+        metric: whether the stiffness is in N/m.
+        length: length of a scene unit.
+        source: where the stiffness comes from, in words.
+
+    Raises:
+        NoEstimate: the stiffness is in N/m, and the length of a scene unit isn't known.
+    """
+    log = math.log(value)
+    if metric:
+        if length.metres is None:
+            raise NoEstimate(
+                "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
+                "give metres_per_depth."
+            )
+        log += math.log(length.metres)
+    return ForceScale(log, log_sd**2, STIFFNESS, source, {}, metric)

@@ -1,0 +1,152 @@
+"""Deformation of a contact as `.vtu` files, one a frame, with a `.pvd` index, and the mesh at rest as `.ply`.
+
+Numbers are text and integers have 32 bits: SOFA's MeshVTKLoader reads no others.
+"""
+
+import contextlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.estimator import fitted_press
+from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.estimators.records import InteractionEstimate
+from palpate.physics.fem.solid import EIGHTHS, outer_faces
+from palpate.physics.mechanics import PARAMETERS, Mechanics
+from palpate.physics.msd.simulation import simulate
+
+UNKNOWN_LOG_SD = 50.0
+"""Largest standard deviation of a logarithm that is written: VTK reads no infinite numbers."""
+ENDS = np.array([0.0, -1.0, 1.0])
+"""Value and both ends of its 90 % interval, in standard deviations over `NINETY`."""
+SCENE = "scene units: depth over the clip's scale, not metric"
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """Mesh of N vertices that deforms over T frames, with what was estimated of it."""
+
+    points: np.ndarray
+    """Vertices at rest, shape [N, 3], in the unit of the displacement."""
+    triangles: np.ndarray
+    """Vertices of the surface's triangles, shape [F, 3]."""
+    displacement: np.ndarray
+    """Displacement from rest, shape [T, N, 3]."""
+    times: np.ndarray
+    """Times since rest, shape [T] [s]."""
+    parameters: Mapping[str, np.ndarray]
+    """Quantities of the whole mesh by name; of an estimate its value and both ends of its 90 % interval."""
+    fields: Mapping[str, np.ndarray]
+    """Quantities of each vertex by name, shape [N] or [N, K]; of an estimate as of `parameters`."""
+    units: Mapping[str, str]
+    """Units by name, `displacement` included."""
+    tetrahedra: np.ndarray | None = None
+    """Vertices of the tetrahedra, linear or quadratic in VTK's order, shape [E, 4] or [E, 10]; None = a sheet."""
+
+
+def deformation_of(run: InteractionEstimate, times: np.ndarray) -> Deformation:
+    """Return the deformation of a contact, simulated by its estimate.
+
+    Args:
+        run: the contact.
+        times: times of the contact's frames since its onset, shape [T] [s].
+
+    Raises:
+        NoEstimate: what the simulation needs is not determined.
+    """
+    found, contact = run.estimate, run.interaction
+    if run.field is not None:
+        return _field(run.field)
+    if found is None or contact is None or run.mechanics is None or not {*PARAMETERS} <= {*found.determined}:
+        raise NoEstimate("Stiffness, damping and force of a sheet of springs are not all determined.")
+    return _press(found, contact, run.mechanics, times)
+
+
+def _press(found: Estimate, contact: Interaction, mechanics: Mechanics, times: np.ndarray) -> Deformation:
+    mesh, press = contact.mesh, fitted_press(contact, found, mechanics.time_step, mechanics.steps)
+    moved = simulate(found.theta, mesh, press, mechanics, watch=np.arange(len(mesh.vertices)), dtype=np.float64)
+    steps = np.rint(times / mechanics.time_step).astype(int)
+    inside, numbers = (steps >= 0) & (steps <= len(moved)), found.numbers()
+    names = {name: [numbers[f"{name}{end}"] for end in ("", "_low", "_high")] for name in PARAMETERS}
+    parameters = {name: np.array(values) for name, values in names.items()}
+    parameters |= {"force_direction": np.sign(found.theta[2]) * press.direction}
+    units = dict.fromkeys(PARAMETERS, "scene units (normalised), not SI") | {"displacement": SCENE}
+    moved = np.concatenate([np.zeros_like(moved[:1]), moved])[steps[inside]]
+    return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {}, units)
+
+
+def _field(found: FieldEstimate) -> Deformation:
+    if not found.explained:
+        raise NoEstimate("The simulation of tissue under the instrument alone does not explain the motion.")
+    last, session = found.last, found.driven.session
+    rest, places = found.driven.surface.body.rest, np.stack(found.driven.past)
+    moved = session.objective.stepped(session.fields, rest, places).positions[0, 1:] - rest
+    fields: dict[str, np.ndarray] = {}
+    for name, values, log_sd, known in (
+        ("stiffness", session.fields.distance, last.distance_log_sd, last.known),
+        ("shape_stiffness", session.fields.shape, last.shape_log_sd, last.shape_known),
+    ):
+        spread = np.minimum(log_sd, UNKNOWN_LOG_SD)[:, None] * NINETY * ENDS
+        fields |= {name: np.asarray(values)[:, None] * np.exp(spread), f"{name}_known": known}
+    units = dict.fromkeys(fields, "m/Δt²: mass over the square of a frame's time, relative")
+    units |= {"displacement": SCENE} | {f"{name}_known": "1: determined" for name in ("stiffness", "shape_stiffness")}
+    solid = last.tetrahedra if len(last.tetrahedra) else None
+    return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, units, solid)
+
+
+def palpation_deformation(found: MaterialFit, number: int) -> Deformation:
+    """Return the body of a fit that determines E under the force of a palpation, counted from 0."""
+    rest = found.rests[number]
+    solid, spread = rest.energy.solid, NINETY * ENDS
+    parameters = {"young": found.young * np.exp(spread * found.young_sd)}
+    parameters |= {"poisson": found.poisson + spread * found.poisson_sd}
+    units = {"displacement": "m", "young": "Pa", "load": "N", "held": "1: does not move"}
+    fields = {"load": rest.energy.forces.reshape(-1, 3), "held": rest.held.all(axis=1)}
+    faces, moved = outer_faces(solid.elements[:, EIGHTHS].reshape(-1, 4)), rest.displacement[None]
+    return Deformation(solid.rest, faces, moved, np.zeros(1), parameters, fields, units, solid.elements)
+
+
+def write_series(folder: Path, name: str, found: Deformation) -> list[str]:
+    """Write `name.ply`, `name_K.vtu` for every frame K and their index `name.pvd`; returns the files' names."""
+    from meshio import Mesh  # takes a quarter of a second
+
+    faces: dict[str, Any] = {"triangle": found.triangles.astype(np.int32)}
+    Mesh(found.points, faces).write(folder / f"{name}.ply")
+    solid = found.tetrahedra
+    kind = "" if solid is None else "tetra" if solid.shape[1] == 4 else "tetra10"
+    inner: dict[str, Any] = {} if solid is None else {kind: solid.astype(np.int32)}
+    fields = {key: each.astype(np.int32 if each.dtype == bool else np.float64) for key, each in found.fields.items()}
+    files = [f"{name}_{frame:04d}.vtu" for frame in range(len(found.times))]
+    for file, time, moved in zip(files, found.times.tolist(), found.displacement, strict=True):
+        with contextlib.redirect_stderr(io.StringIO()):  # meshio warns that text is large
+            mesh = Mesh(found.points.astype(np.float64), faces | inner, {"displacement": moved} | fields)
+            mesh.write(folder / file, binary=False)
+        _annotate(folder / file, {**found.parameters, "TimeValue": np.array([time])}, found.units)
+    sets = (f'<DataSet timestep="{time}" file="{file}"/>' for time, file in zip(found.times, files, strict=True))
+    index = '<VTKFile type="Collection" version="0.1">\n<Collection>\n{}\n</Collection>\n</VTKFile>\n'
+    (folder / f"{name}.pvd").write_text(index.format("\n".join(sets)), encoding="utf-8")
+    return [f"{name}.ply", f"{name}.pvd", *files]
+
+
+def _annotate(path: Path, parameters: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
+    """Add parameters as field data, which meshio doesn't write, and units."""
+    tree = ElementTree.parse(path)
+    data = ElementTree.Element("FieldData")
+    for name, values in parameters.items():
+        shape = {"NumberOfComponents": str(len(values)), "NumberOfTuples": "1", "format": "ascii"}
+        array = ElementTree.SubElement(data, "DataArray", {"type": "Float64", "Name": name} | shape)
+        array.text = " ".join(map(str, values.tolist()))
+    next(tree.iter("UnstructuredGrid")).insert(0, data)
+    for array in tree.iter("DataArray"):
+        if unit := units.get(array.attrib["Name"]):
+            key = {"name": "UNITS_LABEL", "location": "vtkDataArray"}
+            ElementTree.SubElement(array, "InformationKey", key).text = unit
+    tree.write(path)

@@ -10,7 +10,7 @@ from palpate.physics.identifiability import LIMIT
 LEAST_LEAD = 0.1
 """Least lead over the skill of a grip far from the instrument: any motion spreads smoothly."""
 HELD = 0.01
-"""Variance of the ratio of equal forces, as `force_error` counts it."""
+"""Added to r·|1 - r| of a ratio r in `force_error`: the ratio of equal forces is uncertain, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class GripEstimate:
 
 
 def force_error(force: np.ndarray, skill: float) -> np.ndarray:
-    """Return the model's error of relative forces [T] up to a factor: a share of the motion that the sheet leaves.
+    """Return the model's error of relative forces [T] up to a factor, proportional to what the sheet leaves.
 
-    Nothing is wrong at rest and in the last frame, where the ratios are 0 and 1.
+    The error is least at rest and at the last frame's force, where the ratio is 0 and 1 for any tissue.
     """
     return (1 - skill) * np.sqrt(np.abs(force * (1 - force)) + HELD)

@@ -85,7 +85,7 @@ class GripRecorder:
                 f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
             )
         times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
-        seen = np.isfinite(moved).all(axis=(0, 2))
+        seen = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = seen & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
             raise NoEstimate(
@@ -93,7 +93,7 @@ class GripRecorder:
             )
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
-        background = np.linalg.lstsq(terms[seen], np.hstack((moved - own)[:, seen]), rcond=None)[0]
+        background = np.linalg.lstsq(terms[seen], np.hstack([*(moved - own)[:, seen]]), rcond=None)[0]
         background = np.moveaxis(background.reshape(3, -1, 2), 1, 0)
         fit = fit_sheets(points, self._follower.spacing, gripped, moved, background)
         force, spread = fit.relative_force()

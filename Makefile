@@ -12,7 +12,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint lock bench model light gan paper clean
+.PHONY: demo test test-fast lint lock bench model gan paper clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -52,7 +52,7 @@ demo: $(INSTALLED)
 	$(call alongside,train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx,export,train.py test -c configs/smoke.yaml $(BEST))
 	$(call alongside,infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite,trained,infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite)
 	@echo
-	@echo "report:   $(DEMO)/training/evaluation/report.html"
+	@echo "table 2:  $(DEMO)/training/evaluation/table_2.csv"
 	@echo "network:  $(DEMO)/parameters.onnx"
 	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/fit.png
@@ -86,25 +86,9 @@ MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(BIN)/python -m estimators.network.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
 	$(call calibrated,$(MODEL),$(MODEL)/contact.onnx,400,60,150,400,1201)
-	$(MAKE) light
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python train.py fit -c configs/contact.yaml --contact.output $(MODEL)
-
-# Adds the posterior by light, calibrated on drawn videos, to that file.
-LIGHT := runs/light
-WATCH = $(BIN)/python -m evaluation.plain_video --estimator network --model $(LIGHT)/plain.onnx
-light: $(INSTALLED) $(LIGHT)/light.pt
-	$(BIN)/python -m estimators.network.light_calibration --model $(MODEL)/contact.onnx --light $(LIGHT)/light.pt --output $(LIGHT)/plain.onnx
-	$(WATCH) --suite video --seed 48101 --clips 24 --output $(LIGHT)/matte
-	$(WATCH) --suite video --look endoscope --seed 48102 --clips 24 --output $(LIGHT)/endoscope
-	$(WATCH) --suite video-oblique --seed 48103 --clips 12 --output $(LIGHT)/oblique
-	$(WATCH) --suite video-oblique --look endoscope --seed 48104 --clips 12 --output $(LIGHT)/oblique-endoscope
-	$(BIN)/python -m estimators.network.light_calibration --model $(LIGHT)/plain.onnx --output models/weights/contact.onnx \
-		--results $(LIGHT)/matte $(LIGHT)/endoscope $(LIGHT)/oblique $(LIGHT)/oblique-endoscope
-
-$(LIGHT)/light.pt: | $(INSTALLED)
-	$(BIN)/python train.py fit -c configs/light.yaml --light.output $(LIGHT)
 
 # The recommended system on pictures of two sizes with three kinds of noise, its networks an eighth as wide as the paper's.
 GAN := runs/gan

@@ -30,6 +30,7 @@ from rich.console import Console
 from palpate.api import calibrate, plan
 from palpate.command.infer import main as infer
 from palpate.common.command_line import say
+from palpate.common.files import as_json
 from palpate.common.options import options
 from palpate.common.provenance import ROOT
 from palpate.data.synthetic.__main__ import main as draw
@@ -181,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         goldens = json.loads(GOLDENS.read_text(encoding="utf-8"))
         if asked.write:
             goldens[group] = values
-            GOLDENS.write_text(json.dumps(goldens, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+            GOLDENS.write_text(as_json(goldens, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         found = differences(values, goldens.get(group, {}))
         status |= bool(found)
         say(console, f"{group}: {len(values)} values, {len(found)} different", "red" if found else "")

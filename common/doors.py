@@ -102,6 +102,12 @@ def load_program(module: str) -> ModuleType:
         signal.signal(signal.SIGINT, before)
 
 
+def program(module: str = "") -> str:
+    """Name of the running program as it was typed, such as `infer.py`, `palpate infer` or `python -m MODULE`."""
+    name = os.path.basename(sys.argv[0])
+    return f"python -m {module}" if module and not name.startswith("palpate ") else name
+
+
 def by_interrupt(error: BaseException | None) -> bool:
     """Whether an interruption stands at the beginning of what went wrong."""
     while error is not None and not isinstance(error, KeyboardInterrupt):

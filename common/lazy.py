@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 
-def exported(modules: Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
-    """A package's `__getattr__`.
+def exported(modules: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """A package's `__getattr__`, `__dir__` and `__all__`.
 
     Args:
         modules: names by the module that defines them.
@@ -18,4 +18,5 @@ def exported(modules: Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
             raise AttributeError(f"there is no {name} here; choose {', '.join(sorted(homes))}.")
         return getattr(importlib.import_module(homes[name]), name)
 
-    return find
+    names = sorted(homes)
+    return find, lambda: names, names

@@ -1,6 +1,7 @@
 """Where ONNX networks run: devices by ONNX Runtime's names, and the one place that opens a network."""
 
 import os
+import re
 
 import onnxruntime
 
@@ -47,6 +48,20 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
     if device != AUTO and provider_of(session) != provider:
         raise DeviceError(f"device {device} fails here; install what {PACKAGES[device]} needs, or choose auto.")
     return session
+
+
+def opening_problem(error: Exception) -> str:
+    """Why a network can't be opened, and what to do, for a sentence that begins with its file."""
+    if re.search(r"\bopset\b|\bIR version|model file format version", str(error), re.IGNORECASE):
+        known = f"than onnxruntime {onnxruntime.__version__} reads"
+        return f"has a newer opset or IR version {known}; export it with a lower opset_version, or update onnxruntime"
+    return f"can't be opened as an ONNX model ({first_line(error)}); export or download it again"
+
+
+def first_line(error: Exception) -> str:
+    """First line of an error, short enough for a sentence, without ONNX Runtime's code and path at its beginning."""
+    line = (str(error).strip() or type(error).__name__).split("\n")[0]
+    return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (Load model from .* failed:)?", "", line)[:200].rstrip(". ")
 
 
 def provider_of(session: onnxruntime.InferenceSession) -> str:

@@ -13,6 +13,7 @@ from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from palpate.common.command_line import described_parser, path_option
+from palpate.common.doors import program as as_typed
 
 
 def options(kind: type[Any], arguments: Sequence[str] | None, program: str, documentation: str | None) -> Any:
@@ -21,7 +22,7 @@ def options(kind: type[Any], arguments: Sequence[str] | None, program: str, docu
     Options are written as `--clips 3`, `--suite clean noisy` (fields that are tuples) and `--camera`.
     """
     statuses = "0 done; 1 failed; 2 wrong usage; 130 interrupted"
-    parser = described_parser(f"python -m {program}", documentation, statuses)
+    parser = described_parser(as_typed(program), documentation, statuses)
     add_options(parser, kind)
     given = sys.argv[1:] if arguments is None else arguments
     if any(each == "" or each.endswith("=") for each in given):

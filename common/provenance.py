@@ -1,7 +1,9 @@
-"""What code a result was made with: one digest of the project's sources, the same from a checkout and installed."""
+"""Code that a result was made with: version and digest of the sources, the same from a checkout and installed."""
 
 import functools
 import hashlib
+import tomllib
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +16,18 @@ PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "
 """What it depends on outside data/."""
 KINDS = (".py", ".yaml", ".onnx")
 Part = Literal["all", "preparation", "kernels"]
+
+
+def _version() -> str:
+    """Version of the installed package; in a plain checkout, that of pyproject.toml."""
+    try:
+        return version("palpate")
+    except PackageNotFoundError:
+        path = ROOT / "pyproject.toml"
+        return tomllib.loads(path.read_text("utf-8"))["project"]["version"] if path.is_file() else "unknown"
+
+
+__version__ = _version()
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 source     frames of files and folders; how they are named; the camera
 masks      where tool and tissue are; depth: how far away they are
-brightness  the tissue's light, and how it changes
+shading     the tissue's light, and how it changes
 picture_network  ONNX networks for either: opened, fed and run
 contact    where they touch, how the tissue moves, and the Interaction that the simulator replays
 tracks     hundreds of tissue points followed over a clip

@@ -17,7 +17,6 @@ import numpy as np
 
 from palpate.common.ahead import ahead
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
-from palpate.data.contact.dents import DentContacts
 from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.light_contacts import LightContacts
@@ -154,9 +153,7 @@ class ClipStream:
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
         geometry, frames = self.settings.geometry, _staged(self._measured(noticed), most)
-        if geometry.contact == "motion":
-            frames = self._decided(frames, DentContacts(self.camera, geometry))
-        elif geometry.contact == "touching":
+        if geometry.contact == "touching":
             near = geometry.contact_distance or math.inf
             frames = self._decided(frames, ContactEvidence(near, measured=not self.guesses_depth))
             if self.guesses_depth:
@@ -164,7 +161,7 @@ class ClipStream:
         return frames
 
     def _decided(
-        self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | DentContacts | LightContacts
+        self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | LightContacts
     ) -> Iterator[PreparedFrame]:
         """Frames once it is decided whether they are in contact, which may be known some frames later."""
         for prepared in frames:

@@ -1,13 +1,12 @@
 """ONNX networks that take a colour picture, or a pair, for depth and for masks: opened, checked, fed and run."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from palpate.common.onnx_devices import DeviceError, open_session, provider_of
+from palpate.common.onnx_devices import DeviceError, first_line, open_session, opening_problem, provider_of
 from palpate.data.source.layout import InputError
 
 _NUMBERS = {"float": np.float32, "float16": np.float16, "double": np.float64, "uint8": np.uint8}
@@ -36,9 +35,7 @@ class PictureNetwork:
         except DeviceError as error:
             raise InputError(str(error)) from error
         except Exception as error:  # onnxruntime's errors share no base class of their own
-            raise InputError(
-                f"{path} can't be opened as an ONNX model ({_first_line(error)}); export or download it again."
-            ) from error
+            raise InputError(f"{path} {opening_problem(error)}.") from error
         self._session, inputs = session, session.get_inputs()
         types = [name for name, dtype in _INPUT_TYPES.items() if raw or dtype is not np.uint8]
         if len(inputs) != many or any(len(entry.shape) != 4 or entry.type not in types for entry in inputs):
@@ -66,6 +63,9 @@ class PictureNetwork:
         # A dimension that is a name or None is free.
         fixed = [side if isinstance(side, int) else None for side in self._input.shape]
         sides = dict(zip(axes, fixed, strict=True))
+        if sides["C"] in (3, None) and sides["N"] not in (1, None):
+            problem = f"takes {sides['N']} pictures at once; export it with a batch of 1 or a dynamic batch axis"
+            raise InputError(f"{self.path} {problem}.")
         if sides["N"] not in (1, None) or sides["C"] not in (3, None):
             raise InputError(
                 f"{self.path} takes an input '{self._input.name}' of shape {self._input.shape}, and not one colour "
@@ -86,7 +86,7 @@ class PictureNetwork:
             return [np.asarray(value) for value in self._session.run(outputs, given)]
         except Exception as error:  # onnxruntime's errors share no base class of their own
             raise InputError(
-                f"{self.path} fails on an input of shape {list(tensor.shape)} ({_first_line(error)}); check the size "
+                f"{self.path} fails on an input of shape {list(tensor.shape)} ({first_line(error)}); check the size "
                 "that its settings say."
             ) from error
 
@@ -110,9 +110,3 @@ def network_input(
     """
     values = (picture * np.float32(factor) - np.asarray(mean, np.float32)) / np.asarray(std, np.float32)
     return np.ascontiguousarray((values if axes == "NHWC" else values.transpose(2, 0, 1))[None])
-
-
-def _first_line(error: Exception) -> str:
-    """First line of an error, short enough for a sentence, without onnxruntime's code and path at its beginning."""
-    line = (str(error).strip() or type(error).__name__).split("\n")[0]
-    return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (Load model from .* failed:)?", "", line)[:200].rstrip(". ")

@@ -6,9 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from palpate.data.brightness.registration import View
-from palpate.data.brightness.sequence import LabelledPicture
 from palpate.data.contact.geometry import FrameGeometry, GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.shading.registration import View
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 from palpate.data.tracks.following import Shown
@@ -47,11 +46,9 @@ class PreparedFrame:
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
+    """Logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
-    light_picture: LabelledPicture | None = None
-    """Picture and label map from which that light is, in that view."""
     press: tuple[int, int] | None = None
     """Grid pixel (u, v) of the dent by whose darkening a press was found; None where outlines tell the contact."""
     distance: float = math.nan

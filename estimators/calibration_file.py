@@ -222,7 +222,7 @@ def read_calibration(path: Path) -> Calibration:
         if "thickness_m" not in values:
             raise InputError(
                 f"{printable(path)} holds no thickness_m, without which E tells no stiffness of a sheet; give "
-                "calibrate.py palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
+                "palpate calibrate palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
             )
         values = {"palpation": path.name, "thickness_m": values["thickness_m"]}
     given = from_mapping(CalibrationFile, values, printable(path))

@@ -10,7 +10,6 @@ from palpate.data.depth.normalise import DepthSettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
-from palpate.data.source.coding import Coding
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -31,18 +30,11 @@ class Chosen:
     """Fields of `DepthSettings`."""
     smoothing: float | None = None
     """Width over which the resting shape is smoothed [grid px]; None = the estimator's."""
-    contact: str | None = None
-    """How contacts are found, as of `GeometrySettings`; None = the estimator's."""
-
-    @property
-    def found(self) -> dict[str, Any]:
-        """Fields of `GeometrySettings` that the user chooses for any estimator."""
-        return {} if self.contact is None else {"contact": self.contact}
 
     def without_model(self) -> PrepareSettings:
         """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
         smoothing = SMOOTHING if self.smoothing is None else self.smoothing
-        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract", **self.found)
+        geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract")
         chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.layout}
         return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
 
@@ -61,8 +53,6 @@ class ClipInfo:
     """How contacts are found."""
     bridge_frames: int
     """Contact that is missing on up to this many frames is still the same run."""
-    coding: Coding | None = None
-    """How the pictures were coded, where that is known."""
     force: KnownForce | None = None
     """Forces that are known, of whoever tells stiffness by them frame by frame."""
     metres: Callable[[], tuple[float, float] | None] | None = None
@@ -72,8 +62,7 @@ class ClipInfo:
     def of(cls, clip: ClipStream) -> Self:
         """Of an opened clip."""
         settings, source = clip.settings, clip.source
-        chosen = settings.geometry, settings.bridge_frames
-        return cls(source.fps, source.size, clip.picture_camera, *chosen, source.coding)
+        return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 
 
 Output = FrameEstimate | InteractionEstimate

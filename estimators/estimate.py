@@ -8,12 +8,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, bounds, combination_bounds, covariance, describe, verdict
+from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, covariance, describe, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
-NINETY = 1.6448536269514722
-"""Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 COMBINATIONS = {
     "stiffness": (1.0, 0.0, 0.0),
     "damping": (0.0, 1.0, 0.0),
@@ -28,9 +26,7 @@ REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
 LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
-BY_LIGHT = (
-    "by the brightness of the tissue, for want of measured depth: lengths and forces are relative to its distance"
-)
+BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
 CONTRADICTION = 11.34
 """Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
@@ -202,7 +198,7 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
     refuted = ""
     if apart @ np.linalg.solve(sum(covariances), apart) > CONTRADICTION:
-        refuted = "The tissue's depth and its brightness contradict each other."
+        refuted = "The tissue's depth and its shading contradict each other."
     return dataclasses.replace(
         by_depth,
         theta=np.exp(both @ (one @ logs[0] + other @ logs[1])) * np.sign(by_depth.theta),

@@ -67,7 +67,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
         "depth": dataclasses.replace(depth, **wanted),
-        "geometry": dataclasses.replace(section(model, "geometry", GeometrySettings), **chosen.found),
+        "geometry": section(model, "geometry", GeometrySettings),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),
         "layout": chosen.layout,

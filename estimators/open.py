@@ -107,7 +107,6 @@ def preparation(
     masks: str | None = None,
     layout: str | Path | ClipLayout | None = None,
     camera: str | Path | None = None,
-    contact: str | None = None,
     smoothing: float | None = None,
     topic: str | None = None,
     **depth: Any,
@@ -119,7 +118,6 @@ def preparation(
         masks: `auto`, `annotation`, `automatic`, or a file: a segmentation network's .onnx, or outlines in .yaml.
         layout: YAML file that names a folder's files, or what such a file says.
         camera: YAML or JSON file of the camera of clips that bring none of their own.
-        contact: `touching` or `motion`: how a press is found (estimators direct and network).
         smoothing: width over which the resting shape is smoothed [grid px] (estimators direct and online).
         topic: of the pictures in bags.
         depth: of `DEPTH`: where depth comes from (`stored`, a preset's name, or an .onnx file), and how.
@@ -134,14 +132,12 @@ def preparation(
         raise ValueError(
             "geometry.smoothing is for --estimator direct and online; a network's preparation is as it was trained."
         )
-    if contact is not None and estimator.name not in ("direct", "network"):
-        raise ValueError("geometry.contact is for --estimator direct and network; leave it out.")
     found = layout if isinstance(layout, ClipLayout) else ClipLayout() if layout is None else load_layout(Path(layout))
     if camera is not None:
         load_camera(Path(camera))
         found = replace(found, camera=str(Path(camera).resolve()))
     found = replace(found, topic=topic or found.topic)
     chosen = {DEPTH[name]: value for name, value in depth.items() if value is not None}
-    settings = estimator.preparation(Chosen(found, masks, chosen, smoothing, contact))
+    settings = estimator.preparation(Chosen(found, masks, chosen, smoothing))
     check_sources(settings)
     return settings

@@ -25,7 +25,7 @@ def palpated_young(path: Path) -> tuple[float, float]:
     if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
         raise InputError(
             f"{printable(path)} holds no E with an interval ({', '.join(names)}); give calibration.json of "
-            "calibrate.py palpation."
+            "palpate calibrate palpation."
         )
     young, low, high = (float(values[name]) for name in names)
     return young, abs(math.log(high / low)) / (2 * NINETY)

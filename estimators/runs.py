@@ -4,20 +4,21 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Generator, Iterator
+from concurrent.futures import Executor, Future
 
 import numpy as np
 
-from palpate.data.brightness.light import log_light
-from palpate.data.brightness.sequence import RestingLight
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
+from palpate.data.shading.light import log_light
+from palpate.data.shading.sequence import RestingLight
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.direct.brightness_fit import MECHANICS, fit_brightness
+from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
@@ -60,9 +61,7 @@ class Run:
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
             first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(
-                *found, first_seen, clip.geometry, seconds, clip.size, rest_light, clip.coding
-            )
+            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -120,7 +119,7 @@ class RunTracker:
             self._light.clear()
         ended = self._push(frame)
         if self.current is None and frame.light is not None:
-            self._light.push(frame.light, frame.light_picture if self._clip.coding is not None else None)
+            self._light.push(frame.light)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -171,6 +170,9 @@ class RunSession:
         """Whether that light is looked at although depth is measured."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
+        self.fitter: Executor | None = None
+        """Executor of the fits by shading, for live sources; None = later frames wait for them."""
+        self._fits: deque[Future[InteractionEstimate]] = deque()
         self._runs = RunTracker(clip, self.mechanics.seconds)
         self._grip: GripRecorder | None = None
 
@@ -184,22 +186,23 @@ class RunSession:
             self.seconds[stage] += time.perf_counter() - start
 
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
-        """Yield the record of the run that the clip's end has cut off."""
+        """Yield the record of the run that the clip's end has cut off, after those that are still being fitted."""
         yield from self._ended(self._runs.finish())
+        yield from (fit.result() for fit in self._fits)
 
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
         if self.needs_light and frame.visible and frame.light is None:
             light = log_light(*frame.view, frame.depth.shape)
             # The frame itself stays as it is: others may look at it.
-            frame = dataclasses.replace(frame, light=light, light_picture=frame.view)
+            frame = dataclasses.replace(frame, light=light)
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
         with self.timed("follow"):
-            if run is None or self.clip.geometry.contact == "motion" or not self._follows(run):
+            if run is None or not self._follows(run):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame) if frame.visible else None
@@ -211,17 +214,24 @@ class RunSession:
         return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
-        """Yield the record of a run that has ended: of the press, and of the grip where the press is undetermined."""
-        if run is None:
-            return
-        recorder, self._grip = self._grip, None
+        """Yield the record of a run that has ended, once it is fitted."""
+        if run is not None:
+            recorder, self._grip = self._grip, None
+            if self.fitter is not None and self.by_light and run.lit:
+                self._fits.append(self.fitter.submit(self._recorded, run, recorder))
+            else:
+                yield self._recorded(run, recorder)
+        while self._fits and self._fits[0].done():
+            yield self._fits.popleft().result()
+
+    def _recorded(self, run: Run, recorder: GripRecorder | None) -> InteractionEstimate:
+        """Return the record of a run: of the press, and of the grip where the press is undetermined."""
         if run.passed:
-            yield run.estimate(detail=run.unobserved)
-            return
+            return run.estimate(detail=run.unobserved)
         record = self._pressed(run)
         if recorder is not None and record.verdict in ("", "undetermined"):
             record = self._gripped(record, recorder, run.builder is None)
-        yield record
+        return record
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
@@ -243,12 +253,12 @@ class RunSession:
         return run.estimate(**results, detail=detail)
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
-        """As of `fit_brightness`: the estimate of a whole contact by its light.
+        """As of `fit_shading`: the estimate of a whole contact by its light.
 
         Raises:
             NoEstimate: the contact can't be estimated.
         """
-        return fit_brightness(contact, 1 / self.clip.fps)
+        return fit_shading(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -287,7 +297,6 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
         frame.labels,
         frame.light,
         frame.light_view,
-        frame.light_picture,
         len(frame.skipped),
     )
 

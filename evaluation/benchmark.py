@@ -39,7 +39,7 @@ from palpate.evaluation.recovery.estimators import CONSTANT, DIRECT, NAMES, Cand
 from palpate.evaluation.recovery.grips import grip_table
 from palpate.evaluation.recovery.scores import Scores, score_all, table
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
-from palpate.evaluation.recovery.trial import MOTION, Trial, run_trial
+from palpate.evaluation.recovery.trial import Trial, run_trial
 
 LARGEST_SIZE = 4096
 """Of pictures [px]."""
@@ -74,11 +74,8 @@ class Benchmark(Experiment):
     """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
     """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
-    contact: Literal["touching", "motion"] = "touching"
-    """how contacts are found: where masks show the tool (touching), or by their dents in clips that are drawn without
-    the tool (motion), of presses on a sheet"""
-    observation: Literal["field", "contact"] | None = None
-    """what direct and network look at: the whole dent (field, default), or the point that was touched (contact)"""
+    observation: Literal["depth", "contact"] | None = None
+    """what direct and network look at: the whole dent (depth, default), or the point that was touched (contact)"""
     bound: Literal["field", "contact"] = "field"
     """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
     with
@@ -105,11 +102,8 @@ class Benchmark(Experiment):
                 f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
                 f"up, {LARGEST_SIZE} px a side at most."
             )
-        kinds = {EVERY[name].of for name in self.suites}
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
-        if self.contact == MOTION and (kinds != {"press"} or "gan" in self.estimator):
-            raise ValueError("--contact motion is for direct and network on suites of presses; leave others out.")
         for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
             if name in self.estimator and given is None:
                 raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")
@@ -140,7 +134,6 @@ class Benchmark(Experiment):
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
-        found |= {"contact": self.contact}
         found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
         return found | {f"estimator {name}": describe(estimator) for name, estimator in self.estimators.items()}
 
@@ -170,7 +163,7 @@ class Benchmark(Experiment):
         for key in left:
             trials.setdefault(group(key), {}).setdefault(key[0], {})[key[2]] = known[key[2]]
         seeds = {index: suite_clip_seed(self.split, self.seed, index) for index, _ in trials}
-        rest = self.seen, self.pixels, self.contact
+        rest = self.seen, self.pixels
         cases = [Trial(index, seeds[index], wanted, *rest) for (index, _), wanted in trials.items()]
         return cases, len({group(key) for key in self.wanted})
 

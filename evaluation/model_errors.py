@@ -8,8 +8,7 @@ root mean square errors and what residuals tell of them (clips weighted as the m
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
 leave `value`, by which the estimators go, as it is. The part pull takes the suites retraction, foundation and regions;
 video takes presses in RGB videos, facing and oblique (`evaluation.plain_video`, fifteen seconds a clip), in turns by
-either law of light. Of video it also measures by how much both ratios' errors grow with the damping ratio, which the
-fit subtracts.
+either law of light.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -27,14 +26,11 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 from rich.console import Console
-from scipy.optimize import least_squares
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
 from palpate.common.options import options, require_within
-from palpate.common.robust import median_sd
 from palpate.common.settings import LARGEST
-from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
 from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.grip_estimate import force_error
 from palpate.estimators.model_errors import FILE, read_entries
@@ -63,8 +59,6 @@ HEAD = (
 
 Errors = dict[str, list[tuple[float, float]]]
 """By entry: errors of the clips, and the variances that their residuals tell."""
-Slopes = dict[str, float]
-"""By entry: of its errors along another quantity."""
 Entries = dict[str, dict[str, Any]]
 """Of the file, by name."""
 
@@ -75,15 +69,12 @@ def model_sd(off: float, residual: float) -> float:
     return float(f"{left:.2g}")
 
 
-def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """Errors of the relative force of pulls, and what residuals tell of them.
 
     Args:
         rows: of clips.
         values: standard deviations that the estimates counted, by entry.
-
-    Returns:
-        Errors, and slopes of those that grow with something, which these don't.
     """
     found: Errors = {}
     for row in rows:
@@ -94,43 +85,25 @@ def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Error
             stated = np.square(sd).sum() / share - values["pull_force"] ** 2
             error = math.sqrt(np.square(force - true).sum() / share)
             found.setdefault("pull_force", []).append((error, max(float(stated), 0.0)))
-    return found, {}
+    return found
 
 
-def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> tuple[Errors, Slopes]:
-    """Errors of k_s and of both ratios of presses in plain videos, and their slopes; arguments as of `pull_errors`.
+def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+    """Errors of k_s and of both ratios of presses in RGB videos; arguments as of `pull_errors`.
 
-    A fit takes its model's errors to be larger where it leaves more of the light's change and residuals belong together
-    (`estimators.direct.brightness_fit`); by that factor errors are divided. Both ratios' errors go along with log ζ,
-    times the square of what is left: the slope of that is what their entries `…_slope` take off.
+    A fit takes its model's errors to be larger where it leaves more of the light's change and residuals are correlated
+    (`estimators.direct.shading_fit`); by that factor errors are divided.
     """
-    known, found, slopes = [row for row in rows if row.get("explained")], {}, {}
-    if not known:
-        return found, slopes
-    left = np.square(np.array([row["left"] for row in known]) / USUALLY_LEFT)
-    # As it seemed before anything was taken off.
-    seemed = np.array([row["log_damping_ratio"] for row in known]) / (1 - values["brightness_damping_slope"] * left)
+    known, found = [row for row in rows if row.get("explained")], {}
     quantities = {"damping": "damping_over_stiffness", "force": "force_over_stiffness", "scale": "stiffness"}
-    for kind, quantity in quantities.items():
+    for kind, quantity in quantities.items() if known else ():
         error, sd, counted = np.array([[row[f"{quantity}_{end}"] for end in ENDS] for row in known]).T
-        name, slope = f"brightness_{kind}", f"brightness_{kind}_slope"
-        factor, along = counted / values[name], left * seemed
-        if slope in values:
-            error = error + values[slope] * along
-            slopes[slope] = steepness(along, error, factor)
-            error = error - slopes[slope] * along
-        found[name] = list(zip(error / factor, (sd**2 - counted**2) / factor**2, strict=True))
-    return found, slopes
+        factor = counted / values[f"shading_{kind}"]
+        found[f"shading_{kind}"] = list(zip(error / factor, (sd**2 - counted**2) / factor**2, strict=True))
+    return found
 
 
-def steepness(along: np.ndarray, errors: np.ndarray, sds: np.ndarray) -> float:
-    """Slope of errors [N] along a quantity [N], of which a few may be far off, to two digits; sds are in proportion."""
-    scale = max(median_sd(errors / sds), 1e-9)
-    found = least_squares(lambda slope: (errors - slope * along) / (sds * scale), 0.0, loss="soft_l1").x[0]
-    return float(f"{found:.2g}")
-
-
-def updated(entries: Entries, errors: Errors, slopes: Slopes, command: str, date: str) -> Entries:
+def updated(entries: Entries, errors: Errors, command: str, date: str) -> Entries:
     """Entries with what was measured; their values are that where enough clips were."""
     found = {name: dict(entry) for name, entry in entries.items()}
     for name, pairs in errors.items():
@@ -140,11 +113,6 @@ def updated(entries: Entries, errors: Errors, slopes: Slopes, command: str, date
         found[name]["measured"] = measured | {"command": command, "date": date}
         if len(pairs) >= ENOUGH:
             found[name] |= {"value": measured["sd"], "source": "measured"}
-    for name, slope in slopes.items():
-        clips = len(errors[name.removesuffix("_slope")])
-        found[name]["measured"] = {"slope": slope, "clips": clips, "command": command, "date": date}
-        if clips >= ENOUGH:
-            found[name] |= {"value": slope, "source": "measured"}
     return found
 
 
@@ -195,12 +163,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, threads=1)}}))
             progress.advance(bar)
-    errors, slopes = {"pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
+    errors = {"pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1
     command = f"python -m evaluation.model_errors --part {asked.part} --clips {asked.clips} --seed {asked.seed}"
-    write_entries(asked.output, updated(entries, errors, slopes, command, datetime.date.today().isoformat()))
+    write_entries(asked.output, updated(entries, errors, command, datetime.date.today().isoformat()))
     for name, pairs in errors.items():
         say(console, f"{name}: {len(pairs)} clips")
     say(console, f"written: {asked.output}")

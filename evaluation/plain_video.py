@@ -5,9 +5,9 @@
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
 to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
 instrument that passes over tissue and never touches), `video-pull`, and `video-depth` (the presses of `video` with
-depth as noisy as a network's and masks given, for --observation field, brightness or both). With
+depth as noisy as a network's and masks given, for --observation depth, shading or both). With
 `--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
-coarsely. `--estimator network` measures the network's posterior by light instead of the fit.
+coarsely. `--estimator network` measures what the network makes of given depth.
 Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
@@ -38,7 +38,7 @@ from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometryStatus, dent_geometry
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS
+from palpate.data.contact.interaction import BOTH
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
 from palpate.data.synthetic.scene import Scene
@@ -116,9 +116,7 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
     distance = float(scene.mesh.vertices[scene.vertex, 2])
     estimate = right[0].estimate
     assert estimate is not None
-    seemed = math.log(damping_ratio(*estimate.theta[:2], settings.mass))
-    row |= {"left": estimate.left, "log_damping_ratio": seemed}
-    return row | compared(right[0], truth.theta, distance, 1 / settings.fps)
+    return row | {"left": estimate.left} | compared(right[0], truth.theta, distance, 1 / settings.fps)
 
 
 def normal_error(stream: ClipStream, scene: Scene) -> float:
@@ -147,7 +145,7 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
     assert estimate is not None
     assert contact is not None
     true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
-    information = None if contact.brightness is None else light_information(contact, true, frame_seconds)
+    information = None if contact.shading is None else light_information(contact, true, frame_seconds)
     row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
@@ -182,7 +180,7 @@ class PlainVideo(Measurements):
     """which"""
     model: Path | None = None
     """network's file (default: the one that comes along)"""
-    observation: Literal["field", "brightness", "both"] | None = None
+    observation: Literal["depth", "shading", "both"] | None = None
     """what is fitted (default: what there is); both with direct alone"""
     rate: Literal["full", "fast"] = "full"
     """what is done of a clip, as of palpate infer; fast with network alone"""
@@ -218,10 +216,8 @@ class PlainVideo(Measurements):
 
     @property
     def options(self) -> EstimatorOptions:
-        """What opens the estimator: the direct one takes light of itself, the network is asked to for whole runs."""
-        by_light = BRIGHTNESS if self.estimator == "network" and self.suite != GIVEN else None
-        observation = self.observation or by_light
-        return EstimatorOptions(self.estimator, self.model, observation=observation, rate=self.rate)
+        """What opens the estimator."""
+        return EstimatorOptions(self.estimator, self.model, observation=self.observation, rate=self.rate)
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""

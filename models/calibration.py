@@ -51,16 +51,3 @@ class Calibration:
     """Features that are 1 for instants that were observed under load."""
     within_features: tuple[int, ...] = ()
     """Features that are above 0 where the instants of a press are not known."""
-
-
-@dataclass(frozen=True)
-class LightCalibration:
-    """What the sequences that the posterior by light was trained on don't have (coders, cameras, tissue), as found on
-    videos: the mean less shift, kept in the admissible box, with the covariance scale² · covariance + added.
-    """
-
-    shift: Triple = (0.0, 0.0, 0.0)
-    """By how much (log k_s, log k_d, log |F|) come out too large."""
-    scale: float = 1.0
-    added: tuple[Triple, Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    """Covariance of what is left of that, from video to video."""

@@ -14,7 +14,7 @@ from statistics import NormalDist
 import numpy as np
 from scipy.optimize import minimize
 
-from palpate.models.calibration import LOG_DAMPING, LightCalibration, Widths
+from palpate.models.calibration import LOG_DAMPING, Widths
 
 LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
@@ -30,8 +30,6 @@ ROUNDS = 100
 """Of a search for the most likely variance."""
 LEAST_VARIANCE = 1e-12
 """No error is known better, so that none counts alone."""
-FEWEST_VIDEOS = 40
-"""Fewer plain videos don't tell what the drawn sequences lack."""
 
 
 def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray, log_noise: np.ndarray) -> Widths:
@@ -99,31 +97,3 @@ def mean_squares(errors: np.ndarray, variances: np.ndarray) -> tuple[float, floa
         weights /= weights.sum()
         model = max(float(weights @ (squares - variances)), 0.0)
     return float(weights @ squares), float(weights @ variances)
-
-
-def fit_light(errors: np.ndarray, variances: np.ndarray) -> LightCalibration:
-    """What makes intervals of log k_s, log k_d/k_s and log F/k_s hold, from errors on plain videos.
-
-    Every error is taken to be normal, with one mean and one variance besides the network's own for each of the three.
-
-    Args:
-        errors: of the three, shape [n, 3].
-        variances: that the network states, shape [n, 3].
-
-    Raises:
-        ValueError: too few results.
-    """
-    if len(errors) < FEWEST_VIDEOS:
-        raise ValueError(f"{len(errors)} estimates of plain videos; calibration needs {FEWEST_VIDEOS} or more.")
-    shift, added = errors.mean(axis=0), np.zeros(3)
-    for _ in range(ROUNDS):
-        squares = (mean_squares(*column) for column in zip((errors - shift).T, variances.T, strict=True))
-        added = np.array([max(off - stated, 0.0) for off, stated in squares])
-        weights = 1 / (variances + added)
-        shift = (weights * errors).sum(axis=0) / weights.sum(axis=0)
-    # A few dozen videos are no reason to state less than the network does.
-    scale = max(conformal_scale((errors - shift).ravel(), np.sqrt(variances + added).ravel()), 1.0)
-    # log k_d and log |F| are log k_s and a ratio's logarithm.
-    of_ratios = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
-    model = scale**2 * of_ratios @ np.diag(added) @ of_ratios.T
-    return LightCalibration(tuple((of_ratios @ shift).tolist()), scale, tuple(map(tuple, model.tolist())))

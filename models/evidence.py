@@ -95,18 +95,6 @@ def covering(mean: Tensor, factor: Tensor, best: Tensor, information: Tensor) ->
     return (0.5 * squares + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
 
 
-def density_loss(mean: Tensor, factor: Tensor, logs: Tensor) -> Tensor:
-    """-log q(φ), the mean over the batch, up to a constant: the loss of neural posterior estimation.
-
-    Args:
-        mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
-        logs: φ that the observations were drawn with, shape [B, 3].
-    """
-    apart = torch.linalg.solve_triangular(factor, (logs - mean)[..., None], upper=False)
-    squares = apart.square().sum((1, 2)).clamp(max=MAX_SQUARES)
-    return (0.5 * squares + torch.log(factor.diagonal(dim1=1, dim2=2)).sum(1)).mean()
-
-
 def box_prior(lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
     """Precision [3, 3] and mean [3] of the Gaussian with the moments of the uniform distribution over a box."""
     return torch.diag(12 / (upper - lower).square()), 0.5 * (lower + upper)

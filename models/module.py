@@ -31,8 +31,6 @@ UNTRAINED = "picture.weight", "picture.bias"
 """Parameters of a pretrained posterior that its file does not hold."""
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
 """Of `models.records.pair_records`, those whose means are logged."""
-FOR_NETWORKS = "window", "contact_features"
-"""Beginnings of the names of what networks read of a batch."""
 Own = TypeVar("Own")
 
 
@@ -125,12 +123,6 @@ class PhysicsInformedGAN(LightningModule):
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
         self._validated: list[Tensor] = []
-
-    def transfer_batch_to_device(
-        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
-    ) -> dict[str, Any]:
-        """What networks read, on a device; the rest stays on the CPU, where rollouts are compiled."""
-        return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
 
     def on_fit_start(self) -> None:
         """Load the pretrained head, unless training resumes from a checkpoint.

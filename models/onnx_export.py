@@ -6,7 +6,6 @@ contact's vector. `calibrate` gives the standard deviations of any exported post
 coverage within the file itself: nothing but the file is needed.
 """
 
-import json
 import logging
 import platform
 import warnings
@@ -23,16 +22,13 @@ from torch import Tensor, nn
 
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own
-from palpate.models.calibration import LOG_DAMPING, Calibration, LightCalibration, Widths
+from palpate.models.calibration import LOG_DAMPING, Calibration, Widths
 from palpate.models.generator import Generator, ParameterHead
 from palpate.models.onnx_session import (
     CONTACT,
     EXPECTED_BOUND,
     FORMAT_VERSION,
     INPUT,
-    LIGHT,
-    LIGHT_COVARIANCE,
-    LIGHT_MEAN,
     LOG_COVARIANCE,
     LOG_MEAN,
     METADATA_KEY,
@@ -264,107 +260,6 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
         return float((found - widening(contact, mean, own)).abs().max())
 
     return write(model, plain.metadata | {"calibration": asdict(calibration)}, output, difference_of)
-
-
-LIGHT_PREFIX = "by_light/"
-"""Prefix of the names of nodes of the posterior by light."""
-SHIFT, SQUARE, ADDED = "shift", "square", "added"
-"""Constants that the calibration by light sets: of the mean, and what covariances are multiplied by and added to."""
-
-
-class _LightPosterior(nn.Module):
-    """Mean and calibrated covariance of the posterior of a brightness sequence."""
-
-    def __init__(self, posterior: ContactPosterior) -> None:
-        super().__init__()
-        self.posterior = posterior
-        for name, value in _constants(LightCalibration()).items():
-            self.register_buffer(name, torch.from_numpy(value))
-
-    def forward(self, light: Tensor) -> tuple[Tensor, Tensor]:
-        mean, factor = self.posterior(light)
-        shifted = torch.clamp(mean - getattr(self, SHIFT), self.posterior.lower, self.posterior.upper)
-        return shifted, getattr(self, SQUARE) * (factor @ factor.transpose(1, 2)) + getattr(self, ADDED)
-
-
-def _constants(calibration: LightCalibration) -> dict[str, np.ndarray]:
-    found = {SHIFT: calibration.shift, SQUARE: [calibration.scale**2], ADDED: calibration.added}
-    return {name: np.array(value, np.float32) for name, value in found.items()}
-
-
-def add_light(source: Path, output: Path, posterior: ContactPosterior, weights_sha256: str) -> float:
-    """Write an exported contact posterior with one of brightness sequences, not calibrated, in addition to its own.
-
-    Args:
-        source: file of a contact posterior without one.
-        output: file to write; it appears only when it is complete and agrees with torch.
-        posterior: of vectors of `data.contact.light_features`.
-        weights_sha256: of its weights' file.
-
-    Returns:
-        Largest difference from torch.
-
-    Raises:
-        ModelFileError: the source is no exported posterior.
-        ValueError: it has one of brightness sequences already.
-        ForeignFile: `output` is not as this program wrote it.
-        ParityError: the difference is over 1e-5.
-    """
-    plain = PosteriorModel(source)
-    if plain.sees_light:
-        raise ValueError(f"{source} has a posterior by light already; give the file without it.")
-    network = _LightPosterior(posterior).eval()
-    random, features = torch.Generator().manual_seed(0), len(posterior.centre)
-    light = posterior.centre + posterior.scale * torch.randn(PARITY_BATCH, features, generator=random)
-    model, added = onnx.load(source), to_onnx(network, {LIGHT: light}, (LIGHT_MEAN, LIGHT_COVARIANCE))
-    _extend(model, added, LIGHT_PREFIX, "node", "initializer", "input", "output")
-
-    def difference_of(path: Path) -> float:
-        with torch.inference_mode():
-            expected = network(light)
-        found = PosteriorModel(path).by_light(light.numpy())
-        return max(float(np.abs(one - other.numpy()).max()) for one, other in zip(found, expected, strict=True))
-
-    described = {"features": features, "weights_sha256": weights_sha256, "calibration": asdict(LightCalibration())}
-    return write(model, plain.metadata | {"light": described}, output, difference_of)
-
-
-def calibrate_light(source: Path, output: Path, calibration: LightCalibration) -> float:
-    """Write an exported posterior with calibrated covariances by light.
-
-    Args:
-        source: file that `add_light` wrote, calibrated or not.
-        output: file to write; it appears only when its covariances are as they should.
-        calibration: of them.
-
-    Returns:
-        Largest difference of the covariances from what they should be.
-
-    Raises:
-        ModelFileError: the source is no exported posterior.
-        ValueError: it has none by light, or is calibrated already.
-        ForeignFile: `output` is not as this program wrote it.
-        ParityError: the difference is over 1e-5.
-    """
-    plain = PosteriorModel(source)
-    described = plain.metadata.get("light", {})
-    if not plain.sees_light or described.get("calibration") != json.loads(as_json(asdict(LightCalibration()))):
-        raise ValueError(f"{source} has no uncalibrated posterior by light; give the file to which --light added one.")
-    constants, model = _constants(calibration), onnx.load(source)
-    for stored in model.graph.initializer:
-        value = constants.get(stored.name.removeprefix(LIGHT_PREFIX))
-        if stored.name.startswith(LIGHT_PREFIX) and value is not None:
-            stored.CopyFrom(onnx.numpy_helper.from_array(value, stored.name))
-    light = np.random.default_rng(0).normal(size=(PARITY_BATCH, *plain.inputs[LIGHT])).astype(np.float32)
-
-    def difference_of(path: Path) -> float:
-        (mean, covariance), (shifted, widened) = plain.by_light(light), PosteriorModel(path).by_light(light)
-        expected = constants[SQUARE] * covariance + constants[ADDED]
-        off = np.maximum(np.abs(mean - shifted) - np.abs(constants[SHIFT]), 0)  # the box may stop it
-        return float(max(np.abs(widened - expected).max(), off.max()))
-
-    document = {"light": described | {"calibration": asdict(calibration)}}
-    return write(model, plain.metadata | document, output, difference_of)
 
 
 def _extend(model: onnx.ModelProto, added: onnx.ModelProto, prefix: str, *parts: str) -> None:

@@ -7,7 +7,7 @@ of log θ).
 import hashlib
 import json
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 
 from palpate.common.files import as_json, read_file
-from palpate.common.onnx_devices import AUTO, DeviceError, open_session, provider_of
+from palpate.common.onnx_devices import AUTO, DeviceError, open_session, opening_problem, provider_of
 from palpate.common.settings import fits
 from palpate.models.calibration import Widths
 
@@ -32,7 +32,6 @@ POSTERIOR = "posterior"
 """Value of the document's `head` for a `PosteriorModel`."""
 INPUT, OUTPUT = "depth", "theta"
 CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
-LIGHT, LIGHT_MEAN, LIGHT_COVARIANCE = "light", "light_mean", "light_covariance"
 EXPECTED_BOUND = "decisive_covariance"
 """Covariance by which verdicts are given, of `models.posterior.ExpectedBound`, under the name it has in files."""
 
@@ -53,7 +52,6 @@ _FIELDS: dict[str, Any] = {
     "trained_on": dict[Literal["depth", "masks"], tuple[str, ...]] | None,
     "training": {"weights_sha256": str},
     "contact": {"press_seconds": tuple[float, float]},
-    "light": dict,
     "calibration": {"whole": dict},
 }
 """Types of the document's fields, as `fits` takes them; files may lack all but `input`."""
@@ -98,8 +96,8 @@ class ExportedModel:
         """What of ONNX Runtime runs the network."""
         return provider_of(self._session)
 
-    def run(self, values: Mapping[str, np.ndarray | None], outputs: Sequence[str] = ()) -> list[np.ndarray]:
-        """Outputs of this kind, or others, float32, for a batch of inputs by their names.
+    def run(self, values: Mapping[str, np.ndarray | None]) -> list[np.ndarray]:
+        """Outputs of this kind, float32, for a batch of inputs by their names.
 
         Raises:
             ValueError: an input is missing or has another shape.
@@ -112,7 +110,7 @@ class ExportedModel:
                 raise ValueError(f"{self.path}: {name} has shape {list(actual)}; expected [B, {expected}].")
         feed = {name: np.ascontiguousarray(values[name], np.float32) for name in self.inputs}
         try:
-            found = [np.asarray(value) for value in self._session.run(outputs or self.outputs, feed)]
+            found = [np.asarray(value) for value in self._session.run(self.outputs, feed)]
         except Exception as error:  # ONNX Runtime's exceptions have no common class
             raise ModelFileError(f"{self.path} can't be run; export it again with train.py export.") from error
         if not all(np.isfinite(values).all() for values in found):
@@ -123,6 +121,10 @@ class ExportedModel:
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
         """Compare the graph's inputs and outputs with what the kind and the metadata promise."""
         outputs = [value.name for value in self._session.get_outputs()]
+        batches = [value.shape[0] for value in self._session.get_inputs() if value.shape]
+        if any(isinstance(batch, int) for batch in batches):
+            problem = f"takes batches of {batches[0]} alone; export it with a dynamic batch axis, as train.py does"
+            raise ModelFileError(f"{self.path} {problem}.")
         if self.inputs != inputs or not set(self.outputs) <= set(outputs):
             raise ModelFileError(
                 f"{self.path} takes {_described(self.inputs)} and gives {', '.join(outputs)}, not "
@@ -155,10 +157,7 @@ class ParameterModel(ExportedModel):
 
 
 class PosteriorModel(ExportedModel):
-    """Contact features (and the depth window, where the file takes one) → mean and covariance of log θ.
-
-    A file may hold a second posterior, that of a contact's brightness sequence.
-    """
+    """Contact features (and the depth window, where the file takes one) → mean and covariance of log θ."""
 
     outputs = (LOG_MEAN, LOG_COVARIANCE, EXPECTED_BOUND)
 
@@ -167,10 +166,7 @@ class PosteriorModel(ExportedModel):
         self.takes_depth = INPUT in self.inputs
         """Whether the network takes the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
-        self.sees_light = LIGHT in self.inputs
-        """Whether there is a posterior of the brightness sequence as well."""
-        light = {LIGHT: (self.inputs[LIGHT] or (0,))[:1]} if self.sees_light else {}
-        self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth | light)
+        self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth)
         whole = self.metadata.get("calibration", {}).get("whole", {})
         plain = json.loads(as_json(asdict(Widths())))
         self.calibrated = plain | whole != plain
@@ -192,29 +188,8 @@ class PosteriorModel(ExportedModel):
         Raises:
             ValueError: another shape.
         """
-        nothing = self._nothing(LIGHT, len(contact))
-        mean, covariance, bound = self.run({CONTACT: contact, INPUT: depth} | nothing)
+        mean, covariance, bound = self.run({CONTACT: contact, INPUT: depth})
         return mean.astype(np.float64), covariance.astype(np.float64), bound.astype(np.float64)
-
-    def by_light(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Posterior of contacts by their brightness sequences, of a file that `sees_light`.
-
-        Args:
-            light: vectors of `data.contact.light_features`, shape [B, features].
-
-        Returns:
-            Of (log k_s, log k_d, log |F|): mean [B, 3] and calibrated covariance [B, 3, 3], float64.
-
-        Raises:
-            ValueError: another shape.
-        """
-        others = self._nothing(CONTACT, len(light)) | self._nothing(INPUT, len(light))
-        mean, covariance = self.run({LIGHT: light} | others, (LIGHT_MEAN, LIGHT_COVARIANCE))
-        return mean.astype(np.float64), covariance.astype(np.float64)
-
-    def _nothing(self, name: str, count: int) -> dict[str, np.ndarray]:
-        """Zeros for an input whose outputs aren't asked for."""
-        return {name: np.zeros((count, *self.inputs[name]), np.float32)} if name in self.inputs else {}
 
 
 def open_model(path: str | Path, threads: int | None = None, device: str = AUTO) -> ParameterModel | PosteriorModel:
@@ -239,7 +214,7 @@ def _open_session(path: Path, threads: int | None, device: str) -> tuple[onnxrun
     except OSError as error:
         raise ModelFileError(f"{path} can't be read ({error.strerror}); check the file and its permissions.") from error
     except Exception as error:  # ONNX Runtime's exceptions have no common class
-        raise ModelFileError(f"{path} is not a readable ONNX file; export it again with train.py export.") from error
+        raise ModelFileError(f"{path} {opening_problem(error)}.") from error
 
 
 def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:

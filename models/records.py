@@ -1,4 +1,4 @@
-"""The records that `train.py test` makes of every pair of frames, for the tables and figures of `evaluation.paper`."""
+"""The records that `train.py test` makes of every pair of frames, for the tables and figures of `results.paper`."""
 
 import math
 from typing import Any

@@ -16,17 +16,11 @@ planning   instrument paths; results: what is written; evaluation: what is measu
 Research software. Not a medical device.
 """
 
-from pathlib import Path
+from palpate.common.lazy import exported
 
-_CHECKOUT = Path(__file__).resolve().parents[1]
-if (_CHECKOUT / "pyproject.toml").is_file():
-    # In a checkout the rooms lie next to this folder. The links in it are for type checkers, which don't run this.
-    __path__.insert(0, str(_CHECKOUT))
-
-from palpate.common.lazy import exported  # noqa: E402  found by what stands above
-
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
+        "palpate.common.provenance": ("__version__",),
         "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
         "palpate.data.contact.interaction": ("Interaction",),
         "palpate.estimators.estimate": ("Estimate",),

@@ -12,6 +12,8 @@ if __name__ == "__main__":
 
 import sys
 
+from palpate.common.provenance import __version__
+
 OWN = ("infer", "live", "train", "calibrate", "plan", "page")
 """Commands that are modules of `palpate.command`."""
 COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
@@ -29,6 +31,9 @@ def main(arguments: list[str] | None = None) -> int:
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("--help", "-h"):
         print(__doc__)
+        return 0
+    if name == "--version":
+        print(f"palpate {__version__}")
         return 0
     if name not in COMMANDS:
         print(f"palpate: there is no command {name!r}; choose {', '.join(COMMANDS)}.", file=sys.stderr)

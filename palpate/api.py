@@ -38,7 +38,7 @@ def open_clip(path: str | Path, estimator: Estimator | None = None, **choices: A
     Args:
         path: the clip.
         estimator: that the frames are for; None = the network that comes along.
-        choices: as of `palpate.estimators.open.preparation`: masks, depth, layout, camera, contact, smoothing, …
+        choices: as of `palpate.estimators.open.preparation`: masks, depth, layout, camera, smoothing, …
 
     Raises:
         ValueError: the clip or a choice can't be used; a sentence that names it.

@@ -5,7 +5,7 @@ mesh             the tissue surface: vertices, springs, held rim, contact vertex
 load             how a tool acts on a mesh: Press or Grip
 observation      what was observed of followed points
 likelihood       how well a θ explains an observation, and its derivatives
-brightness       how bright tissue is under a light at the camera, and the derivatives of that
+shading          how bright tissue is under a light at the camera
 identifiability  what a motion can tell about θ: information, bounds, verdict
 jit              compiled loops
 sheet            a gripped sheet at rest: the quasi-static limit
@@ -16,7 +16,7 @@ msd              mass–spring–damper sheets, with a numpy door and a torch do
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.physics.mesh": ("Mesh", "contact_normal", "grid_mesh", "nearest_vertex"),
         "palpate.physics.load": ("Grip", "Press", "PressShape", "held", "ramped"),

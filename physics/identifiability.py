@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+NINETY = 1.6448536269514722
+"""Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 LIMIT = 0.5
 """A parameter whose bound lies below is identifiable: its one-sigma interval spans less than a factor e."""
 RATIOS = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
@@ -127,9 +129,14 @@ def _power(name: str, power: float) -> str:
 
 
 def describe(information: np.ndarray) -> str:
-    """What is determined and what isn't, a sentence such as `F / k_d (±0.02) is determined, k_s · k_d · F isn't`."""
+    """What is determined and what isn't, such as `F / k_d (to a factor of 1.03) is determined, k_s · k_d · F is not`.
+
+    The factor is the 90 % interval's. Where all three parameters are determined, they are named alone.
+    """
     directions = principal_directions(information)
-    known = [f"{words} (±{sd:.2g})" for sd, words in directions if sd < LIMIT]
+    if verdict(information) == "determined":
+        directions = sorted(zip(bounds(information).tolist(), NAMES, strict=True))
+    known = [f"{words} (to a factor of {np.exp(NINETY * sd):.3g})" for sd, words in directions if sd < LIMIT]
     unknown = [words for sd, words in directions if sd >= LIMIT]
     if not unknown:
         return f"{', '.join(known)} are determined"

@@ -190,7 +190,7 @@ class PlanScene:
 class SpaceScene:
     """Fields of the file of a scene in space.
 
-    In it `calibration`, a file of calibrate.py next to it, may tell young and young_log_sd.
+    In it `calibration`, a file of palpate calibrate next to it, may tell young and young_log_sd.
 
     Raises:
         ValueError: numbers that can't be.

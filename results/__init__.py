@@ -5,6 +5,7 @@ writer    one clip's folder, complete or not there; store: whose folder is whose
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--force-scale), and compared with measured forces
 forces    of every run of contact: mean, peak, what is unknown (forces.json)
+paper     tables and figures of `train.py test`
 page      the same in a browser
 alarm     whether the force has reached a limit (--force-limit)
 bag       forces and verdicts for ROS (--bag)
@@ -13,7 +14,7 @@ sequence  of a sequence beside a robot: particles in its frame
 agreement  frames' records, no surer than their contact says when it has ended
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
-plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of calibrate.py
-overlay   the video; field_overlay: stiffness on it
+plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of palpate calibrate
+overlay   the video; field_overlay: stiffness on it; spool: frames that wait for their contact's end
 field_file  stiffness in fields.npz
 """

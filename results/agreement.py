@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from palpate.estimators.estimate import Estimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results.alarm import BELOW, UNKNOWN
@@ -14,7 +15,7 @@ REVISED = ("verdict", "determined", "relative_force", "relative_force_low", "rel
 
 
 def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float]) -> FrameEstimate:
-    """Return a frame's record that is no surer than its contact, with what a pull determines.
+    """Return a frame's record that is no surer than its contact, with what a pull or a fit by shading determines.
 
     Args:
         frame: as it was estimated when it came.
@@ -29,6 +30,8 @@ def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float
         relative = {"relative_force": value, "relative_force_low": low, "relative_force_high": high}
         return dataclasses.replace(frame, verdict=main.verdict, determined=";".join(main.determined), **relative)
     found, verdict = frame.estimate, run.verdict or "undetermined"
+    if found is None and isinstance(main, Estimate) and main.by_light:
+        return dataclasses.replace(frame, estimate=main, verdict=verdict, determined=";".join(main.determined))
     if frame.verdict in ("", "undetermined", "onset_in_view"):
         return frame
     names = () if found is None or main is None else (name for name in found.determined if name in main.determined)

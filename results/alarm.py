@@ -3,7 +3,6 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.contact.features import slot_times
 from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.records import FrameEstimate
@@ -101,10 +99,9 @@ class ForceAlarm:
         )
 
 
-def known_seconds(estimator: NetworkEstimator) -> tuple[float, float]:
-    """So much after the onset of contact, a run's estimate by depth, by light, tells no force any more [s]."""
-    by_light = float(slot_times()[-1]) if estimator.by_network else math.inf
-    return min(estimator.press_seconds[1], estimator.mechanics.seconds), by_light
+def known_seconds(estimator: NetworkEstimator) -> float:
+    """Time after the onset of contact up to which an estimate by depth constrains the force [s]."""
+    return min(estimator.press_seconds[1], estimator.mechanics.seconds)
 
 
 def upper_force(found: Estimate) -> float | None:

@@ -31,7 +31,6 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
-ALWAYS = (math.inf, math.inf)
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
@@ -68,7 +67,7 @@ class ContactForce:
         run: InteractionEstimate,
         estimates: Sequence[FrameEstimate],
         newtons: Sequence[Mapping[str, float]] = (),
-        seconds: tuple[float, float] = ALWAYS,
+        seconds: float = math.inf,
     ) -> "ContactForce":
         """The force of a run that has ended.
 
@@ -76,7 +75,7 @@ class ContactForce:
             run: the run.
             estimates: of all frames so far, by index in the clip.
             newtons: rows of forces.csv where a pull's force is known in newtons.
-            seconds: so much after the onset, an estimate by depth, by light, tells nothing any more [s].
+            seconds: time after the onset up to which an estimate by depth constrains the force [s].
         """
         begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
         touched = [index for index in range(begun, len(estimates)) if estimates[index].contact is not False]
@@ -210,11 +209,11 @@ def forces_record(
     return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}
 
 
-def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: tuple[float, float]) -> np.ndarray:
+def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:
     """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
     shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
-    last, contact = seconds[found.by_light], run.interaction
-    seen = None if contact is None else contact.brightness if found.by_light else contact.observation
+    last, contact = math.inf if found.by_light else seconds, run.interaction
+    seen = None if contact is None else contact.shading if found.by_light else contact.observation
     if seen is not None and len(seen.times):
         last = min(last, seen.times[-1])
     end = math.inf if run.load_s is None else run.load_s + release - shape.fall

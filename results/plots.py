@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
+from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.online.particle_field import FieldEstimate
@@ -156,8 +157,8 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     if np.isfinite(estimate.misfit):
         skill = f", skill {run.skill:.2f} (0: as if nothing moved)" if np.isfinite(run.skill) else ""
         sentences.append(f"Misfit {estimate.misfit:.2g} (1: it fits){skill}; {estimate.explanation}.")
-    if estimate.covariance is not None and sure != "determined":
-        sentences.append("Ranges are 90 % intervals.")
+    if estimate.covariance is not None:
+        sentences.append("Ranges and ± are 90 % intervals.")
     heading = f"{estimate.verdict}{', but doubtful' if doubtful else ''}: {place}, {values}"
     return heading, " ".join(filter(None, sentences)), sure
 
@@ -176,9 +177,12 @@ def _draw_motion(axes: Axes, run: InteractionEstimate | None) -> None:
     contact, estimate, (simulated_times, simulated) = run.interaction, run.estimate, run.simulated
     sign, times = np.sign(estimate.theta[2]), contact.observation.times
     at, far = _far(contact, run.simulated, estimate.noise)
-    if np.isfinite(contact.along).any():  # the light of the tissue follows no point
-        axes.errorbar(times, sign * contact.along, estimate.noise, fmt="o", ms=5, color=OBSERVED, label="observed ± σ")
-    axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label="simulated with the fit")
+    tracked = np.isfinite(contact.along).any()
+    if tracked:
+        half, name = NINETY * estimate.noise, "observed, 90 % interval of the noise"
+        axes.errorbar(times, sign * contact.along, half, fmt="o", ms=5, color=OBSERVED, label=name)
+    label = f"simulated with the fit{'' if tracked else ' to the shading, which observes no displacement'}"
+    axes.plot(simulated_times, sign * simulated, "-", lw=2, color=SIMULATED, label=label)
     if far.any():
         axes.plot(times[far], sign * at[far], "x", ms=9, mew=2, color=FAR_COLOR, label="far from the observed one")
     release = contact.load_seconds + (*estimate.delays, 0.0, 0.0)[1]

@@ -7,13 +7,13 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, distributions, version
+from importlib.metadata import distributions
 from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 from palpate.common.files import all_below, digest_of, file_sha256, read_beside
-from palpate.common.provenance import code_digest
+from palpate.common.provenance import __version__, code_digest
 from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.frames import FrameSource
@@ -21,7 +21,7 @@ from palpate.data.source.images import MOST_BYTES
 from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
-from palpate.estimators.network.estimator import FAST, LEAVES_OUT, SELDOM
+from palpate.estimators.network.estimator import FAST, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -56,7 +56,7 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
         "estimator": dict(estimator.described),
         "files": _named_files(settings),
         "code": code_digest(),
-        "program": program_version(),
+        "program": __version__,
     }
 
 
@@ -119,7 +119,7 @@ def build_record(
         "warnings": [
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
-            *warnings_of(source, frames, model, clip.sources, clip.settings.geometry.contact),
+            *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *_untold(results),
@@ -143,8 +143,7 @@ def _untold(results: ClipResults) -> Iterator[str]:
 
 def _left_out(clip: ClipStream) -> list[str]:
     """What the rate fast leaves out of a clip, in sentences."""
-    seldom = clip.guesses_depth or clip.sources["masks"] == "automatic"
-    return ([SELDOM] if seldom else []) + ([LEAVES_OUT] if clip.guesses_depth else [])
+    return [SELDOM] if clip.guesses_depth or clip.sources["masks"] == "automatic" else []
 
 
 def warnings_of(
@@ -152,7 +151,6 @@ def warnings_of(
     frames: Sequence[FrameEstimate],
     model: ExportedModel | None,
     sources: Mapping[str, str],
-    contact: str = "touching",
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -161,7 +159,6 @@ def warnings_of(
         frames: its results.
         model: what estimated them, where it is a network.
         sources: where its `depth` and `masks` came from.
-        contact: how contacts were found, as of `GeometrySettings`.
     """
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
@@ -169,8 +166,8 @@ def warnings_of(
             words = {"what": what, "trained": " and ".join(trained), "here": sources[what]}
             found.append(WARNINGS["elsewhere"].format(**words))
     found += source.warnings
-    if contact == "motion" or sources["masks"] == "automatic":
-        found.append(WARNINGS["motion" if contact == "motion" else "automatic"])
+    if sources["masks"] == "automatic":
+        found.append(WARNINGS["automatic"])
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]
         if hit:
@@ -222,14 +219,6 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
     paths = {name: Path(value) for name, value in named.items() if value is not None}
     paths |= {f"{name}, yaml": path.with_suffix(".yaml") for name, path in paths.items() if path.suffix == ".onnx"}
     return {name: sha256_of(path) for name, path in paths.items() if isfile(path)}
-
-
-def program_version() -> str:
-    """Version of this program as it is installed."""
-    try:
-        return version("palpate")
-    except PackageNotFoundError:  # its packages are there without it
-        return "unknown"
 
 
 @functools.cache

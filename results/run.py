@@ -21,7 +21,7 @@ from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
-from palpate.common.doors import INTERRUPTED, interruptible, plain
+from palpate.common.doors import INTERRUPTED, interruptible, plain, program
 from palpate.common.files import digest_of, file_sha256, read_beside
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
@@ -55,7 +55,7 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 WITH_FORCE = ("direct", "network")
 """Estimators that give a force."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "contact", "smoothing", "force_scale")
+OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
 """Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
@@ -118,7 +118,7 @@ class Batch:
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
             raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
-        chosen = ("masks", "layout", "camera", "contact", "smoothing", "topic", *DEPTH)
+        chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         unit = UNITS["force"] if self.calibration is None else NEWTONS
         self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
@@ -153,7 +153,7 @@ class Batch:
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"][0], 1 / source.fps)
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"], 1 / source.fps)
             written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
@@ -192,7 +192,9 @@ class Batch:
         for warning in warnings:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
-            say(self.console, f"{source.name}: no estimate of {count} of {results.counts.total()} contacts: {reason}")
+            total = results.counts.total()
+            said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
+            say(self.console, f"{source.name}: {said}")
         return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
 
     def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -385,12 +387,16 @@ def in_options(text: str) -> str:
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
     """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
-    contacts = {f"contacts {name}": count for name, count in record.get("contacts", {}).items()}
+    contacts = {f"{_plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})
     touching = record.get("statuses", {}).get("ok", 0) - sum(verdicts.values())
-    found = contacts | {f"frames {name}": count for name, count in (verdicts | frames).items()}
-    return found | ({"frames in contact": touching} if touching else {})
+    found = contacts | {f"{_plural(count, 'frame')} {name}": count for name, count in (verdicts | frames).items()}
+    return found | ({f"{_plural(touching, 'frame')} in contact": touching} if touching else {})
+
+
+def _plural(count: int, noun: str) -> str:
+    return noun if count == 1 else f"{noun}s"
 
 
 def _kept(
@@ -421,7 +427,7 @@ def run(options: argparse.Namespace) -> int:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
     except (ValueError, OSError) as error:
-        say(console, f"{store.PROGRAM}: {sentence_of(error)}")
+        say(console, f"{program()}: {sentence_of(error)}")
         return 2
     if not paths:
         return 2
@@ -433,7 +439,7 @@ def run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             interrupted = True
         except ValueError as error:  # of the scheduler; a clip's is in its outcome
-            say(console, f"{store.PROGRAM}: {sentence_of(error)}")
+            say(console, f"{program()}: {sentence_of(error)}")
             return 2
     Console().print(_table(outcomes), soft_wrap=True)
     _write_pages(options.output, outcomes, console)

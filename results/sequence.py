@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from palpate.common.files import digest_of
-from palpate.common.provenance import code_digest
+from palpate.common.provenance import __version__, code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.sequence import Sequence
 from palpate.estimators.estimate import NINETY
@@ -22,7 +22,7 @@ from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.results import columns as described
 from palpate.results import store
-from palpate.results.record import FORMAT_VERSION, program_version, sha256_of, versions
+from palpate.results.record import FORMAT_VERSION, sha256_of, versions
 
 PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "palpation", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
@@ -39,7 +39,7 @@ def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any
     named = (getattr(sequence.given, name) for name in NAMED)
     files = [sequence.path, *sequence.files, *(sequence.path.parent / name for name in named if name is not None)]
     found = {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)}
-    return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": program_version()}
+    return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": __version__}
 
 
 def write_sequence(

@@ -34,7 +34,7 @@ a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
-"""What writes results; another program's are never replaced."""
+"""Value of `program` in run.json; another program's results are never replaced."""
 RECORD_KINDS = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
 """Types of the record's fields that are read again."""
 _NAME_BYTES = 120

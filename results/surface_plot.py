@@ -60,6 +60,10 @@ def draw_surface_errors(
     for each in drawn:
         each.set_clim(-limit, limit)
     figure.colorbar(
-        drawn[0], ax=list(rows), label=f"measured less simulated surface, ± {limit:.2f} mm", extend="both", shrink=0.8
+        drawn[0],
+        ax=list(rows),
+        label=f"measured less simulated surface, up to {limit:.2f} mm",
+        extend="both",
+        shrink=0.8,
     )
     return figure

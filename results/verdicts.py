@@ -48,7 +48,7 @@ def digits(value: float, count: int) -> str:
 def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Symbol and text of every parameter there is, as sure as the verdict lets it be.
 
-    With its standard deviation where it is determined, else its 90 % interval, and a dash where neither is known. The
+    With half its 90 % interval after ± where it is determined, else the interval, and a dash where there is none. The
     ratios are given where only they are determined; a model that doesn't say what is gets two digits.
 
     Args:
@@ -56,16 +56,17 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str]]:
     """
     found = []
     for name in PARAMETERS:
-        value, spread, low, high = (values.get(f"{name}{end}") for end in ("", "_sd", "_low", "_high"))
+        value, low, high = (values.get(f"{name}{end}") for end in ("", "_low", "_high"))
         if value is None:
             continue
         text = f"≈ {digits(value, 2)}" if verdict == "onset_in_view" else "—"
-        if verdict == "determined" and spread is not None:
-            text = f"{digits(value, 3)} ± {digits(spread, 2)}"
-        elif low is not None and high is not None:
+        if low is not None and high is not None:
             text = f"{digits(low, 2)} to {digits(high, 2)}"
+            if verdict == "determined":
+                text = f"{digits(value, 3)} ± {digits((high - low) / 2, 2)}"
         found.append((SYMBOLS[name], text))
     if verdict == "ratios":
         for name in ("damping_over_stiffness", "force_over_stiffness"):
-            found.append((SYMBOLS[name], f"{digits(values[name], 2)} ± {digits(values[f'{name}_sd'], 1)}"))
+            half = (values[f"{name}_high"] - values[f"{name}_low"]) / 2
+            found.append((SYMBOLS[name], f"{digits(values[name], 2)} ± {digits(half, 1)}"))
     return found

@@ -27,7 +27,7 @@ from palpate.results.agreement import REVISED, agreed
 from palpate.results.alarm import BELOW, UNKNOWN, ForceAlarm
 from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
-from palpate.results.forces import ALWAYS, ContactForce, forces_record
+from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
 from palpate.results.spool import FrameSpool, Waiting
@@ -54,7 +54,7 @@ class ClipResults:
         waits: whether pictures of a contact wait for its end, so that they agree with it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
-        seconds: so much after the onset of contact, an estimate by depth, by light, tells no force any more [s].
+        seconds: time after the onset of contact up to which an estimate by depth constrains the force [s].
         export: whether the deformation of every contact is written as .vtu files.
         bag: writes a bag into a folder from what forces.json has of the contacts.
 
@@ -74,7 +74,7 @@ class ClipResults:
         waits: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
-        seconds: tuple[float, float] = ALWAYS,
+        seconds: float = math.inf,
         export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
@@ -181,7 +181,7 @@ class ClipResults:
                 self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
             if frame is not before:
                 revised = columns.row(self.columns, frame.values)
-                for place in places:
+                for place in places if frame.estimate is before.estimate else range(len(cells)):
                     cells[place] = revised[place]
 
     def _write_waiting(self) -> None:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from palpate.data.brightness.sequence import BrightnessSequence
 from palpate.data.contact.interaction import Interaction
+from palpate.data.shading.sequence import ShadingSequence
 from palpate.physics import Mesh, Observation, Press, grid_mesh, held
 
 FOCAL, DISTANCE, RADIUS = 160.0, 0.4, 12
@@ -22,6 +22,6 @@ def lit_contact(times: np.ndarray, change: np.ndarray) -> Interaction:
     """A press of 0.3 s on it, whose light changes so [N, L, L]."""
     mesh, vertex = facing()
     load = Press.at(vertex, np.array([0, 0, -1], np.float32), held(30, 100))
-    light = BrightnessSequence(times, change.astype(np.float32), np.zeros(change.shape[1:]), 0.01)
+    light = ShadingSequence(times, change.astype(np.float32), np.zeros(change.shape[1:]), 0.01)
     observed = Observation.of_point(vertex, times, np.zeros((len(times), 3)), np.nan)
-    return Interaction(mesh, load, observed, 0.01, brightness=light)
+    return Interaction(mesh, load, observed, 0.01, shading=light)

@@ -16,7 +16,6 @@ MODULES = [
     "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
-    "estimators.network.light_calibration",
     "evaluation.benchmark",
     "evaluation.compare_with_truth",
     "evaluation.model_errors",
@@ -34,7 +33,7 @@ def named(module: str) -> str:
     return f"palpate.{module}.__main__" if f"palpate.{module}" in faces() else f"palpate.{module}"
 
 
-DOORS = {name: [f"{name}.py"] for name in ("calibrate", "infer", "plan", "train")}
+DOORS = {name: [f"{name}.py"] for name in ("infer", "train")}
 DOORS |= {"palpate.__main__": ["-m", "palpate", "infer"], **{named(module): ["-m", module] for module in MODULES}}
 """How each program is started, by its file's name."""
 INTERRUPTING = """

@@ -1,7 +1,6 @@
 """The door infer.py: what it writes with every estimator, when it works again, and how it ends."""
 
 import contextlib
-import dataclasses
 import json
 import math
 import shutil
@@ -27,7 +26,7 @@ from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import SHAFT_RADIUS
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.network.estimator import LEAVES_OUT, SELDOM
+from palpate.estimators.network.estimator import SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.store import BAGS
@@ -425,34 +424,6 @@ def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(
     assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 
-def test_a_press_that_no_tool_is_seen_to_make_is_found_by_its_dent(tmp_path):
-    """The same press is none for masks."""
-    unseen = dataclasses.replace(SCENE, onset_fraction=(0.25, 0.3), press_seconds=(0.2, 0.2), tool_in_view=False)
-    clip = write_synthetic(tmp_path / "clips", 1, unseen, 5)
-    assert direct(clip, tmp_path / "masks", "--no-overlay") == 0
-    assert runs(tmp_path / "masks" / "video01_00000") == []
-    assert direct(clip, tmp_path / "dents", "--contact", "motion") == 0
-    folder = tmp_path / "dents" / "video01_00000"
-    assert record(folder)["settings"]["geometry"]["contact"] == "motion"
-    truth = json.loads((clip / "truth.json").read_text(encoding="utf-8"))
-    (row,) = runs(folder)
-    assert (row["status"], row["verdict"]) == ("ok", "determined")
-    assert float(row["onset_time_s"]) == pytest.approx(truth["onset_s"])
-    assert float(row["load_s"]) == pytest.approx(truth["release_s"] - truth["onset_s"])
-    stiffness, damping, force = (truth["theta"][name] for name in ("stiffness", "damping", "force"))
-    for name, true in (("damping", damping / stiffness), ("force", -force / stiffness)):
-        ratio, sd = (float(row[f"{name}_over_stiffness{end}"]) for end in ("", "_sd"))
-        assert abs(ratio - true) < 3 * sd < 0.15 * true
-    under = [item for item in rows(folder) if item["contact"] == "1"]
-    assert len(under) == round(float(row["load_s"]) * 25)
-    assert {item["contact_distance"] for item in under} == {""}
-    options = ["--no-overlay", "--estimator", "network", "--onset", "stamp", "--contact", "motion"]
-    assert infer.main([str(clip), "--output", str(tmp_path / "network"), *options]) == 0
-    (other,) = runs(tmp_path / "network" / "video01_00000")
-    assert [other[name] for name in ("onset_frame", "load_s")] == [row[name] for name in ("onset_frame", "load_s")]
-    assert float(other["damping_over_stiffness"]) == pytest.approx(damping / stiffness, rel=0.3)
-
-
 def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     """The press is of 0.05 units: above a limit of 0.045 as soon as it is determined, and never of 0.1."""
     arguments = [str(synthetic), "--output", str(tmp_path), "--onset", "stamp", "--no-overlay", "--force-limit"]
@@ -507,12 +478,12 @@ def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic,
     about = {"times": [frame.time_s for frame in frames], "fps": source.fps}
     write_pictures(tmp_path / "folder", [frame.picture for frame in frames], **about)
     for given in (clip, tmp_path / "folder"):
-        assert direct(given, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0
+        assert direct(given, tmp_path / "out", "--no-overlay") == 0
     found = [contents(tmp_path / "out" / name) for name in (source.name.replace("/", "_"), "folder")]
     for table in ("parameters.csv", "interactions.csv"):
         assert found[0][table] == found[1][table]
     assert ("ok", True) in [(run["status"], run["stiffness"] != "") for run in runs(tmp_path / "out" / "folder")]
-    assert direct(clip, tmp_path / "out", "--no-overlay", "--contact", "motion") == 0  # up to date
+    assert direct(clip, tmp_path / "out", "--no-overlay") == 0  # up to date
 
 
 @pytest.mark.parametrize("name", ["same.bag", "same"])
@@ -532,7 +503,7 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
     kind = "ros1" if name == "same.bag" else "ros2"
     for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed", "--bag", kind]), strict=True):
         output = tmp_path / f"of {given.parent.name}"
-        assert direct(given, output, "--no-overlay", "--contact", "motion", *options) == 0
+        assert direct(given, output, "--no-overlay", *options) == 0
     folder, bag = (contents(tmp_path / f"of {given.parent.name}" / "same") for given in inputs)
     for table in ("parameters.csv", "interactions.csv"):
         assert bag[table] == folder[table]
@@ -584,11 +555,6 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         ),
         (["--model", model, "--export"], "which --estimator gan does not give; take network, direct or online"),
         (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
-        (["--estimator", "online", "--contact", "motion"], "--contact is for --estimator direct and network; leave it"),
-        (
-            ["--estimator", "direct", "--contact", "motion", "--smoothing", "0"],
-            "--contact motion needs a rest shape and its noise; give --smoothing above 0.",
-        ),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert said in flat(capsys.readouterr().err)
@@ -858,8 +824,8 @@ def test_what_fast_leaves_out_is_said_of_the_clips_that_it_concerns(inputs, tmp_
     options = ["--output", str(tmp_path), "--rate", "fast", "--no-overlay"]
     assert infer.main([str(inputs / "clips"), *options]) == 0
     plain, stored = (record(tmp_path / name)["warnings"] for name in ("drawn", "folder"))
-    assert {SELDOM, LEAVES_OUT} <= set(plain)
-    assert not {SELDOM, LEAVES_OUT} & set(stored)
+    assert SELDOM in plain
+    assert SELDOM not in stored
 
 
 def test_two_workers_of_a_scheduler_give_the_same_tables(

@@ -120,6 +120,17 @@ def test_what_cannot_be_used_is_said(arguments, reason, monkeypatch, capsys) -> 
     assert reason in capsys.readouterr().err
 
 
+def test_a_busy_port_and_a_number_of_no_camera_are_named(capsys) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            ValueError, match=rf"--igtl {port} can't be opened \(Address already in use\); give another"
+        ):
+            igtl_server(port)
+    assert main(["9" * 20]) == 2
+    assert "is no camera's number" in capsys.readouterr().err
+
+
 def test_an_openigtlink_client_gets_the_same_lines(pictures) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

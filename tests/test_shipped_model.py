@@ -12,15 +12,15 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import EstimatorOptions, open_estimator
-from palpate.models.onnx_session import SHIPPED, PosteriorModel
+from palpate.models.onnx_session import SHIPPED
 from tests.tables import read_rows
 
 LARGEST = 3.5e6
-"""Size limit of what ships, for each posterior in it [bytes]."""
+"""Size limit of what ships [bytes]."""
 
 
 def test_it_is_small_and_says_what_it_is() -> None:
-    assert SHIPPED.stat().st_size < LARGEST * (1 + PosteriorModel(SHIPPED).sees_light)
+    assert SHIPPED.stat().st_size < LARGEST
     assert SHIPPED.with_suffix(".md").is_file()
     network = open_estimator(EstimatorOptions())
     assert isinstance(network, NetworkEstimator)

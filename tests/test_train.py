@@ -121,8 +121,8 @@ def test_fit_leaves_checkpoints_logs_configuration_and_pictures(trained: Path):
 def test_validate_and_test_write_the_evaluation(trained: Path, config: Path, capsys):
     assert train.main(["validate", "-c", str(config), "--ckpt_path", "best"]) == 0
     assert train.main(["test", "-c", str(config), "--ckpt_path", "best"]) == 0
-    assert str(trained / "evaluation" / "report.html") in capsys.readouterr().out
-    for name in ("per_frame.csv", "figure3.png", "report.html", "evaluation.json"):
+    assert str(trained / "evaluation" / "table_2.csv") in capsys.readouterr().out
+    for name in ("table_2.csv", "figure3.png", "per_frame.csv"):
         assert (trained / "evaluation" / name).stat().st_size > 0
 
 
@@ -639,7 +639,7 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     commands = ("fit", "fit", "validate", "test", "export")
     configs = [f"configs/{number}_{command}.yaml" for number, command in enumerate(commands, start=1)]
     pictures = {f"samples/next_depth_epoch_{epoch:03d}.png" for epoch in range(2)}
-    assert {*configs, *pictures, "best/best.ckpt", "last/last.ckpt", "evaluation/report.html"} <= files
+    assert {*configs, *pictures, "best/best.ckpt", "last/last.ckpt", "evaluation/table_2.csv"} <= files
     settings = [yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/{path}")) for path in configs]
     assert [each["trainer"]["max_epochs"] for each in settings] == [1, 2, 1, 1, 1]
     kept = client.download_artifacts(run.info.run_id, "last/last.ckpt", str(tmp_path))
@@ -673,6 +673,13 @@ def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, con
     assert client.get_run(first).info.run_name == "renamed"
     client.delete_run(first)
     assert tracking.run_loggers(folder, True, None, checkpoint)[1].run_id != first
+
+    moved = tmp_path / "moved" / "run"
+    moved.mkdir(parents=True)
+    (tmp_path / "mlflow.db").rename(moved.with_name("mlflow.db"))
+    again = tracking.run_loggers(moved, tracking=True)[1]
+    for run in (first, again.run_id):
+        assert again.experiment.get_run(run).info.artifact_uri == f"{moved.parent}/mlflow/{run}/artifacts"
 
     asked: list[tuple] = []
 

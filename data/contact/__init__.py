@@ -2,7 +2,7 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
-dents          contact by a dent alone, without a tool in view; depth_change: how much deeper than at rest tissue lies
+depth_change   how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: likelihood ratio of its motion if it does
 tips           free ends of instruments in a mask; light_contacts: presses by how the tissue's light changes
 shaft          how long a scene unit is, by the known diameter of an instrument's shaft
@@ -12,5 +12,4 @@ tissue_points  places in a picture as points in space; refinement: where a young
 depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
 interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
 features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
-light_features  its brightness sequence likewise
 """

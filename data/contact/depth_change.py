@@ -1,30 +1,25 @@
-"""How much deeper than at rest tissue lies in a frame, while the picture may move.
+"""How much deeper tissue lies in a frame than in an earlier one, while the picture may move.
 
-The picture's affine motion is followed from frame to frame (`data.tracks`), and the frames at rest go with it. What a
-moving camera or a changing scale adds to the depth is smooth over the picture, and so is a depth network's bias: both
-are subtracted. The noise is the change's spread over the picture, and at least what one frame's depth varies by from
-pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
+What a moving camera or a changing scale adds to the depth is smooth over the picture, and so is a depth network's
+bias: both are subtracted. The noise is the change's spread over the picture, and at least what one frame's depth varies
+by from pixel to pixel: rounded depth hardly changes while tissue is still, and then in steps.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd, trimmed_fit
-from palpate.data.brightness.registration import scaled
 from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import inside, near
 from palpate.data.gaussian import gaussian_sum
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.tracks.background import Background, background_motion
-from palpate.data.tracks.following import Shown, spread
-from palpate.data.tracks.linking import followed
+from palpate.data.shading.registration import scaled
+from palpate.data.tracks.background import Background
+from palpate.data.tracks.following import Shown
 
-MAX_REST, MIN_REST = 8, 3
-"""Frames at rest that are remembered; fewer don't determine the tissue's shape at rest."""
 MIN_PIXELS = 200
 """Fewer pixels of tissue determine neither the camera's motion nor the noise."""
 SCALES = (0.0, 1.0, 2.0)
@@ -39,8 +34,6 @@ MAX_CHANGE = 0.1
 """A larger change of depth is the sensor's error [scene units]."""
 ITERATIONS, OUTLIER = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
-SPACING, POINTS = 4, 300
-"""Distance of the points that give a picture's motion [px], and about how many of them are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,40 +51,19 @@ class DepthChange:
         return np.where(np.isfinite(ratio), ratio, -np.inf).max(axis=0)
 
 
-class RestingTissue:
-    """Depth of the tissue in the latest frames at rest, carried along with the picture."""
+def change_since(before: PreparedFrame, after: PreparedFrame, motion: np.ndarray) -> DepthChange | None:
+    """Compare a frame with an earlier one; None where too few pixels are known.
 
-    def __init__(self) -> None:
-        self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=MAX_REST)
-        """Depth, where it is tissue's, and the affine motion since, shapes [h, w], [h, w] and [3, 3]."""
-
-    def __len__(self) -> int:
-        """Frames that are remembered."""
-        return len(self._frames)
-
-    def push(self, prepared: PreparedFrame, since: np.ndarray) -> None:
-        """Remember a frame at rest; `since`: the picture's motion from it to the latest frame, shape [3, 3]."""
-        self._frames.append((prepared.depth, _tissue(prepared).astype(np.float32), since))
-
-    def move(self, motion: np.ndarray) -> None:
-        """The picture has moved on, shape [3, 3]."""
-        for index, (depth, tissue, since) in enumerate(self._frames):
-            self._frames[index] = depth, tissue, motion @ since
-
-    def change(self, prepared: PreparedFrame, least: int = MIN_REST) -> DepthChange | None:
-        """Compare the latest frame; None where fewer than `least` frames at rest, or too few pixels, are known."""
-        if len(self._frames) < least:
-            return None
-        total, count = np.zeros(prepared.depth.shape), np.zeros(prepared.depth.shape)
-        for depth, tissue, since in self._frames:
-            size = depth.shape[::-1]
-            moved, visible = (cv2.warpAffine(part, since[:2], size) for part in (depth, tissue))
-            used = visible > 0.999
-            total[used] += moved[used]
-            count[used] += 1
-        rest = total / np.maximum(count, 1)
-        known = inside(_tissue(prepared) & (count > 0)) & (np.abs(prepared.depth - rest) < MAX_CHANGE)
-        return depth_change(prepared.depth, rest, known) if known.sum() >= MIN_PIXELS else None
+    Args:
+        before, after: the frames.
+        motion: of the picture on the grid between them, shape [3, 3].
+    """
+    size = after.depth.shape[::-1]
+    rest, visible = (
+        cv2.warpAffine(part, motion[:2], size) for part in (before.depth, _tissue(before).astype(np.float32))
+    )
+    known = inside(_tissue(after) & (visible > 0.999)) & (np.abs(after.depth - rest) < MAX_CHANGE)
+    return depth_change(after.depth, rest, known) if known.sum() >= MIN_PIXELS else None
 
 
 def _tissue(prepared: PreparedFrame) -> np.ndarray:
@@ -140,11 +112,3 @@ def grid_motion(background: Background | None, shown: Shown, prepared: PreparedF
         return np.eye(3)
     motion = np.eye(3) + np.vstack([background.affine.T, np.zeros(3)])
     return scaled(motion, np.divide(prepared.depth.shape, shown.gray.shape)[::-1])
-
-
-def picture_motion(before: Shown, after: Shown) -> Background | None:
-    """Affine motion of most of a picture without a tool; None where it isn't known."""
-    places = spread(before.tissue, SPACING)
-    places = places[:: max(1, len(places) // POINTS)]
-    step, known = followed(before.gray, after.gray, places)
-    return background_motion(places[known], step[known])

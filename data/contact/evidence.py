@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from palpate.data.contact.coupling import TipMotion, log_ratio
-from palpate.data.contact.depth_change import RestingTissue, grid_motion
+from palpate.data.contact.depth_change import change_since, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.outlines import near
 from palpate.data.contact.tips import tool_tips
@@ -195,9 +195,7 @@ def _has_sunk(shown: Shown, before: PreparedFrame, after: PreparedFrame, backgro
         before, after: the frames.
         background: motion of the picture between them.
     """
-    rest = RestingTissue()
-    rest.push(before, grid_motion(background, shown, before))
-    change = rest.change(after, least=1)
+    change = change_since(before, after, grid_motion(background, shown, before))
     if change is None:
         return False
     tool, sigmas = after.labels == TOOL, change.sigmas()

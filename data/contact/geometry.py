@@ -26,7 +26,6 @@ LEAST_NOISE = 3e-4
 """Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
 LEAST_MOTION = 1e-4
 """Shorter observed motions have no direction [scene units]."""
-NO_DENT = "No dent has come."
 DEPTH_HOLE_REACH = 5.0
 """How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
 
@@ -76,12 +75,10 @@ class GeometrySettings:
     contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
     keep: float = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
-    contact: Literal["touching", "nearest", "motion"] = "touching"
+    contact: Literal["touching", "nearest"] = "touching"
     """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
     outlines touch, unless the tool is found to hover (`data.contact.evidence`). nearest (paper): all that show tool and
-    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too. motion:
-    those in which a dent is there that came while the tissue was watched (`data.contact.dents`); no tool needs to be
-    visible."""
+    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too."""
     contact_pixels: float = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: float = 0.02
@@ -109,10 +106,6 @@ class GeometrySettings:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
         if not 0.01 <= self.keep <= 1:
             raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
-        if self.contact == "motion" and self.smoothing == 0:
-            raise ValueError(
-                "geometry.contact motion needs a rest shape and its noise; give geometry.smoothing above 0."
-            )
         if self.contact_pixels == 0 and self.contact_distance == 0:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 
@@ -171,13 +164,10 @@ def frame_geometry(
             what is visible.
 
     Raises:
-        GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order; with motion one frame alone
-            is never in contact.
+        GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
     """
     tool, tissue = labels == TOOL, labels == TISSUE
     _require_pixels(tool, tissue, depth, settings)
-    if settings.contact == "motion":
-        raise GeometryStatus("no_contact", NO_DENT)
     rest, noise = smooth_rest(depth, labels, settings, rest)
     sheet = back_project(rest.depth, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))
@@ -290,7 +280,7 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
 
 
 def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, settings: GeometrySettings) -> None:
-    if tool.sum() < settings.min_tool_pixels and settings.contact != "motion":
+    if tool.sum() < settings.min_tool_pixels:
         raise GeometryStatus("no_tool", f"{tool.sum()} tool pixels, fewer than {settings.min_tool_pixels}.")
     if tissue.sum() < settings.min_tissue_pixels:
         raise GeometryStatus("no_tissue", f"{tissue.sum()} tissue pixels, fewer than {settings.min_tissue_pixels}.")

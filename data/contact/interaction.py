@@ -13,11 +13,10 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.data.brightness.registration import View
-from palpate.data.brightness.sequence import BrightnessRecorder, BrightnessSequence, LabelledPicture, RestingLight
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
-from palpate.data.source.coding import Coding
+from palpate.data.shading.registration import View
+from palpate.data.shading.sequence import RestingLight, ShadingRecorder, ShadingSequence
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -26,8 +25,8 @@ from palpate.physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
-FIELD, CONTACT, BRIGHTNESS, BOTH = "field", "contact", "brightness", "both"
-OBSERVATIONS = (FIELD, CONTACT, BRIGHTNESS, BOTH)
+FIELD, CONTACT, SHADING, BOTH = "depth", "contact", "shading", "both"
+OBSERVATIONS = (FIELD, CONTACT, SHADING, BOTH)
 """What of a contact is looked at: the depth of all tissue around it, the motion of the point that was touched, the
 light of the tissue around it, or its depth and its light."""
 SAME_INSTANT = 1e-6
@@ -48,7 +47,7 @@ class Interaction:
     """Of the load [s]."""
     sequence: DepthSequence | None = None
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
-    brightness: BrightnessSequence | None = None
+    shading: ShadingSequence | None = None
     """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
     intervals: int = 1
     """Frame intervals within which the press began, and ended; more than 1 where frames before those are gaps."""
@@ -81,7 +80,7 @@ class Interaction:
     @property
     def shows_light(self) -> bool:
         """Whether any frame shows the light around the contact."""
-        return self.brightness is not None and len(self.brightness.times) > 0
+        return self.shading is not None and len(self.shading.times) > 0
 
     @property
     def noise(self) -> float:
@@ -100,13 +99,13 @@ class Interaction:
 
     def observed(self, instants: np.ndarray) -> Interaction:
         """The same, observed at some of its instants only, a mask or indices; its sequence as far as the last."""
-        observation, sequence, brightness = self.observation.chosen(instants), self.sequence, self.brightness
+        observation, sequence, shading = self.observation.chosen(instants), self.sequence, self.shading
         last = observation.times[-1] + SAME_INSTANT if len(observation) else -math.inf
         if sequence is not None:
             sequence = sequence.chosen(sequence.times <= last)
-        if brightness is not None:
-            brightness = brightness.chosen(brightness.times <= last)
-        return dataclasses.replace(self, observation=observation, sequence=sequence, brightness=brightness)
+        if shading is not None:
+            shading = shading.chosen(shading.times <= last)
+        return dataclasses.replace(self, observation=observation, sequence=sequence, shading=shading)
 
 
 @dataclass(frozen=True)
@@ -128,11 +127,9 @@ class ContactFrame:
     labels: np.ndarray | None = None
     """Label map on the grid, shape [h, w]."""
     light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as of `data.brightness.light.log_light`; None where it isn't looked at."""
+    """Logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
-    light_picture: LabelledPicture | None = None
-    """The picture from which that light is."""
     skipped: int = 0
     """Number of frames right before it that measure nothing."""
 
@@ -147,8 +144,7 @@ class InteractionBuilder:
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
         size: width and height of the pictures [px]; None = keep no depth-change sequence.
-        rest_light: light of the tissue at rest; None = keep no brightness sequence.
-        coding: of the video, where that is known.
+        rest_light: light of the tissue at rest; None = keep no shading sequence.
     """
 
     def __init__(
@@ -162,7 +158,6 @@ class InteractionBuilder:
         seconds: float,
         size: tuple[int, int] | None = None,
         rest_light: RestingLight | None = None,
-        coding: Coding | None = None,
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
         # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
@@ -187,10 +182,7 @@ class InteractionBuilder:
         self._sequence_of(onset)
         pixel, view = mesh.pixels[vertex], onset.light_view
         pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
-        self._light: BrightnessRecorder | None = None
-        if rest_light is not None:
-            self._light = BrightnessRecorder(rest_light.median(), pixel, coding, rest_light.pictures)
-            self._light.picture(onset.light_picture)
+        self._light = None if rest_light is None else ShadingRecorder(rest_light.median(), pixel)
         self._reference = None if view is None else view.reference
         self._brightness: list[tuple[int, float, np.ndarray]] = []
 
@@ -211,11 +203,7 @@ class InteractionBuilder:
         if change is not None:
             self._sequence.append((index, since, change))
         reference = None if frame.light_view is None else frame.light_view.reference
-        if self._light is None:
-            return
-        shown = reference == self._reference
-        self._light.picture(frame.light_picture if shown else None)
-        if frame.light is None or not shown:
+        if self._light is None or frame.light is None or reference != self._reference:
             return
         light = self._light.frame(frame.light)
         if light is not None:
@@ -258,9 +246,8 @@ class InteractionBuilder:
             known = sum(until is None or since <= until for _, since, _ in self._sequence)
             times = np.array([since for since, _ in kept])
             sequence = self._recorder.sequence(times, [change for _, change in kept], known)
-        brightness = None
+        shading = None
         if self._light is not None:
-            lit = [(index, since, light) for index, since, light in self._brightness if counts(index, since)]
-            frames, times = (np.array([each[part] for each in lit]) for part in (0, 1))
-            brightness = self._light.sequence(frames, times, [light for *_, light in lit])
-        return Interaction(self.mesh, press, observation, step, sequence, brightness, self._intervals)
+            lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]
+            shading = self._light.sequence(np.array([since for since, _ in lit]), [light for _, light in lit])
+        return Interaction(self.mesh, press, observation, step, sequence, shading, self._intervals)

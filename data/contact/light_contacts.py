@@ -14,14 +14,13 @@ import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd
-from palpate.data.brightness.light import FINE, log_light
-from palpate.data.brightness.registration import Registration, View
-from palpate.data.brightness.sequence import RestingLight, change_of_light
-from palpate.data.contact.dents import RECOVERY_SECONDS
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.lit_frame import ARRIVED, REACH, STILL, LitFrame, centre, darkest, darkness_of, lie_together
 from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.light import FINE, log_light
+from palpate.data.shading.registration import Registration, View
+from palpate.data.shading.sequence import RestingLight, change_of_light
 from palpate.data.source.camera import Camera
 
 WIDTH = 1.0
@@ -48,6 +47,8 @@ BARED, HELD = 2, 20
 """Successive frames that show a dent where an instrument was, and how many frames wait at most for it to go."""
 LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
+RECOVERY_SECONDS = 1.0
+"""After this time what is left of a dent counts as the tissue at rest [s]."""
 RECOVERED = 0.03
 """Tissue is at rest again where it is darker by less than this."""
 PRESSED = 0.95
@@ -106,7 +107,6 @@ class LightContacts:
         view, picture, labels = self._registration.push(prepared.shown, *prepared.view)
         another = self._view is not None and view.reference != self._view.reference
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
-        prepared.light_picture = picture, labels
         self._view = view
         decided = gap + (self._forget() if another else [])
         lit = LitFrame.of(prepared, prepared.light, view, picture, labels, self._tips)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.registration import View
 from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.light import FINE
+from palpate.data.shading.registration import View
 from palpate.data.tracks.following import lit_field
 
 TIP, LEAST_TIP = 6.0, 6

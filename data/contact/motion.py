@@ -173,7 +173,7 @@ class ContactMotion:
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
                 seen, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
-                if self.settings.contact == "motion" or onset.press is not None:
+                if onset.press is not None:
                     resting = dent_geometry(*seen, onset.contact.pixel, *given)
                 else:
                     resting = frame_geometry(*seen, *given)

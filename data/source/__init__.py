@@ -5,11 +5,10 @@ decoding  the track of a video file, its time stamps and pictures; interlace: wh
 repeats pictures that repeat the one before
 live    the same as they come from a camera, a stream or a pipe
 layout  how a folder's frames, masks, depth and camera file are named
-coding  how a video is coded, and the same done to other pictures
 sequence  clouds or depth with a tool's poses, as sequence.yaml names them; sequence_checks: whether these fit together;
         clouds: files of points
 bags    what bags of ROS hold: pictures, their camera, forces
 lerobot names of the videos in LeRobot data sets
-camera  intrinsics, back-projection, removal of lens distortion
+camera  intrinsics, back-projection, removal of lens distortion; camera_formats: files of OpenCV, ROS, Kalibr, SCARED
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """

@@ -12,10 +12,13 @@ import numpy as np
 
 from palpate.common.settings import require_numbers
 from palpate.data.source.bags import camera_entries, is_bag
-from palpate.data.source.layout import ClipLayout, from_mapping, read_clip_file, read_mapping
+from palpate.data.source.camera_formats import LARGEST_BASELINE, own_entries
+from palpate.data.source.layout import ClipLayout, InputError, from_mapping, read_clip_file, read_mapping
 
 MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""
+COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""Numbers of distortion coefficients that OpenCV takes."""
 MAX_RATIO = 50
 """Largest ratio of a picture's width to its camera's focal length, beyond which that is in millimetres, and of its
 centre's offset to its width."""
@@ -34,11 +37,12 @@ class Camera:
     cy: float
     """Principal point, row [px]."""
     width: int
-    """Picture width [px]."""
+    """Picture width [px]; 0, with the height, where the file doesn't say: that of the pictures as they come."""
     height: int
     """Picture height [px]."""
     distortion: tuple[float, ...] = ()
-    """OpenCV coefficients k1, k2, p1, p2, k3 (none: no distortion); they don't depend on the resolution."""
+    """First coefficients of OpenCV's k1, k2, p1, p2, k3–k6, s1–s4, τ_x, τ_y (none: no distortion); they don't depend on
+    the resolution."""
 
     def __post_init__(self) -> None:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
@@ -46,16 +50,22 @@ class Camera:
             raise ValueError("The camera has a number that is not finite; check its intrinsics and distortion.")
         if self.fx <= 0 or self.fy <= 0:
             raise ValueError(f"The camera's focal length is ({self.fx}, {self.fy}); give positive numbers of pixels.")
-        if self.width < 1 or self.height < 1:
+        if min(self.width, self.height) < 1 and self.stated:
             raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
-        focal, centre = (self.width / self.fx, self.height / self.fy), (self.cx / self.width, self.cy / self.height)
-        if max(*focal, *map(abs, centre)) > MAX_RATIO:
+        ratios = self.width / self.fx, self.height / self.fy, self.cx / (self.width or 1), self.cy / (self.height or 1)
+        if max(map(abs, ratios)) > MAX_RATIO and self.stated:
             raise ValueError(
                 f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
                 f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."
             )
-        if len(self.distortion) not in (0, 4, 5, 8):
-            raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give 0, 4, 5 or 8.")
+        if len(self.distortion) not in COEFFICIENTS:
+            counts = ", ".join(map(str, COEFFICIENTS))
+            raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give one of {counts}.")
+
+    @property
+    def stated(self) -> bool:
+        """Whether the picture's size is known."""
+        return (self.width, self.height) != (0, 0)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -73,14 +83,17 @@ class Camera:
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera for the picture resized to width x height."""
-        across, down = width / self.width, height / self.height
+        """The same camera for the picture resized to width x height.
+
+        Raises:
+            ValueError: the camera has no size of its own, and a centre far from that of such a picture.
+        """
+        if not self.stated and not (width / 4 < self.cx < width * 3 / 4 and height / 4 < self.cy < height * 3 / 4):
+            problem = f"has its centre at ({self.cx:g}, {self.cy:g}), far from that of pictures of {width}x{height}"
+            raise ValueError(f"The camera file tells no size, and {problem}; give the size that it was calibrated at.")
+        across, down = (width / self.width, height / self.height) if self.stated else (1.0, 1.0)
         cx, cy = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
         return Camera(self.fx * across, self.fy * down, cx, cy, width, height, self.distortion)
-
-
-LARGEST_BASELINE = 0.5
-"""Larger distances of a pair's cameras are millimetres taken for metres [m]."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +144,11 @@ class Rig(Camera):
         return np.array(self.rotation, float).reshape(3, 3)
 
 
-def load_camera(path: str | Path) -> Rig:
-    """Camera from a YAML or JSON file, at its top level or under `camera`.
+def load_camera(path: str | Path, *, stated: bool = False) -> Rig:
+    """Camera from a YAML or JSON file, at its top level or under `camera`, or of a program of `camera_formats`.
+
+    Args:
+        stated: whether the file must tell the size of its pictures.
 
     Raises:
         InputError: the file is missing, not YAML or JSON, or not a camera.
@@ -140,7 +156,11 @@ def load_camera(path: str | Path) -> Rig:
     entries = read_mapping(Path(path), "a camera file")
     if isinstance(entries.get("camera"), dict):
         entries = entries["camera"]
-    return _camera(entries, str(path))
+    own = own_entries(entries, str(path))
+    camera = _camera(own, str(path))
+    if not camera.stated and (stated or own is entries):
+        raise InputError(f"{path} tells no size of its pictures; give fx, fy, cx, cy, width and height.")
+    return camera
 
 
 def _camera(entries: Any, where: str) -> Rig:

@@ -268,7 +268,8 @@ class VideoTrack:
             container.seek(round(begin * av.time_base))  # to a frame before that can be decoded alone
         for frame in _decoded(container, track, self._damage):
             time_s = _time(frame)
-            if time_s is not None and time_s >= end:
+            if time_s is not None and time_s >= end:  # what the decoder has been given beyond is not missing
+                self._damage.decoded_until = math.inf
                 return
             if time_s is None or time_s >= begin:
                 yield frame

@@ -3,13 +3,12 @@
 No frame is lost silently: one that can't be read comes as a `Frame` without an image and with the reason.
 """
 
-import functools
 import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from pathlib import Path
 
 import av
@@ -17,7 +16,6 @@ import numpy as np
 
 from palpate.common.doors import plain
 from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
-from palpate.data.source.coding import Coding, coding_of
 from palpate.data.source.decoding import LARGEST_FPS, VideoTrack
 from palpate.data.source.images import picture_size, printable, read_image
 from palpate.data.source.layout import (
@@ -82,8 +80,6 @@ class FrameSource(ABC):
     """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
     frame_id: str = "camera_optical_frame"
     """What ROS calls the camera's axes: x right, y down, z away from it."""
-    coding: Coding | None = None
-    """How the pictures were coded; None where nobody knows, or they weren't."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -213,11 +209,6 @@ class VideoFile(FrameSource):
         self.length = min(self._track.length, path.stat().st_size // LEAST_FRAME_BYTES)
         self.warnings = [*self._track.notes]
 
-    @functools.cached_property
-    def coding(self) -> Coding | None:
-        """How the pictures were coded; None where the decoder doesn't say."""
-        return coding_of(self._track.file)
-
     def __iter__(self) -> Iterator[Frame]:
         self.warnings = [*self._track.notes]
         for index, (number, time_s, image) in enumerate(self._track):
@@ -243,6 +234,9 @@ class RosBag(Pictures):
         self.path, self.name, self.warnings = path, name_of(path), []
         self.topic = topic_of(path, layout.topic)
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
+        self._new = np.diff(stamps, prepend=stamps[:1] - 1) > 0
+        """Whether each picture's time stamp is after that of the one before, shape [N]."""
+        stamps = stamps[self._new]
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
         self._times, self.begin_ns = ((stamps - stamps[0]) / 1e9).tolist(), int(stamps[0])
@@ -253,7 +247,12 @@ class RosBag(Pictures):
         self.size = self._first_size()
 
     def _pictures(self) -> Iterator[tuple[None, np.ndarray | InputError]]:
-        return ((None, found) for found in pictures(self.path, self.topic))
+        return ((None, found) for found in compress(pictures(self.path, self.topic), self._new))
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from super().__iter__()
+        if lost := int((~self._new).sum()):
+            self.warnings.append(f"left out, as their time stamps repeat: {lost} of {len(self._new)} pictures")
 
 
 class Halves(FrameSource):
@@ -266,7 +265,7 @@ class Halves(FrameSource):
             across: whether the two are side by side; else the left one is on top.
         """
         self.path, self.name, self.fps, self.length = whole.path, whole.name, whole.fps, whole.length
-        self.begin_ns, self.frame_id, self.coding = whole.begin_ns, whole.frame_id, whole.coding
+        self.begin_ns, self.frame_id = whole.begin_ns, whole.frame_id
         self.warnings, self._whole, self._across = [], whole, across
         self.size = (whole.size[0] // 2, whole.size[1]) if across else (whole.size[0], whole.size[1] // 2)
 

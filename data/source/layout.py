@@ -193,6 +193,11 @@ class _Loader(yaml.SafeLoader):
             raise ValueError("its references have no end")
 
 
+_Loader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+)
+
+
 def _unfolded(text: str) -> Any:
     """Content of a YAML text.
 
@@ -200,7 +205,7 @@ def _unfolded(text: str) -> Any:
         ValueError: its references unfold to more than `MOST_YAML_VALUES`, or one holds itself.
         yaml.YAMLError, RecursionError: the text is not YAML, or nests too deeply.
     """
-    values = yaml.load(text, _Loader)
+    values = yaml.load(text.replace("%YAML:", "%YAML ", 1), _Loader)  # so OpenCV begins its files
     if _count(values, {}) > MOST_YAML_VALUES:
         raise ValueError("its references have no end")
     return values

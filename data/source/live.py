@@ -21,6 +21,8 @@ STALLED = 2.0
 """A source that gives no picture for so long is said to have stalled [s]."""
 PATIENCE = 30.0
 """So long a camera or stream that has gone is looked for again [s]."""
+MOST_DIGITS = 4
+"""Longest number of a camera."""
 RETRY = 0.5
 """How often [s]."""
 
@@ -144,6 +146,8 @@ def open_live(
             raise InputError("pictures from a pipe have no size of their own; give --size, such as --size 854x480.")
         name, pictures, rate = "pipe", _piped(pipe, size), fps or 25.0
     elif clocked:
+        if where.isdecimal() and len(where) > MOST_DIGITS:
+            raise InputError(f"{where[:20]} is no camera's number; give one such as 0.")
         camera = int(where) if where.isdecimal() else where
         name = f"camera {where}" if where.isdecimal() else where
         capture = cv2.VideoCapture(camera)

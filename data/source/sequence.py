@@ -257,7 +257,7 @@ def open_sequence(path: Path) -> Sequence:
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
     pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
-    camera = None if given.camera is None else load_camera(folder / given.camera)
+    camera = None if given.camera is None else load_camera(folder / given.camera, stated=True)
     radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
     table = read_series(folder / given.poses, POSES, "table of poses", 2)
     if not table[:, 4:].any(axis=1).all():

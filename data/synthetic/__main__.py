@@ -5,7 +5,7 @@ depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and
 Every clip is a video of its own, so that a split by video works. No training reads the truth.
 """
 
-from palpate.common.doors import enter_door, run_door
+from palpate.common.doors import enter_door, program, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
@@ -67,7 +67,7 @@ def picture_size(text: str) -> tuple[int, int]:
 def main(arguments: list[str] | None = None) -> int:
     """Write the clips that the command line asks for; returns the exit status: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
-    parser = argparse.ArgumentParser(prog="python -m data.synthetic", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog=program("data.synthetic"), description=__doc__.split("\n")[0])
     add_options(parser, Clips)
     add_options(parser.add_argument_group("scene"), SceneSettings, without=SIZE)
     given = vars(parser.parse_args(arguments))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from lightning.pytorch import LightningDataModule
 from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
 from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
@@ -26,6 +27,9 @@ from palpate.physics.mechanics import Bounds, require_stable
 
 TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
 """Type of a record of where depth and masks came from, for `fits`."""
+
+FOR_NETWORKS = "window", "contact_features"
+"""Beginnings of the names of the networks' inputs in a batch."""
 
 
 class ClipDataModule(LightningDataModule):
@@ -123,6 +127,12 @@ class ClipDataModule(LightningDataModule):
     def test_dataloader(self) -> DataLoader:
         """Batches in order."""
         return self._loader("test", shuffle=False)
+
+    def transfer_batch_to_device(
+        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
+    ) -> dict[str, Any]:
+        """Move the networks' inputs to a device; the rest stays on the CPU, where rollouts are compiled."""
+        return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
 
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
         """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""

@@ -6,7 +6,7 @@ patch        the same under a press on a patch, in any direction, whose force ri
 problem      one followed point by least squares from several starts; field: the whole dent
 contact_fit  from there to an estimate
 lit_sheet    what a camera with a light next to it sees of a pressed plane
-brightness   that light by least squares; brightness_fit: from there to an estimate
+shading      that light by least squares; shading_fit: from there to an estimate
 sampling     mean and covariance of the posterior by importance sampling
 error_model  how errors of a tracked contact belong together
 """

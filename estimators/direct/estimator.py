@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS, CONTACT, OBSERVATIONS, Horizon, Interaction
+from palpate.data.contact.interaction import BOTH, CONTACT, OBSERVATIONS, SHADING, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
@@ -90,8 +90,8 @@ class DirectSession(RunSession):
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.by_light = estimator.observation in (None, BRIGHTNESS)
-        self.needs_light = estimator.observation in (BRIGHTNESS, BOTH)
+        self.by_light = estimator.observation in (None, SHADING)
+        self.needs_light = estimator.observation in (SHADING, BOTH)
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 

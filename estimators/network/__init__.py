@@ -5,7 +5,4 @@ misfit       how far the observation lies from the simulated motion
 training     trains the network without labels; `palpate train fit -c configs/contact.yaml` is the door
 calibration  exports the network, or calibrates its standard deviations; a door of its own
 fits         motions with the parameters that explain them, and noisy observations of them, for the fine stage
-light_draws  brightness sequences of simulated presses; light_training: trains the posterior by light on them
-light_calibration  adds it to an exported network, and calibrates it; a door of its own, of the next as well
-causal_graph  presses by their light as one ONNX graph, frame by frame, with a state
 """

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.features import FEATURES, contact_features
-from palpate.data.contact.interaction import BOTH, BRIGHTNESS, FIELD, Horizon, Interaction, InteractionBuilder
-from palpate.data.contact.light_features import light_slots
+from palpate.data.contact.interaction import CONTACT as POINT
+from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.direct.brightness import LEAST_NOISE
 from palpate.estimators.estimate import Estimate, NoEstimate, mixture
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
@@ -23,15 +22,13 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, remark, vie
 from palpate.estimators.onset import onset_error, onset_perturbations
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
-from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
-from palpate.physics.identifiability import NOTHING, box_information
+from palpate.models.onnx_session import CONTACT, PosteriorModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
 LEAST_OBSERVATIONS = 2
 """Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
-TOO_DARK = "Too few frames after the onset show how bright the tissue around the contact is."
 FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
@@ -40,20 +37,11 @@ SELDOM = (
     f"By --rate fast, depth that is guessed is found in one frame of {FAST_EVERY} and kept in between; automatic "
     "masks, too, while instruments are known, which are followed, or the picture stays as it is."
 )
-LEAVES_OUT = (
-    "By --rate fast, presses without depth are estimated by the network alone and not fitted when they have ended. "
-    "That costs accuracy: on drawn videos of tissue that faces a still camera k_d/k_s is off by 6 to 20 % and F/k_s by "
-    "13 to 35 % in the median, in place of 3 to 15 % and 7 to 28 % (docs/reports/brightness.md)."
-)
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
-BY_NETWORK = "By the network; the whole run is fitted when it has ended: see interactions.csv."
-LARGEST_LEFT = 0.6
-"""Share of the change of light: where rings around the contact leave more, it is no press, or too faint to tell."""
-LEFT = "A press doesn't explain how the tissue's brightness changes: rings around it leave {:.0%}."
 BOUND_MARGIN = 0.02
 """A mean closer to a bound than this share of the box (in logarithms) counts as at the bound."""
 
@@ -65,14 +53,13 @@ class NetworkEstimator(ModelEstimator):
         model: the exported network.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a whole contact counts.
-        observation: which kind of observation, field, contact or brightness. With the contact's point
-            alone the network gets no depth-change sequence, and depth windows are blank. None = depth where it is
-            measured, else light, by which the network estimates frames while whole runs are fitted.
-        rate: one of RATES; with fast the network estimates whole runs, too.
+        observation: FIELD, or POINT: the network then gets no depth-change sequence, and depth windows are blank.
+            None = FIELD; presses in RGB video without depth are fitted by their shading when they have ended.
+        rate: one of RATES.
 
     Raises:
-        ModelFileError: its metadata can't be used, or the observation is light, of which the file knows nothing.
-        ValueError: depth and light are asked for together, which only `direct` can do.
+        ModelFileError: its metadata can't be used.
+        ValueError: an observation that only `direct` takes.
     """
 
     name = "network"
@@ -87,16 +74,11 @@ class NetworkEstimator(ModelEstimator):
         rate: str = FULL,
     ) -> None:
         super().__init__(model)
-        if observation == BOTH:
-            raise ValueError("--observation both is not for --estimator network; take direct, or leave it out.")
+        if observation not in (None, FIELD, POINT):
+            raise ValueError(f"--observation {observation} is for --estimator direct; take that, or leave it out.")
         self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
-        self.by_network = observation == BRIGHTNESS or rate == FAST
-        """Whether the network estimates whole runs by light, too."""
-        if self.by_network and not model.sees_light:
-            asked = "--rate fast" if rate == FAST else f"--observation {observation}"
-            raise ModelFileError(f"{model.path} knows nothing of light; leave {asked} out, or take estimator direct.")
-        self.by_light = observation in (None, BRIGHTNESS)
-        """Whether it goes by the light of the tissue, where that is known."""
+        self.by_light = observation is None
+        """Whether presses without depth are fitted by their shading."""
         self.described = {
             "name": self.name,
             "onset": onset,
@@ -162,44 +144,13 @@ class NetworkEstimator(ModelEstimator):
         known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
         return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
-    def lit(self, contact: Interaction) -> Estimate:
-        """The estimate of a contact by its light.
-
-        Raises:
-            NoEstimate: the light of too few frames is known.
-            ModelFileError: the network gives a number that is not finite.
-        """
-        if contact.brightness is None or len(contact.brightness.times) < LEAST_OBSERVATIONS:
-            raise NoEstimate(TOO_DARK)
-        slots, known = light_slots(contact)
-        mean, covariance = self.model.by_light(slots.vectors(known))
-        box, left = self.bounds.log_box, float(slots.unexplained(known)[0])
-        values, vectors = np.linalg.eigh(np.linalg.inv(covariance[0]) - box_information(box))
-        noise = max(contact.brightness.noise, LEAST_NOISE)
-        information = vectors * np.maximum(values, NOTHING) @ vectors.T
-        return Estimate(
-            theta_of(mean[0]),
-            covariance[0],
-            information=information,
-            expected_information=information,
-            noise=noise,
-            misfit=math.sqrt(np.square(slots.left[0, : known[0]]).mean()) / noise,
-            at_bound=np.minimum(mean[0] - box[0], box[1] - mean[0]) < BOUND_MARGIN * (box[1] - box[0]),
-            by_light=True,
-            refuted=LEFT.format(left) if left > LARGEST_LEFT else "",
-        )
-
 
 class NetworkSession(RunSession):
     """One clip: an estimate for every frame in contact, and one for every whole run of contact."""
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.by_light, self.needs_light = estimator.by_light, estimator.observation == BRIGHTNESS
-        self.lit_mechanics = self.mechanics if estimator.by_network else self.lit_mechanics
-        self.estimator = estimator
-        self._whole_runs = "" if estimator.by_network else BY_NETWORK
-        """What is said of a frame's estimate by light."""
+        self.estimator, self.by_light = estimator, estimator.by_light
         self._onset_error = onset_error(estimator.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
         self._depths: list[tuple[float, np.ndarray]] = []
@@ -253,32 +204,18 @@ class NetworkSession(RunSession):
     def _frame(self, frame: PreparedFrame, run: Run | None, depth: np.ndarray | None) -> FrameEstimate:
         if frame.geometry is None or run is None:
             return frame_estimate(frame, self.clip)
-        lit = self.by_light and run.lit
-        if lit and not self.estimator.model.sees_light:
+        if self.by_light and run.lit:
             return frame_estimate(frame, self.clip, doubts=WHOLE, whole=True)
         if run.builder is None:
             return frame_estimate(frame, self.clip, verdict="undetermined")
         contact = run.builder.build(self.mechanics, until=frame.frame.time_s - run.time_s)
         try:
-            found = self._by_light(contact) if lit else self.estimate(self.estimator.as_trained(contact), depth)
+            found = self.estimate(self.estimator.as_trained(contact), depth)
         except NoEstimate as reason:
             return frame_estimate(frame, self.clip, verdict="undetermined", doubts=str(reason), whole=True)
-        arrow = None
-        if found.explained or not lit:
-            arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
-        lengths = (None, None) if lit else self._lengths(found, contact, frame, run.builder)
-        doubts = " ".join(filter(None, (found.refuted, self._whole_runs if lit else "", _doubts(found))))
-        return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=doubts, whole=lit, arrow=arrow)
-
-    def _by_light(self, contact: Interaction) -> Estimate:
-        with self.timed("network"):
-            return self.estimator.lit(contact)
-
-    def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
-        if not self.estimator.by_network:
-            return super()._lit(contact)
-        found = self._by_light(contact)
-        return contact, found, self._simulated(found, contact)
+        arrow = force_arrow(found.theta, frame.geometry, self.clip, self.estimator.bounds, contact.direction)
+        lengths = self._lengths(found, contact, frame, run.builder)
+        return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=_doubts(found), arrow=arrow)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
         known = self.estimator.as_trained(contact)
@@ -288,8 +225,7 @@ class NetworkSession(RunSession):
         return found, self._simulated(found, contact), _doubts(found)
 
     def _simulated(self, found: Estimate, contact: Interaction) -> tuple[np.ndarray, np.ndarray]:
-        steps = contact.steps if len(contact.observation) else contact.load.factor.size
-        path = simulate(found.theta, contact.mesh, contact.load.until(steps), self.mechanics)
+        path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
         times = self.mechanics.time_step * np.arange(1, len(path) + 1)
         return times, path @ np.asarray(contact.direction, np.float64)
 

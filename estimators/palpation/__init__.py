@@ -11,7 +11,7 @@ presses     what such a sequence shows: the surface at rest, and each press's la
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.estimators.palpation.skin": ("Skin", "cover"),
         "palpate.estimators.palpation.bench": ("Palpation",),

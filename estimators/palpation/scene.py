@@ -1,4 +1,4 @@
-"""The file that `calibrate.py palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
+"""The file that `palpate calibrate palpation` reads: a surface at rest, how it is held, and what was pressed on it."""
 
 import codecs
 import io

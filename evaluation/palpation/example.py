@@ -1,7 +1,7 @@
-"""An example for `calibrate.py palpation`: a slab of known stiffness that was pressed, in a few seconds.
+"""An example for `palpate calibrate palpation`: a slab of known stiffness that was pressed, in a few seconds.
 
     python -m evaluation.palpation.example --output OUT
-    python calibrate.py palpation OUT/scene.yaml --output RESULTS
+    palpate calibrate palpation OUT/scene.yaml --output RESULTS
 
 Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of
 0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.

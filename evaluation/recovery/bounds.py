@@ -13,14 +13,14 @@ from scipy.ndimage import shift
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
-from palpate.estimators.direct.brightness import OTHERS, BrightnessProblem
-from palpate.estimators.direct.brightness_fit import WITHIN
 from palpate.estimators.direct.contact_fit import Problem
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.direct.shading import OTHERS, ShadingProblem
+from palpate.estimators.direct.shading_fit import WITHIN
 from palpate.estimators.onset import BETWEEN
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import Press, PressShape, held
@@ -65,11 +65,11 @@ def light_information(contact: Interaction, theta: np.ndarray, frame_seconds: fl
     plane's tilt, the instants and the law of light are not known.
 
     Args:
-        contact: with its brightness sequence.
+        contact: with its shading sequence.
         theta: true k_s, k_d and F, in lengths of the contact's mesh, shape [3].
         frame_seconds: time from frame to frame [s].
     """
-    problem = BrightnessProblem(contact, MECHANICS.matched(frame_seconds), WITHIN * frame_seconds, np.zeros(2))
+    problem = ShadingProblem(contact, MECHANICS.matched(frame_seconds), WITHIN * frame_seconds, np.zeros(2))
     box = problem.box(RECOMMENDED.log_box)
     press = np.concatenate([np.log(np.abs(theta)), np.zeros(box.shape[1] - OTHERS - 3)])
     jacobian = problem.jacobian(problem.start(press, problem.darkest()))

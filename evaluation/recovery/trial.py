@@ -35,7 +35,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +60,6 @@ from palpate.evaluation.recovery.estimators import Candidate, opened
 from palpate.evaluation.recovery.grip_truth import gripped
 from palpate.evaluation.recovery.suites import EVERY, GRID_SIZE
 
-MOTION = "motion"
-"""How contacts are found where no tool is in view: by their dents."""
 Compare = Callable[[Any], Row]
 """From what a session says of a clip, or a constant, to what is known then."""
 
@@ -79,8 +77,6 @@ class Trial:
     """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
     """Width and height of pictures of presses [px]."""
-    contact: Literal["touching", "motion"] = "touching"
-    """How contacts are found; with motion clips are drawn without the tool, and an onset one frame off counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +114,12 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -
         scene, motion = _truth(EVERY[suite].truth_settings(trial.index, trial.size), trial.seed)
     except SceneError as error:
         return failed("no scene", str(error))
-    scene = replace(scene, settings=replace(settings, tool_in_view=trial.contact != MOTION))
-    prepare = replace(PREPARE, geometry=replace(PREPARE.geometry, contact=trial.contact))
+    scene = replace(scene, settings=settings)
     if isinstance(motion, PressedMotion):
         known["theta"] = motion.theta
     try:
         with interruptible():
-            prepared = open_synthetic(synthetic_clip(scene, motion, trial.seed), prepare)
+            prepared = open_synthetic(synthetic_clip(scene, motion, trial.seed), PREPARE)
             clip = TrueClip(scene, motion, list(prepared), ClipInfo.of(prepared))
             found, compare = _judged(trial, clip)
     except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
@@ -147,13 +142,12 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     if not contacts:
         return {"status": "no contact", "reason": "no onset of contact was found."}, None
     onset = min(contacts, key=lambda found: abs(found - motion.onset_frame))
-    if abs(onset - motion.onset_frame) > (trial.contact == MOTION):
+    if onset != motion.onset_frame:
         begun = ", ".join(map(str, contacts))
         reason = f"contact began in frame {begun} instead of {motion.onset_frame}."
         return {"status": "other onset", "reason": reason}, None
     contact, scene = contacts[onset], clip.scene
     known = _off(contact, clip.frames[onset], scene, motion)
-    motion = as_stamped(motion, onset)
     known["tracking"] = tracking_errors(contact, scene, motion)
     known["information"] = contact_information(contact, scene, motion)
     known["field_information"] = field_information(contact, scene, motion)
@@ -206,13 +200,6 @@ def _off(contact: Interaction, onset: PreparedFrame, scene: Scene, motion: Press
         "release_off": round(released * scene.settings.fps, 2),
         "place_off": float(np.linalg.norm(place)),
     }
-
-
-def as_stamped(motion: PressedMotion, onset: int) -> PressedMotion:
-    """The same motion with its delay counted from another frame that is taken for the onset."""
-    interval = motion.times[1] - motion.times[0]
-    delay = motion.delay - (onset - motion.onset_frame) * interval
-    return replace(motion, onset_frame=onset, delay=delay)
 
 
 def observed_contacts(

@@ -108,7 +108,8 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
         return 0
     interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
-    doubt = f" ± {found.poisson_sd:.2g}" + ("" if found.verdict == "determined" else ", not determined")
+    low, high = found.poisson - NINETY * found.poisson_sd, found.poisson + NINETY * found.poisson_sd
+    doubt = f" (90 %: {low:.3f} to {high:.3f})" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
     return 0
 

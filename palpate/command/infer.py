@@ -12,6 +12,7 @@ from typing import Any
 from palpate.common.command_line import add_listed, path_option, real_number, whole_number
 from palpate.common.files import read_beside
 from palpate.common.onnx_devices import DEVICES
+from palpate.common.provenance import __version__
 from palpate.data.contact.interaction import OBSERVATIONS
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.depth.preset import preset_names
@@ -20,7 +21,6 @@ from palpate.estimators.direct.estimator import LEAST_SIGMA
 from palpate.estimators.network.estimator import RATES
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import NAMES
-from palpate.results.record import program_version
 from palpate.results.run import run
 from palpate.results.store import BAGS
 
@@ -51,7 +51,6 @@ CHOICES = {
     "names": NAMES,
     "onsets": ONSETS,
     "observations": OBSERVATIONS,
-    "contacts": ("touching", "motion"),
     "rates": RATES,
     "devices": DEVICES,
     "bags": tuple(BAGS),
@@ -77,5 +76,5 @@ def _parser() -> argparse.ArgumentParser:
     texts = read_beside(__file__)
     parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
     add_listed(parser, declared(), TYPES, CHOICES, **WORDS)
-    parser.add_argument("--version", action="version", version=f"palpate {program_version()}")
+    parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     return parser

@@ -6,8 +6,9 @@
 
 A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
 so far; where a run of contact has ended, another one holds what `interactions.csv` does. Whether an instrument touches
-is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Presses are
-estimated by the network alone (--rate fast of `palpate infer`). Research software, not a medical device.
+is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Where depth is
+measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on (--rate
+fast of `palpate infer`). Research software, not a medical device.
 """
 
 import argparse
@@ -20,6 +21,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -59,14 +61,16 @@ def igtl_server(port: int) -> Any:
     """A `pyigtl.OpenIGTLinkServer` on this machine.
 
     Raises:
-        ValueError: pyigtl is not installed.
-        OSError: the port can't be opened.
+        ValueError: pyigtl is not installed, or the port can't be opened.
     """
     try:
         import pyigtl
     except ModuleNotFoundError as error:
         raise ValueError("--igtl needs pyigtl; install 'palpate[live]'.") from error
-    return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    try:
+        return pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    except OSError as error:
+        raise ValueError(f"--igtl {port} can't be opened ({error.strerror}); give another port.") from error
 
 
 @contextmanager
@@ -104,10 +108,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     alarm = None
     if options.force_limit is not None:
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator)[0], 1 / source.fps)
+        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator), 1 / source.fps)
     lines = JsonLines(source, options.port, server, alarm)
     try:
-        with stopped_by_interrupt(source):
+        with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
             for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0

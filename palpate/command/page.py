@@ -20,7 +20,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = described_parser("palpate page", __doc__, "0 written; 1 they could not be; 2 wrong usage; 130 interrupted")
     parser.add_argument("results", type=path_option, metavar="RESULTS", help="what was --output of palpate infer")
     options: Any = parser.parse_args(arguments)
-    if not options.results.is_dir() or not clip_folders(options.results):
+    try:
+        found = options.results.is_dir() and clip_folders(options.results)
+    except OSError as error:
+        parser.error(f"{options.results} can't be read ({error.strerror}); give the folder that was --output.")
+    if not found:
         parser.error(f"{options.results} holds no results of palpate infer; give the folder that was its --output.")
     try:
         print(write_pages(options.results, anew=True))

@@ -4,7 +4,6 @@
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
     palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
-    palpate train fit -c configs/light.yaml [--light.sheets 3000 …]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
 pictures and the evaluation. All commands log to one MLflow run, called by `--run_name`. Exit status: 0 done, 1 failed,
@@ -35,7 +34,7 @@ from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
-from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
+from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, replacing_own, require_own
 from palpate.common.settings import shown, sound
@@ -45,16 +44,13 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
-from palpate.estimators.network.light_training import WEIGHTS as LIGHT_WEIGHTS
-from palpate.estimators.network.light_training import LightSettings, train_light
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
-from palpate.evaluation.paper.analysis import EvaluationError
-from palpate.evaluation.paper.figures import draw_next_depth
-from palpate.evaluation.paper.report import FILES, write_evaluation
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError, export
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
+from palpate.results.paper.figures import draw_next_depth
+from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
     "best": {"monitor": "val/physics"},
@@ -72,9 +68,8 @@ BASELINE_CONTACTS = 8
 
 PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
     "contact": (ContactSettings, train_contact, WEIGHTS),
-    "light": (LightSettings, train_light, LIGHT_WEIGHTS),
 }
-"""Posteriors of a contact's motion and of its light: their settings, how they are trained, and their weights' file."""
+"""Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
 OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)
@@ -110,7 +105,7 @@ class SentenceParser(LightningArgumentParser):
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
         missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = "train.py {fit,validate,test,export} --help lists all options"
+        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
         remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
         raise UsageError(f"{sentence}; {remedy}.") from ex
 
@@ -360,7 +355,7 @@ def fit_part(name: str, arguments: list[str]) -> None:
         arguments: command line after `fit`.
     """
     settings_class, train, weights = PARTS[name]
-    parser = SentenceParser(prog="train.py fit", description=f"Train the {name} posterior.", allow_abbrev=False)
+    parser = SentenceParser(prog=f"{program()} fit", description=f"Train the {name} posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
     parser.add_class_arguments(settings_class, name)
     chosen = parser.parse_args(arguments)
@@ -413,5 +408,5 @@ def main(arguments: list[str] | None = None) -> int:
         return INTERRUPTED
     else:
         return 0
-    print(plain(f"train.py: {said}"), file=sys.stderr)
+    print(plain(f"{program()}: {said}"), file=sys.stderr)
     return status

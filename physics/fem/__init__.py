@@ -11,7 +11,7 @@ linear_system  symmetric sparse systems, factorised or iterated
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.physics.fem.laws": ("LAWS", "Material"),
         "palpate.physics.fem.solid": ("Solid", "make_solid"),

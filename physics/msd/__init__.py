@@ -10,7 +10,7 @@ autograd      torch's view of the compiled rollout
 
 from palpate.common.lazy import exported
 
-__getattr__ = exported(
+__getattr__, __dir__, __all__ = exported(
     {
         "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
         "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),

@@ -16,7 +16,8 @@ def run(*arguments: str) -> str:
 
 
 def test_a_name_is_imported_when_it_is_asked_for_and_others_are_listed() -> None:
-    find = exported({"math": ("pi",), "json": ("dumps",)})
+    find, listed, public = exported({"math": ("pi",), "json": ("dumps",)})
+    assert listed() == public == ["dumps", "pi"]
     assert find("pi") == pytest.approx(3.14159265)
     with pytest.raises(AttributeError, match="there is no tau here; choose dumps, pi"):
         find("tau")

@@ -1,13 +1,26 @@
 """Which of ONNX Runtime's providers a network is opened with, and what is said where it isn't the one asked for."""
 
+import re
 from types import SimpleNamespace
 
 import onnxruntime
 import pytest
 
-from palpate.common.onnx_devices import DeviceError, open_session, provider_of
+from palpate.common.onnx_devices import DeviceError, open_session, opening_problem, provider_of
 
 CUDA, OPENVINO, CPU = "CUDAExecutionProvider", "OpenVINOExecutionProvider", "CPUExecutionProvider"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("Fail: Opset 99 is under development", "has a newer opset or IR version than onnxruntime"),
+        ("Unsupported model IR version: 99, max supported IR version: 13", "export it with a lower opset_version"),
+        ("[ONNXRuntimeError] : 7 : INVALID_PROTOBUF : Load model from x failed:No.", r"ONNX model \(No\); export or"),
+    ],
+)
+def test_what_can_not_be_opened_gets_the_remedy_that_helps(error: str, said: str) -> None:
+    assert re.search(said, opening_problem(RuntimeError(error)))
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *offered: str, works: bool = True) -> list[bool]:

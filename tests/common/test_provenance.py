@@ -149,7 +149,7 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     prepares = "palpate.data.clip, palpate.data.masks.automatic"  # the second only where masks are automatic
     program = f"import sys, {prepares}; print(*(vars(each).get('__file__') for each in [*sys.modules.values()]))"
     names = run(program, cwd=CHECKOUT).split()
-    imported = {Path(name).relative_to(CHECKOUT).as_posix() for name in names if f"{CHECKOUT}/" in name}
+    imported = {Path(name).resolve().relative_to(CHECKOUT).as_posix() for name in names if f"{CHECKOUT}/" in name}
     ours = {name for name in imported if name.split("/")[0] in PACKAGES}
     assert "data/contact/motion.py" in ours
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]

@@ -46,6 +46,6 @@ def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:
     for name in ("network", "direct"):
         with pytest.raises(ValueError, match=r"online\.yaml is for --estimator online; leave it out"):
             open_estimator(EstimatorOptions(name, settings=path))
-    for told in ({"model": path}, {"onset": "stamp"}, {"observation": "field"}, {"noise": 0.1}, {"horizon": 3}):
+    for told in ({"model": path}, {"onset": "stamp"}, {"observation": "depth"}, {"noise": 0.1}, {"horizon": 3}):
         with pytest.raises(ValueError, match=f"--{next(iter(told))} is not for --estimator online; leave it out"):
             open_estimator(EstimatorOptions("online", **told))

@@ -1,6 +1,5 @@
 """Runs of contact gathered frame by frame are those that a whole clip shows."""
 
-import dataclasses
 import math
 from typing import NamedTuple
 from unittest.mock import create_autospec
@@ -10,16 +9,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
-from palpate.data.brightness.light import FINE
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
-from palpate.data.source.coding import Coding
 from palpate.estimators import runs as module
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunTracker, frame_estimate
 from palpate.physics.mechanics import Mechanics
-from tests.estimators.sessions import DEPTH, LABELS, State, clip_info, linked, prepared_frame, touched
+from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)
@@ -185,28 +182,6 @@ def test_without_a_noise_level_rest_is_where_the_point_was_at_the_onset() -> Non
         found, tracker = touched(MESH, 12, CONTACT.normal, noise), RunTracker(clip_info(), SECONDS)
         tracker.push(prepared_frame(0, "ok", found, track_start=0, track_position=position))
         np.testing.assert_allclose(tracker.current.builder.rest, rest, rtol=1e-6)
-
-
-@pytest.mark.parametrize("coding", [None, Coding(18.0, True)])
-def test_pictures_around_a_contact_are_kept_of_videos_whose_coding_is_known(coding) -> None:
-    """At rest and from the onset on; one that is lost counts as the one before."""
-    height, width = DEPTH.shape
-    light = np.random.default_rng(8).normal(-1, 0.2, (FINE * height, FINE * width)).astype(np.float32)
-    tracker = RunTracker(dataclasses.replace(clip_info(), coding=coding), SECONDS)
-    for index in range(10):
-        picture = np.full((height, width, 3), 20 * index, np.uint8)
-        lit = {"light": light, "light_picture": (picture, LABELS)} if index != 7 else {}
-        followed = {"track_start": 4, "track_position": MESH.vertices[12], "consecutive": True} if index >= 4 else {}
-        tracker.push(prepared_frame(index, *(("ok", CONTACT) if index >= 4 else ("no_contact",)), **lit, **followed))
-    brightness = tracker.finish().builder.build(Mechanics()).brightness
-    np.testing.assert_allclose(brightness.times, [0.04, 0.08, 0.16, 0.2])
-    if coding is None:
-        assert brightness.coded is None
-    else:
-        assert brightness.coded.rest == 4
-        assert brightness.coded.frames.tolist() == [1, 2, 4, 5]
-        shown = [int(each[0, 0, 0]) for each in brightness.coded.pictures]
-        assert shown == [20 * index for index in (0, 1, 2, 3, 4, 5, 6, 6, 8, 9)]
 
 
 def test_a_grip_that_is_not_explained_says_so() -> None:

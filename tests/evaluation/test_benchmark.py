@@ -140,10 +140,6 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--estimator", "network"), "give its file as --model FILE"),
         (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
         (("--estimator", "gan", "--seen", "5"), "--seen is of no use to gan"),
-        (
-            ("--contact", "motion", "--suite", "hover"),
-            "--contact motion is for direct and network on suites of presses",
-        ),
         (("--suite", "dirty"), "--suite dirty is no suite; give clean, 8bit, noisy"),
         (("--seed", "-1"), "--seed: -1 is less than 0"),
         (("--seed", str(2**32)), "is more than 4294967295"),

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.estimators.direct.brightness_fit import USUALLY_LEFT
 from palpate.estimators.grip.grip_estimate import force_error
 from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
 from palpate.evaluation import model_errors
@@ -54,45 +53,35 @@ def drawn(index: int, model: float, told: float = 0.004) -> Row:
 
 def test_what_the_model_gets_wrong_is_found() -> None:
     rows = [drawn(index, 0.3) for index in range(400)]
-    entries = model_errors.updated(read_entries(), *model_errors.pull_errors(rows, VALUES), "a command", "today")
+    entries = model_errors.updated(read_entries(), model_errors.pull_errors(rows, VALUES), "a command", "today")
     found = entries["pull_force"]
     assert found["value"] == found["measured"]["sd"] == pytest.approx(0.3, rel=0.1)
     assert found["measured"]["stated"] == pytest.approx(0.04, rel=0.1)
     assert found["source"] == "measured"
     # Few clips are noted, and change nothing.
     few = model_errors.pull_errors(rows[: model_errors.ENOUGH - 1], VALUES)
-    entry = model_errors.updated(read_entries(), *few, "a command", "today")["pull_force"]
+    entry = model_errors.updated(read_entries(), few, "a command", "today")["pull_force"]
     assert entry["value"] == VALUES["pull_force"]
     assert entry["measured"]["clips"] == model_errors.ENOUGH - 1
     # A pull that is not explained doesn't count.
-    assert model_errors.pull_errors([rows[0] | {"skill": 0.2}], VALUES)[0] == {}
+    assert model_errors.pull_errors([rows[0] | {"skill": 0.2}], VALUES) == {}
 
 
 def test_videos_tell_three_quantities_whatever_a_fit_makes_of_each_clip() -> None:
     generator = np.random.default_rng(3)
     quantities = {"damping_over_stiffness": "damping", "force_over_stiffness": "force", "stiffness": "scale"}
     rows: list[Row] = [{"verdict": "no_estimate"}, {"verdict": "undetermined", "explained": 0}]
-    slopes, taken_off = {"damping": 0.1, "force": 0.25, "scale": 0.0}, VALUES["brightness_damping_slope"]
     for factor in generator.uniform(1, 4, 400):
-        left, seemed = math.sqrt(factor), generator.normal(0, 1)
-        row: Row = {
-            "explained": 1,
-            "left": USUALLY_LEFT * left,
-            "log_damping_ratio": seemed * (1 - taken_off * left**2),
-        }
+        row: Row = {"explained": 1}
         for name, kind in quantities.items():
-            counted = factor * VALUES[f"brightness_{kind}"]
-            slope = slopes[kind] - VALUES.get(f"brightness_{kind}_slope", 0.0)
-            row |= {f"{name}_error": factor * (slope * seemed + generator.normal(0, math.hypot(0.25, 0.1)))}
+            counted = factor * VALUES[f"shading_{kind}"]
+            row |= {f"{name}_error": factor * generator.normal(0, math.hypot(0.25, 0.1))}
             row |= {f"{name}_model_sd": counted, f"{name}_sd": math.hypot(counted, factor * 0.1)}
         rows.append(row)
-    errors, found = model_errors.video_errors(rows, VALUES)
-    entries = model_errors.updated(read_entries(), errors, found, "a command", "today")
+    entries = model_errors.updated(read_entries(), model_errors.video_errors(rows, VALUES), "a command", "today")
     for kind in quantities.values():
-        if slopes[kind]:
-            assert entries[f"brightness_{kind}_slope"]["value"] == pytest.approx(slopes[kind], abs=0.03)
-        assert entries[f"brightness_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
-        assert entries[f"brightness_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
+        assert entries[f"shading_{kind}"]["value"] == pytest.approx(0.25, rel=0.1)
+        assert entries[f"shading_{kind}"]["measured"]["stated"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_clips_count_by_how_little_their_residuals_leave_open() -> None:

@@ -12,6 +12,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
+from palpate.data.training.datamodule import ClipDataModule
 from palpate.models.checkpoint import load_posterior
 from palpate.models.losses import total
 from palpate.models.module import PhysicsInformedGAN
@@ -131,7 +132,7 @@ def test_meshes_stay_on_the_cpu_while_networks_are_elsewhere(make_batch, make_to
     wanted = _losses(copy.deepcopy(module), batch)
     with two_devices():
         moved = _moved(module)
-        found = _losses(moved, moved.transfer_batch_to_device(batch, ELSEWHERE, 0))
+        found = _losses(moved, ClipDataModule.transfer_batch_to_device(moved, batch, ELSEWHERE, 0))
     assert found.keys() == wanted.keys()
     assert all(isinstance(values, Elsewhere) for values in found.values())
     for name, values in wanted.items():

@@ -1,5 +1,8 @@
 """The public face: the same numbers as the program's, and sentences for what can't be done."""
 
+import importlib
+import pydoc
+import re
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +59,16 @@ def test_an_opened_estimator_serves_many_clips_and_an_opened_clip_is_taken_as_it
 def test_a_choice_that_cannot_be_used_is_a_sentence(clip, choices, error, sentence) -> None:
     with pytest.raises(error, match=sentence):
         palpate.estimate(clip, **choices)
+
+
+def test_help_shows_the_public_functions_and_no_module_takes_their_place() -> None:
+    shown = pydoc.plain(pydoc.render_doc(palpate))
+    assert all(f"\n    {name}(" in shown for name in ("estimate", "calibrate", "plan", "simulate"))
+    assert re.search(r"\nVERSION\n    \d+\.\d+", shown)
+    assert set(dir(palpate)) >= {"estimate", "calibrate", "plan", "Estimate", "__version__"}
+    with pytest.raises(ModuleNotFoundError):
+        importlib.import_module("palpate.calibrate")
+    assert callable(palpate.calibrate)
 
 
 def test_choices_of_an_open_clip_a_missing_one_and_an_unknown_estimator_are_sentences(clip, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+import palpate
 from palpate.__main__ import COMMANDS, main
 
 
@@ -14,6 +15,8 @@ def test_help_names_every_command_which_is_a_program_and_another_is_a_sentence(c
     for name, module in COMMANDS.items():
         assert name in told
         assert callable(importlib.import_module(module).main)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"palpate {palpate.__version__}\n"
     assert main(["nonsense"]) == 2
     assert "there is no command 'nonsense'; choose infer, live, train," in capsys.readouterr().err
 

@@ -70,9 +70,8 @@ def test_panel_shows_numbers_only_where_there_are_some() -> None:
     names = [name for name, _ in overlay._number_lines(OK)]
     assert names == ["stiffness k_s", "damping k_d", "force |F|"]
     assert overlay._number_lines(FrameEstimate(1, 0.0, "no_tool")) == []
-    # A 90 % interval of ±4 % is a standard deviation of 2.4 %.
     lines = overlay._number_lines(frame_in_contact("determined", THETA, (1.04, 1.04, 1.04), observed_displacement=0.02))
-    numbers = [("stiffness k_s", "0.5 ± 0.012"), ("damping k_d", "0.1 ± 0.0024"), ("force |F|", "2 ± 0.048")]
+    numbers = [("stiffness k_s", "0.5 ± 0.02"), ("damping k_d", "0.1 ± 0.0039"), ("force |F|", "2 ± 0.078")]
     assert lines == [*numbers, ("displacement, observed", "0.02")]
 
 
@@ -95,7 +94,7 @@ def test_notes_say_what_the_numbers_cannot() -> None:
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
     ]
     assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1))) == [
-        "Stiffness, damping and force are determined.",
+        "Stiffness, damping and force are determined; ± is the 90 % interval.",
         f"Unit: {UNITS['stiffness']}.",
     ]
     assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == ["0 tool pixels."]

@@ -1,6 +1,8 @@
 """The pages of a folder of results: what they show is in the tables, nothing is loaded, no name runs as a script."""
 
+import errno
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -133,6 +135,25 @@ def test_pages_are_rebuilt_failures_stay_until_tried_again_and_a_user_s_page_sta
     with pytest.raises(SystemExit, match="2"):
         main(["page", str(tmp_path)])
     assert "holds no results of palpate infer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_a_page_that_can_not_be_written_or_found_is_one_sentence(
+    results, tmp_path, capsys, monkeypatch, number
+) -> None:
+    shutil.copytree(results, copied := tmp_path / "copied")
+
+    def refuse(path: Path, _: bytes) -> None:
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    assert main(["page", str(copied)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"{copied}: ")
+    assert said.count("\n") == 1
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["page", "a" * 300])
+    assert "can't be read (File name too long)" in capsys.readouterr().err
 
 
 def test_every_status_verdict_file_and_warning_has_a_remedy() -> None:

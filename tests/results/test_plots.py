@@ -14,6 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
+from palpate.estimators.estimate import NINETY
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.panels import NOTICE, OBSERVED
@@ -84,13 +85,14 @@ def observed(axes: Axes) -> np.ndarray:
 def test_a_fit_shows_observation_simulation_and_release() -> None:
     (axes,) = fits(GOOD)
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("determined"))
-    assert legend(axes) == ["simulated with the fit", "far from the observed one", "release, 0.160 s", "observed ± σ"]
+    noise = "observed, 90 % interval of the noise"
+    assert legend(axes) == ["simulated with the fit", "far from the observed one", "release, 0.160 s", noise]
     np.testing.assert_allclose(observed(axes), (CONTACT.observation.times, np.zeros(8)))
     np.testing.assert_allclose(curve(axes, "simulated with the fit"), ([0.0, 0.32], [0.0, 0.02]))
     assert curve(axes, "release, 0.160 s")[0] == pytest.approx(0.16)
     (bars,) = axes.collections
     assert to_rgb(bars.get_color()[0]) == pytest.approx(to_rgb(OBSERVED))
-    np.testing.assert_allclose([bar[:, 1] for bar in bars.get_segments()], [[-0.001, 0.001]] * 8)
+    np.testing.assert_allclose([bar[:, 1] for bar in bars.get_segments()], [[-0.001 * NINETY, 0.001 * NINETY]] * 8)
     assert axes.get_xlabel() == "time since the first frame in contact [s]"
     assert axes.get_ylabel() == "displacement along the force\n[scene units (normalised)]"
 
@@ -147,16 +149,17 @@ def test_a_release_is_told_where_one_was_seen(load_steps: int, delays: tuple[flo
 
 def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
     (axes,) = fits(GOOD)
-    values = "k_s 0.5 ± 0.05, k_d 0.06 ± 0.012, |F| 0.1 ± 0.005"
+    values = "k_s 0.5 ± 0.083, k_d 0.06 ± 0.02, |F| 0.1 ± 0.0082"
     assert heading(axes) == f"determined: contact from frame 7 (0.280 s), {values}"
-    told = "Misfit 1.1 (1: it fits); F (±0.05), k_s (±0.1), k_d (±0.2) are determined."
+    told = "Misfit 1.1 (1: it fits); F (to a factor of 1.09), k_s (to a factor of 1.18), k_d (to a factor of 1.39) "
+    told += "are determined. Ranges and ± are 90 % intervals."
     assert axes.get_title("left").replace("\n", " ").endswith(told)
     (doubted,) = fits(dataclasses.replace(GOOD, detail="It does not fit."))
     assert to_rgb(doubted.texts[0].get_color()) == pytest.approx(color_of("doubtful"))
     assert heading(doubted).startswith("determined, but doubtful: contact")
     assert heading(doubted).replace("\n", " ").endswith("k_s 0.42 to 0.59, k_d 0.043 to 0.083, |F| 0.092 to 0.11")
     assert doubted.get_title("left").startswith("It does not fit. The simulated displacement is more than")
-    assert doubted.get_title("left").endswith("Ranges are 90 % intervals.")
+    assert doubted.get_title("left").endswith("Ranges and ± are 90 % intervals.")
     loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, covariance=np.eye(3)))
     assert heading(fits(loose)[0]).startswith("undetermined: contact from frame 7 (0.280 s), k_s 0.097")
 
@@ -241,7 +244,7 @@ def test_surface_errors_share_a_scale_on_which_half_the_stiffness_shows() -> Non
     (one, two, three) = (axes.collections[0] for axes in panels)
     assert one.get_clim() == two.get_clim() == three.get_clim()
     low, high = one.get_clim()
-    assert (low, bar.get_ylabel()) == (-high, f"measured less simulated surface, ± {high:.2f} mm")
+    assert (low, bar.get_ylabel()) == (-high, f"measured less simulated surface, up to {high:.2f} mm")
     assert figure.get_supxlabel().endswith(NOTICE)
     first, second, third = (np.asarray(each.get_array()) for each in (one, two, three))
     np.testing.assert_allclose(third, second - first, atol=1e-12)

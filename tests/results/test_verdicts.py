@@ -10,8 +10,8 @@ VALUES = {
     **{"stiffness": 0.5123, "stiffness_low": 0.2345, "stiffness_high": 0.8765},
     **{"damping": 0.0512, "damping_low": 0.00123, "damping_high": 0.35678},
     **{"force": 0.1024, "force_low": 0.0912, "force_high": 0.1156},
-    **{"damping_over_stiffness": 0.0999, "damping_over_stiffness_sd": 0.0123},
-    **{"force_over_stiffness": 0.1999, "force_over_stiffness_sd": 0.0345},
+    **{"damping_over_stiffness": 0.0999, "damping_over_stiffness_low": 0.0877, "damping_over_stiffness_high": 0.1123},
+    **{"force_over_stiffness": 0.1999, "force_over_stiffness_low": 0.165, "force_over_stiffness_high": 0.234},
 }
 NO_INTERVAL = {"stiffness": 0.5123, "damping": 0.0512, "force": 0.1024}
 
@@ -32,7 +32,7 @@ def test_the_verdict_goes_before_the_status() -> None:
 @pytest.mark.parametrize(
     ("verdict", "values", "expected"),
     [
-        ("determined", VALUES, ["0.512 ± 0.012", "0.0512 ± 0.012", "0.102 ± 0.012"]),
+        ("determined", VALUES, ["0.512 ± 0.32", "0.0512 ± 0.18", "0.102 ± 0.012"]),
         ("undetermined", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
         ("doubtful", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
         ("ratios", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.1 ± 0.01", "0.2 ± 0.03"]),

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palpate.data.brightness.light import SRGB
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.light import SRGB
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
 

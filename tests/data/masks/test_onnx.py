@@ -15,10 +15,13 @@ WEIGHTS = np.array([[0, 0, 0], [8, -8, 0], [-8, 8, 0]], np.float32)
 """Class logits from (R, G, B): 0 other, 1 rises with red over green, 2 with green over red."""
 
 
-def save_model(path, settings=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=False, labels=False, values="float"):
+def save_model(
+    path, settings=None, *, weights=WEIGHTS, size=("h", "w"), nhwc=False, labels=False, values="float", batch=1
+):
     """A 1x1 convolution as a segmentation model, of a picture of `values`."""
     height, width = size
     taken = f"1, {height}, {width}, 3" if nhwc else f"1, 3, {height}, {width}"
+    taken = f"{batch}{taken[1:]}"
     given = "int64[1, p, q] last" if labels else "float[1, p, q, c] last" if nhwc else "float[1, c, p, q] last"
     end = "ArgMax<axis=1, keepdims=0>(" if labels else "Transpose<perm=[0, 2, 3, 1]>(" if nhwc else "Identity("
     graph = f"""segmentation ({values}[{taken}] picture) => ({given}) {{
@@ -142,6 +145,12 @@ def test_files_that_are_no_models(tmp_path):
             OnnxMasks(path)
         said = f"can't be opened as an ONNX model ({reason}); export or download it again."
         assert str(caught.value) == f"{path} {said}"
+
+
+def test_a_fixed_batch_is_named_with_its_remedy(tmp_path):
+    path = save_model(tmp_path / "four.onnx", {"tool": [1]}, batch=4)
+    with pytest.raises(InputError, match=r"takes 4 pictures at once; export it with a batch of 1 or a dynamic batch"):
+        OnnxMasks(path)
 
 
 def test_a_model_of_8_bit_pictures_is_refused_since_its_input_would_be_rounded(tmp_path):

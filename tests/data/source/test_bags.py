@@ -38,6 +38,31 @@ def test_a_bag_gives_pictures_and_the_times_of_their_headers(tmp_path, name):
         assert clip_camera(given, LAYOUT) is None
 
 
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_repeated_time_stamp_costs_its_picture_alone(tmp_path, name):
+    stamps = (0, 1, 1, 3, 4)
+    path = write_bag(
+        tmp_path / name, lambda make: [("/a", make.compressed(*pair)) for pair in zip(stamps, PICTURES, strict=True)]
+    )
+    frames = list(source := open_source(path, LAYOUT))
+    assert [frame.number for frame in frames] == [0, 1, 3, 4]
+    assert np.array_equal([frame.picture for frame in frames], PICTURES[[0, 1, 3, 4]])
+    assert source.warnings[-1] == "left out, as their time stamps repeat: 1 of 5 pictures"
+
+
+def test_a_compressed_picture_that_is_none_is_named_with_its_format(tmp_path):
+    def recorded(make):
+        for content, label in ((b"\0\0\0\1g", "h264"), (b"P6 x", "jpeg\n")):
+            data = np.frombuffer(content, np.uint8)
+            yield "/a", make.message("sensor_msgs/msg/CompressedImage", len(label), format=label, data=data)
+        yield "/a", make.compressed(9, FIRST)
+
+    errors = [frame.error for frame in open_source(write_bag(tmp_path / "clip_mcap", recorded), LAYOUT)]
+    assert "on /a of" in errors[0]
+    assert "(format 'h264') holds H.264 or H.265 video; record JPEG or PNG, or convert the topic" in errors[0]
+    assert "(format 'jpeg ') can't be decoded as JPEG or PNG; record" in errors[1]
+
+
 def test_left_halves_of_a_bags_pictures_keep_its_clock_and_frame(tmp_path):
     whole = open_source(written(tmp_path / "clip.bag", [{"index": 7}]), LAYOUT)
     left = halves(whole, ClipLayout(right="side-by-side"))

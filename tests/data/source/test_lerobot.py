@@ -54,7 +54,7 @@ def test_each_episode_and_camera_is_a_clip_with_a_name_of_its_own(tmp_path):
     assert [open_source(path, LAYOUT).name for path in found] == names
     source = open_source(found[0], LAYOUT)
     frames = list(source)
-    assert (source.fps, source.length, source.size, source.coding) == (30.0, 8, (128, 96), None)
+    assert (source.fps, source.length, source.size) == (30.0, 8, (128, 96))
     assert [frame.time_s for frame in frames] == pytest.approx([index / 30 for index in range(8)])
     assert [frame.number for frame in frames] == list(range(8))
     for frame, expected in zip(frames, pictures, strict=True):

@@ -1,14 +1,13 @@
 """A pressed plane under a light at the camera: what pixels show, and how that depends on every parameter."""
 
 import numpy as np
-import pytest
 
-from palpate.data.brightness.light import FINE
-from palpate.data.brightness.sequence import MARGIN, REACH
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
 from palpate.estimators.direct.lit_sheet import SIDE, LitSheet
-from palpate.physics.brightness import log_brightness
 from palpate.physics.mesh import grid_mesh
+from palpate.physics.shading import log_brightness
 
 CAMERA = Camera(fx=185.0, fy=185.0, cx=106.5, cy=59.5, width=214, height=120)
 PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53), np.log(0.1), np.log(0.13), 0.0])
@@ -68,23 +67,3 @@ def test_a_dent_that_lies_aside_is_the_same_dent_elsewhere():
     shifted = np.roll(here, (2 * FINE, -FINE), axis=(0, 1))
     assert np.abs(there - here)[sheet.inner].max() > 0.1
     np.testing.assert_allclose(there[12:-12, 12:-12], shifted[12:-12, 12:-12], atol=0.02)
-
-
-@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.15, -0.2)])
-def test_derivatives_by_every_parameter(tilt):
-    generator = np.random.default_rng(5)
-    sheet = lit(tilt, generator.normal(size=(FINE * SIDE, FINE * SIDE)))
-    moved, slopes = dented(sheet, 0.02), dented(sheet, 0.05, 1.5)[..., None]
-    others = np.array([0.3, -0.4, tilt[0] + 0.05, tilt[1] - 0.03, np.log(0.6), np.log(0.5), np.log(0.3), 0.2])
-    found, by_all = sheet.linearised(moved, slopes, others)
-    for part, other in zip(found, sheet.shown(moved, others), strict=True):
-        np.testing.assert_allclose(part, other, atol=1e-12)
-    step = 1e-6
-    for index in range(9):
-        change = step * np.eye(9)[index]
-        pair = [sheet.shown(moved + s * change[0] * slopes[..., 0], others + s * change[1:]) for s in (1, -1)]
-        numeric = (np.stack(pair[0]) - np.stack(pair[1])) / (2 * step)
-        known = sheet.inner.ravel() & np.isfinite(numeric).all(axis=0)
-        off = np.linalg.norm((np.stack(by_all)[..., index] - numeric)[..., known[0]])
-        # Differences along the grid cross the edges of its cells here and there.
-        assert off < 0.05 * np.linalg.norm(numeric[..., known[0]]), index

@@ -20,7 +20,7 @@ from palpate.physics import Observation, Press, PressShape, contact_normal, held
 from palpate.physics.identifiability import bounds, box_information, fisher_information
 from palpate.physics.mechanics import RECOMMENDED, theta_of
 from palpate.physics.msd.simulation import simulate
-from tests.estimators.direct.test_brightness_problem import FRAME_S, lit_contact
+from tests.estimators.direct.test_shading_problem import FRAME_S, lit_contact
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(

@@ -69,21 +69,6 @@ def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
     np.testing.assert_array_equal(contact_information(blind, scene, late), np.zeros((5, 5)))
 
 
-def test_a_press_without_a_tool_is_compared_as_it_was_stamped():
-    """The onset may be found a frame late: then the force began up to a frame before it."""
-    task = Trial(2, SEED, {"late-onset": {"constant": CONSTANT}}, contact="motion")
-    (row,) = run_trial(task)
-    assert row["status"] == "ok"
-    assert (row["onset_off"] in (0, 1), row["release_off"] in (0, 1), row["place_off"]) == (True, True, 0)
-    assert np.sqrt(np.mean(np.square(row["tracking"]))) < 0.002
-    assert (np.diag(row["field_information"]) > 0).all()
-    _, motion = draw_truth(SUITES["late-onset"].settings(2), SEED)
-    late = recovery.as_stamped(motion, motion.onset_frame + 1)
-    assert late.onset_frame == motion.onset_frame + 1
-    assert late.delay == pytest.approx(motion.delay - 0.04)
-    assert late.load_seconds == pytest.approx(motion.load_seconds)
-
-
 def test_a_clip_in_three_suites(monkeypatch, truth):
     drawn = []
 

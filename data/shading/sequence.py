@@ -1,0 +1,169 @@
+"""The shading sequence of a contact: light around it, frame by frame, and that of the tissue at rest.
+
+Gain and slow changes of the light over the picture are measured on tissue far from the contact and taken off.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.common.robust import median_sd
+from palpate.data.shading.light import FINE
+
+REACH = 7
+"""Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
+MARGIN = 3
+"""Around that what may come to be seen there is known, too [grid pixels]."""
+SIDE = FINE * (2 * (REACH + MARGIN) + 1)
+"""Places along either axis of that square."""
+PLACES = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
+"""Their rows, or columns, from the contact, shape [SIDE] [grid pixels]."""
+KEPT = 8
+"""Frames before a contact whose median is the light at rest."""
+FEWEST_FAR = 500
+"""Fewer places far from the contact don't tell the gain."""
+SPARSE = 3
+"""Every so many places along an axis tell the gain."""
+ASTRAY = 3.0
+"""Far places that differ by more standard deviations are no still tissue."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShadingSequence:
+    """Light around a contact over a run; N frames, a square of L = SIDE places along either axis."""
+
+    times: np.ndarray
+    """Since the onset, shape [N] [s]."""
+    light: np.ndarray
+    """Logarithm of the light, gain taken off, shape [N, L, L], float32; not a number where no tissue is seen."""
+    rest: np.ndarray
+    """The same at rest, shape [L, L]."""
+    noise: float
+    """Standard deviation of the difference of light and rest where tissue is still."""
+
+    def chosen(self, frames: np.ndarray) -> ShadingSequence:
+        """Some of its frames: a mask [N] or indices."""
+        return dataclasses.replace(self, times=self.times[frames], light=self.light[frames])
+
+
+def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Gain and slow changes of the light over the picture, and the standard deviation that they leave.
+
+    Args:
+        places: rows and columns in shares of the picture's larger side, shape [K, 2].
+        change: of the light's logarithm since rest there, shape [K]; not a number where it isn't known.
+
+    Returns:
+        Coefficients of 1, row and column, shape [3], and that; None where too few places are known.
+    """
+    known = np.isfinite(change)
+    terms = np.column_stack([np.ones(len(places)), places])
+    gain, sd = np.zeros(3), np.inf
+    for _ in range(3):
+        if known.sum() < FEWEST_FAR:
+            return None
+        gain = np.linalg.lstsq(terms[known], change[known], rcond=None)[0]
+        left = change - terms @ gain
+        sd = median_sd(left[known])
+        known = known & (np.abs(left) <= ASTRAY * sd + 1e-12)
+    return gain, sd
+
+
+def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
+    """Logarithm of light over that at rest, gain and slow changes taken off; None where they aren't known.
+
+    Args:
+        light, rest: as of `log_light`, of one shape [h, w].
+    """
+    rows, columns = (np.arange(size, dtype=np.float32) / max(rest.shape) for size in rest.shape)
+    change = light - rest
+    some = change[::SPARSE, ::SPARSE].ravel()
+    places = np.stack(np.meshgrid(rows[::SPARSE], columns[::SPARSE], indexing="ij"), axis=-1).reshape(-1, 2)
+    found = slow_change(places, some)
+    if found is None:
+        return None
+    gain = found[0].astype(np.float32)
+    return change - (gain[0] + gain[1] * rows)[:, None] - gain[2] * columns
+
+
+class RestingLight:
+    """The light of tissue at rest: the median of the last frames before a contact."""
+
+    def __init__(self) -> None:
+        self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._median: np.ndarray | None = None
+        """Of these frames, where it has been asked for."""
+
+    def push(self, light: np.ndarray) -> None:
+        """The light of the next frame out of contact, as of `log_light`."""
+        self._frames.append(light)
+        self._median = None
+
+    def clear(self) -> None:
+        """Forget what was seen."""
+        self._frames.clear()
+        self._median = None
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def median(self) -> np.ndarray:
+        """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
+        if self._median is None:
+            self._median = _median(np.stack(self._frames))
+        return self._median
+
+
+def _median(frames: np.ndarray) -> np.ndarray:
+    """As `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a fraction of the time."""
+    ordered, known = np.sort(frames, axis=0), np.isfinite(frames).sum(axis=0)  # what isn't a number comes last
+    below, above = (
+        np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((known - 1) // 2, known // 2)
+    )
+    return (below + above) / 2
+
+
+class ShadingRecorder:
+    """Gathers the shading sequence of one run of contact.
+
+    Args:
+        rest: light at rest, as of `log_light`.
+        pixel: row and column of the contact [grid pixels].
+    """
+
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
+        first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
+        self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
+        self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
+        self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < rest.shape[1])
+        self._rest = self._cut(rest)
+        rows, columns = (part.ravel() for part in np.mgrid[: rest.shape[0] : SPARSE, : rest.shape[1] : SPARSE])
+        far = (np.abs(np.stack([rows, columns]) - first[:, None] - SIDE // 2) > SIDE // 2).any(axis=0)
+        self._far = rows[far], columns[far]
+        self._far_rest = rest[self._far]
+        self._places = np.stack(self._far, axis=1) / max(rest.shape)
+        self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(rest.shape) for part in self._window)), axis=-1)
+        self._noise: list[float] = []
+
+    def _cut(self, light: np.ndarray) -> np.ndarray:
+        rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
+        return np.where(self._inside, light[rows, columns], np.nan)
+
+    def frame(self, light: np.ndarray) -> np.ndarray | None:
+        """Light around the contact in a frame, as of `ShadingSequence`; None where its gain isn't known."""
+        found = slow_change(self._places, light[self._far] - self._far_rest)
+        if found is None:
+            return None
+        gain, sd = found
+        self._noise.append(sd)
+        return (self._cut(light) - self._middle @ gain).astype(np.float32)
+
+    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> ShadingSequence:
+        """The sequence of some frames, times since the onset [s]."""
+        stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
+        noise = float(np.median(self._noise)) if self._noise else np.nan
+        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest, noise)

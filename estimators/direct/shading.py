@@ -1,0 +1,239 @@
+"""A contact's shading as a least-squares problem: light against the simulator and the law of light.
+
+Besides φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
+plane that the tissue is taken to be, how far its surface is rounded off, how far light spreads in tissue, how rough the
+surface is, how strong the light is that it mirrors as it is wet and into how wide a lobe, the camera's response as a
+power, and the share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain and
+every place's amplitude are marginalised. Residuals of neighbours and of successive frames are correlated; so many fewer
+of them count.
+"""
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from palpate.common.robust import median_sd
+from palpate.data.contact.interaction import Interaction
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import ShadingSequence
+from palpate.estimators.direct.lit_sheet import LitSheet, Shown
+from palpate.estimators.direct.motion import Kind, PressMotion
+from palpate.physics.likelihood import LeastSquares, Linearised
+from palpate.physics.load import Press
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.observation import Observation
+
+FREEDOM = 3.0
+"""Degrees of freedom of Student's errors: highlights that moved and wrong outlines are no normal errors."""
+RELATIVE = 0.1
+"""Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts: shadows, light from
+other tissue, walls so steep that the surface between vertices decides."""
+AMPLITUDE = 0.25
+"""The same of every place, common to all frames: its gloss and albedo are its own."""
+GAIN = 0.02
+"""Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells."""
+LEAST_NOISE = 0.004
+"""Of the logarithm of light: a level of 8 bits in brightly lit tissue."""
+ASIDE, TILT = 2.0, 0.2
+"""Priors' standard deviations: of the dent's middle by axis [grid pixels], of the tilt's tangents."""
+ROUNDING, ROUNDING_SD = 0.53, 0.3
+"""Prior of how far the surface is rounded off [grid pixels]: as far as patches of vertices that are a pixel wide, and
+the standard deviation of its logarithm."""
+SPREADING, SPREADING_SD = 0.35, 0.5
+"""Prior of how far light spreads in tissue before it comes out [grid pixels], and the standard deviation of its
+logarithm."""
+LOBE, LOBE_SD = 0.13, 0.4
+"""Prior of the width of the lobe into which wet tissue mirrors light [rad], and the standard deviation of its
+logarithm: fine relief makes it wider than a smooth layer of water would."""
+ROUGH, ROUGH_SD = 0.1, 0.12
+"""Prior of the tissue's roughness."""
+GLOSS, RESPONSE, AMBIENT = 0.15, 0.1, 0.05
+"""Standard deviations of mirrored light over matt light where tissue faces the camera, of the logarithm of the
+response's power against sRGB's, and of the share of light from everywhere: cameras have curves of their own."""
+PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0])
+PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT])
+LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4])
+"""How far these parameters may lie from the priors' means; roughness and gloss are none at least."""
+LAW = 3
+"""The last of them, which the law of light takes: gloss, response, ambient share."""
+STEP = 1e-4
+"""Step of the derivatives."""
+OTHERS = len(PRIOR_MEAN)
+"""Parameters in addition to those of the press."""
+LEAST_LIGHT = 1e-3
+"""No tissue is darker than this share of its light at rest."""
+LAGS, CHANCE = 8, 0.05
+"""Residuals farther apart, in places or frames, are independent, and so are those that correlate less."""
+MOVED = 4.0
+"""Light that changes by more standard deviations says how well the press explains it."""
+
+
+class ShadingProblem(LeastSquares):
+    """Weighted residuals of a brightness sequence and their derivatives by all parameters.
+
+    Args:
+        contact: a run of contact with its brightness sequence; of its mesh only the outline and the distance count.
+        mechanics: of the fits.
+        within: as of `PressMotion`.
+        tilt: of the plane whose mesh is simulated, right and down, as tangents.
+        kind: what is unknown of the press.
+    """
+
+    def __init__(
+        self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
+    ) -> None:
+        assert contact.shading is not None
+        self.contact, self.within = contact, within
+        self.sequence: ShadingSequence = contact.shading
+        self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)
+        self.press = dataclasses.replace(
+            contact,
+            mesh=self.sheet.mesh,
+            load=Press.at(self.sheet.vertex, self.sheet.normal, contact.load.factor),
+            observation=Observation.of_point(
+                self.sheet.vertex, self.sequence.times, np.full((len(self.sequence.times), 3), np.nan), np.nan
+            ),
+            sequence=None,
+        )
+        """The contact on the plane; none of its points is followed."""
+        self.motion = kind(self.press, mechanics, self.sheet.vertices, self.sequence.times, within)
+        self.observed = self.sequence.light.reshape(len(self.sequence.times), -1).astype(np.float64)
+        """Shape [N, P]."""
+        self._inner = self.sheet.inner.ravel()
+        self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
+        self.noise = max(self.sequence.noise, LEAST_NOISE)
+        """Standard deviation of a residual where the law predicts no change."""
+        self.together = 1.0
+        """How many residuals count as one."""
+
+    def box(self, tissue: np.ndarray) -> np.ndarray:
+        """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
+        box = np.hstack([self.motion.box(tissue), PRIOR_MEAN + np.array([[-1], [1]]) * LARGEST])
+        box[0, [-LAW - 1, -LAW]] = 0.0
+        return box
+
+    def start(self, press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+        """All parameters from those of a press, where its dent lies and how tissue tilts; the others as their priors
+        say.
+        """
+        return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:]])
+
+    def darkest(self) -> np.ndarray:
+        """Row and column of the middle of what has darkened, from the contact's vertex, shape [2] [grid pixels]."""
+        darker = np.clip(self.sequence.rest - self.sequence.light, 0, 1)
+        known = np.isfinite(darker)
+        total = gaussian_filter(np.where(known, darker, 0).sum(axis=0), FINE)
+        mean = total / np.maximum(gaussian_filter(known.sum(axis=0).astype(np.float64), FINE), 0.1)
+        weights = np.where(self.sheet.inner & (mean > 0.5 * mean[self.sheet.inner].max()), mean, 0.0)
+        places = np.indices(mean.shape) - 0.5 * (len(mean) - 1)
+        return np.einsum("rc,irc->i", weights, places) / max(weights.sum(), 1e-9) / FINE
+
+    def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light at displacements [N, V, 3], and the law's part of it, shape [N, P] each."""
+        return _light(self.sheet.shown(moved, logs[-OTHERS:-LAW]), logs)
+
+    def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D], forward differences."""
+        moved, slopes = self.motion.at(logs[:-OTHERS])
+        shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
+        light = _light(shown, logs)[0]
+        found = np.empty((*light.shape, len(logs)))
+        for index in range(len(logs)):
+            ahead, stepped = moved, logs.copy()
+            if index < len(logs) - OTHERS:
+                ahead = moved + STEP * slopes[..., index]
+            else:
+                stepped[index] += STEP
+            law_alone = index >= len(logs) - LAW
+            found[..., index] = (_light(shown, stepped) if law_alone else self.predicted(stepped, ahead))[0]
+        return light, (found - light[..., None]) / STEP
+
+    def _linearise(self, logs: np.ndarray) -> Linearised:
+        """Residuals in standard deviations, the priors' behind them, and their derivatives by all parameters [K, D]."""
+        light, slopes = self.tangent(logs)
+        residual, weight = self.compared(light)
+        slopes = np.where(weight[..., None] > 0, np.nan_to_num(slopes), 0.0)
+        # A gain that is unknown takes the weighted mean off, as far as it may reach.
+        root, total = np.sqrt(weight)[..., None], weight.sum(axis=1) + 1 / GAIN**2
+        both = np.concatenate([residual[..., None], slopes], axis=-1)
+        both = root * (both - (np.einsum("np,npd->nd", weight, both) / total[:, None])[:, None])
+        both = without_amplitude(both, AMPLITUDE * self._law[..., None] * root)
+        both = both.reshape(-1, both.shape[-1])
+        prior = np.zeros((OTHERS, len(logs)))
+        prior[:, -OTHERS:] = np.diag(1 / PRIOR_SD)
+        left = (logs[-OTHERS:] - PRIOR_MEAN) / PRIOR_SD
+        return Linearised(np.concatenate([both[:, 0], left]), np.concatenate([both[:, 1:], prior]))
+
+    def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
+        residual = light - self.observed
+        known = np.isfinite(residual) & self._inner
+        variance = self.together * self.noise**2
+        return np.where(known, residual, 0.0), np.where(known, self._weight / variance, 0.0)
+
+    def look(self, logs: np.ndarray) -> None:
+        """Measure residuals at parameters near the best: their size, which are outliers, how they belong together."""
+        light, law = self.predicted(logs, self.motion.quick(logs[:-OTHERS]))
+        residual = np.where(self._inner, light - self.observed, np.nan)
+        known = np.isfinite(residual)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # frames that show nothing
+            residual = np.where(known, residual - np.nanmedian(residual, axis=1, keepdims=True), 0.0)
+        law = np.where(known, law, 0.0)
+        self.noise = max(median_sd(residual[known]), LEAST_NOISE)
+        inflated = 1 + np.square(RELATIVE * law / self.noise)
+        squares = np.square(residual / self.noise) / inflated
+        student = (FREEDOM + 1) / (FREEDOM + squares)
+        # What doesn't show now counts for nothing until the next look, so that the sum of squares has no steps.
+        self._weight = np.where(known, student / inflated, 0.0)
+        white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
+        self._law, root = law, np.where(known, np.sqrt(self._weight) / self.noise, 0.0)
+        white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]
+        shape = (len(white), *self.sheet.inner.shape)
+        self.together = _together(white.reshape(shape), known.reshape(shape))
+        change = np.where(known, self.observed - self.sequence.rest.ravel(), 0.0)
+        moving = (np.abs(law) > MOVED * self.noise) | (np.abs(np.nan_to_num(change)) > MOVED * self.noise)
+        left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))
+        self.skill = 1 - math.sqrt(left / whole) if whole > 0 else 0.0
+        """1 - error / change of the light where it changes: 0 as if nothing had moved."""
+        self._known = None
+
+
+def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Residuals over their standard deviations [N, P, C] when an amplitude of every place is marginalised.
+
+    Args:
+        white: residuals without that.
+        along: what a standard deviation of the amplitude adds to them, shape [N, P, 1].
+    """
+    square = np.maximum(np.square(along).sum(axis=0), 1e-12)
+    share = (1 - 1 / np.sqrt(1 + square)) / square
+    return white - along * (share * np.einsum("npi,npc->pc", along, white))
+
+
+def _light(shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithm of the light, and the law's part of it, [N, P] each; a share reaches tissue in any tilt."""
+    gloss, response, ambient = logs[-LAW:]
+    light = np.maximum((1 - ambient) * shown.matt + ambient + gloss * shown.gloss, LEAST_LIGHT)
+    law = math.exp(response) * np.log(light / (1 + gloss * shown.gloss_at_rest))
+    return shown.rest + law, law
+
+
+def _together(residual: np.ndarray, known: np.ndarray) -> float:
+    """How many residuals [N, L, L] count as one: along every axis 1 and twice the sum of their correlations."""
+    square, found = np.square(residual).sum() / max(known.sum(), 1), 1.0
+    for axis in range(residual.ndim):
+        values, seen = np.moveaxis(residual, axis, 0), np.moveaxis(known, axis, 0)
+        along = 1.0
+        for lag in range(1, min(LAGS, len(values) - 1) + 1):
+            pairs = max((seen[lag:] & seen[:-lag]).sum(), 1)
+            correlation = float((values[lag:] * values[:-lag]).sum() / (pairs * max(square, 1e-12)))
+            if correlation <= CHANCE:
+                break
+            along += 2 * correlation
+        found *= along
+    return found

@@ -1,0 +1,231 @@
+"""A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
+
+import copy
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from palpate.data.contact.interaction import Interaction
+from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
+from palpate.estimators.direct.shading import OTHERS, ShadingProblem
+from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.model_errors import MODEL_ERRORS
+from palpate.physics.identifiability import box_information
+from palpate.physics.load import PressShape
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
+from palpate.physics.msd.simulation import simulate
+
+MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
+"""Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
+TISSUE = RECOMMENDED.log_box
+"""The box of φ, shape [2, 3]."""
+CANDIDATES = 64
+"""Points of a Sobol sequence over the box among which the starts are chosen."""
+DEPTHS = (0.03, 0.06, 0.1)
+"""Largest displacements with which every one of them is tried, in shares of the tissue's distance."""
+ASIDE = (-1.5, 0.0, 1.5)
+"""How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
+TILTS = 0.3 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+"""Tilts with which every one of these places is tried, right and down, as tangents."""
+TILTED = 0.9
+"""A tilt is taken where it leaves less than this share of what is left without one."""
+STARTS = 3
+"""Fits, begun at the candidates that explain the light best."""
+THINNED = 8
+"""Frames with which starts are chosen."""
+FEW, MORE = 5, 8
+"""Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
+ROUNDS = 2, 1, 2
+"""Rounds of a start, and of the best one on each of two meshes: of the plane that was found last."""
+FALL = 0.05
+"""A round ends where a step lowers χ²/2 by less."""
+CLIPPED = 0.2
+"""Residuals of starts count as if they were no larger [logarithm of light]."""
+FIRMER = (-1.5, 1.5)
+"""Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
+LEAST_SKILL = 0.6
+"""A press that leaves a larger share of the change of light, root mean square, is no explanation."""
+USUALLY_LEFT, TOGETHER = 0.2, 40.0
+"""Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
+the more wrong is the law; coding errs as much where it is less."""
+FEWEST_FRAMES = 3
+RADIUS, RISING = 3.0, 0.05
+"""Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
+ENOUGH_SKILL = 0.85
+"""A press on a patch is not tried where a step on a point explains more: it never does when the press is none."""
+PATCHED = 0.8
+"""A press on a patch is taken where it leaves less than this share of what a step on a point leaves."""
+Start = TypeVar("Start")
+Fitted = TypeVar("Fitted")
+WITHIN = 1.5
+"""Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
+def fit_shading(
+    contact: Interaction, frame_seconds: float
+) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+    """Fit a contact's brightness sequence by a press on a plane: a step on a point, or a force on a patch.
+
+    Args:
+        contact: with its brightness sequence.
+        frame_seconds: time from frame to frame [s]; the press may have begun and ended WITHIN of it off its frames.
+
+    Returns:
+        The contact on that plane, whose points aren't followed; the estimate; and times since the onset [s] with the
+        simulated motion along the force, [T] each.
+
+    Raises:
+        NoEstimate: too few frames show the light around the contact, or no press in it shows there.
+    """
+    sequence = contact.shading
+    if sequence is None or len(sequence.times) < FEWEST_FRAMES:
+        raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
+    mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
+    some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
+    thin = dataclasses.replace(contact, shading=sequence.chosen(some))
+    problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
+    led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
+    if not led:
+        raise NoEstimate("The contact is too short to show in the light.")
+    logs = min(led, key=lambda found: found[0])[1]
+    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    logs = _led(problem, logs, MORE, ROUNDS[1])[1]
+    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    logs = _led(problem, logs, MORE, ROUNDS[2])[1]
+    if problem.skill < ENOUGH_SKILL:
+        problem, logs = _patched(problem, logs, some)
+    return problem.press, _concluded(problem, logs), _simulated(problem, logs)
+
+
+def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple[ShadingProblem, np.ndarray]:
+    """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
+
+    Args:
+        point: the step of a force on a point, with its
+        logs: that explain the light best, shape [D].
+        some: frames by which it is decided whether a patch is worth a fit.
+    """
+    contact, motion = point.contact, point.motion
+    thin = dataclasses.replace(contact, shading=point.sequence.chosen(some))
+    what = motion.mechanics, point.within, point.sheet.tilt
+    step, patch = (ShadingProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
+    assert isinstance(patch.motion, PatchMotion)
+    step.look(logs)
+    deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
+    if not deepest > 0:  # as in a contact of one frame
+        return point, logs
+    changing = RISING * motion.times[-1]
+    press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
+    press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
+    misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
+    if -misfit < step.skill:
+        return point, logs
+    problem = ShadingProblem(contact, *what, PatchMotion)
+    misfit, found = _led(problem, found, MORE, ROUNDS[2])
+    return (problem, found) if 1 + misfit < PATCHED * (1 - point.skill) else (point, logs)
+
+
+def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
+    """Fits from several starts, on as many threads as there are cores: compiled rollouts run side by side."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(fit, starts))
+
+
+def _simulated(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
+    motion, press, step = problem.motion, problem.press, problem.motion.mechanics.time_step
+    load = motion.load(logs[:-OTHERS], step, motion.longest)
+    path = simulate(motion.theta(logs), press.mesh, load, motion.mechanics, watch=np.array([press.vertex]))[:, 0]
+    times = motion.within * logs[motion.delays.start] + step * np.arange(len(path) + 1)
+    return times, np.concatenate([[0.0], path @ press.direction])
+
+
+def _starts(problem: ShadingProblem) -> np.ndarray:
+    """All parameters of presses that explain the light best, among many, shape [S, D]."""
+    low, high = problem.box(TISSUE)
+    middle = problem.darkest()
+    found, misfits = [], []
+
+    def tried(start: np.ndarray, moved: np.ndarray) -> float:
+        left = problem.compared(problem.predicted(start, moved)[0])[0]
+        return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
+
+    for candidate in evenly_spread(*TISSUE, CANDIDATES):
+        press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
+        moved = problem.motion.coarse(press)
+        largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
+        for depth in DEPTHS:
+            factor = depth / max(largest, 1e-12)
+            force = press[2] + math.log(factor)
+            if TISSUE[0, 2] < force < TISSUE[1, 2]:
+                start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
+                found.append(start)
+                misfits.append(tried(start, factor * moved))
+    chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
+    places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
+
+    def placed(start: np.ndarray) -> np.ndarray:
+        moved = problem.motion.coarse(start[:-OTHERS])
+        starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
+        left = np.array([tried(each, moved) for each in starts])
+        left[: len(places)] *= TILTED
+        return starts[int(np.argmin(left))]
+
+    return np.array(_on_threads(placed, chosen))
+
+
+def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
+    """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
+    box = problem.box(TISSUE)
+    for _ in range(rounds):
+        logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
+        problem.look(logs)
+        logs = find_optimum(problem, logs, box, evaluations, FALL).logs
+    problem.look(logs)
+    return -problem.skill, logs
+
+
+def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
+    """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
+    box, motion = problem.box(TISSUE), problem.motion
+    prior = box_information(box)
+    low, high = box[0] + 1e-9, box[1] - 1e-9
+    starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
+    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
+    mean, covariance, best = combine(distinct(optima), prior)
+    # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
+    left = max((1 - problem.skill) / USUALLY_LEFT, 1.0) ** 2
+    wrong = left * max(problem.together / TOGETHER, 1.0)
+    model_error = np.diag(np.square([0.0, MODEL_ERRORS.shading_damping, MODEL_ERRORS.shading_force]))
+    model_error = wrong * (model_error + MODEL_ERRORS.shading_scale**2)
+    refuted = ""
+    if problem.skill < LEAST_SKILL:
+        refuted = (
+            f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
+        )
+    return Estimate(
+        theta=motion.theta(mean),
+        covariance=covariance[:3, :3] + model_error,
+        model_error=model_error,
+        information=about_tissue(best.information, prior),
+        noise=problem.noise,
+        misfit=problem.noise / max(problem.sequence.noise, 1e-9),
+        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
+        delays=tuple((motion.within * best.logs[motion.delays]).tolist()),
+        delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
+        modes=count_modes(distinct(optima), prior),
+        by_light=True,
+        left=1 - problem.skill,
+        shape=motion.shape(mean[:-OTHERS]),
+        refuted=refuted,
+    )

@@ -1,0 +1,153 @@
+"""Means, intervals and paired tests of the evaluation's errors (Bini 2026, section 4.1 and table 2).
+
+Frames of one clip are autocorrelated, and the paper's tests take frames as independent, so every mean and every
+difference also gets a bootstrap over whole clips. The spread of the estimates shows whether they have collapsed to a
+constant: the paper reports k_s = 0.508 ± 0.003 on a range of [0, 1] whose middle is where an untrained sigmoid sits.
+A number that can't be computed is NaN.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from palpate.physics.mechanics import PARAMETERS, Bounds
+
+RESAMPLES = 10_000
+"""Bootstrap resamples (Bini 2026, section 4.1)."""
+CONFIDENCE = 0.95
+MINIMUM_FOR_BCA = 5
+"""Fewest values for a BCa interval."""
+MINIMUM_FOR_WILCOXON = 6
+"""Fewest non-zero differences: the smallest two-sided p of n is 2/2ⁿ, and it must be able to fall below 0.05."""
+MINIMUM_CLIPS = 3
+"""Fewest clips for a bootstrap over clips."""
+RESAMPLES_AT_ONCE = 500
+"""Resamples held in memory together."""
+MINIMUM_SPREAD = 0.02
+"""SD over the admissible range below which a parameter counts as constant, unless SD/|mean| is large."""
+MINIMUM_VARIATION = 0.2
+"""SD/|mean| from which on a parameter counts as varying even on a range that is far too wide for the scene."""
+AT_BOUND = 0.01
+"""Distance from an end of the range, over the range, below which a value lies at the bound."""
+MINIMUM_CONTACTS = 3
+"""Fewest different motions for a verdict on the spread."""
+
+Statistics = dict[str, float]
+Interval = tuple[float, float]
+NO_INTERVAL = math.nan, math.nan
+
+
+def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Interval:
+    """Interval of a mean over paired resamples."""
+    low, high = stats.bootstrap(
+        samples, mean, paired=True, vectorized=True, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method,
+        batch=RESAMPLES_AT_ONCE, rng=np.random.default_rng(0),
+    ).confidence_interval  # fmt: skip
+    return float(low), float(high)
+
+
+def bca_interval(values: pd.Series) -> Interval:
+    """BCa bootstrap interval of the mean of values [n], taken as independent."""
+    if len(values) < MINIMUM_FOR_BCA or values.nunique() == 1:
+        return NO_INTERVAL
+    return _bootstrap((values.to_numpy(),), np.mean, "BCa")
+
+
+def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
+    """Percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are `clips`."""
+    by_clip = values.groupby(clips)
+    if by_clip.ngroups < MINIMUM_CLIPS:
+        return NO_INTERVAL
+
+    def mean(totals: np.ndarray, sizes: np.ndarray, axis: int = -1) -> np.ndarray:
+        return totals.sum(axis=axis) / sizes.sum(axis=axis)
+
+    return _bootstrap((by_clip.sum().to_numpy(), by_clip.size().to_numpy()), mean, "percentile")
+
+
+def _intervals(values: pd.Series, clips: np.ndarray) -> Statistics:
+    found = {"": bca_interval(values), "clip_": clip_interval(values, clips)}
+    return {
+        f"{name}{end}": value for name, ends in found.items() for end, value in zip(("low", "high"), ends, strict=True)
+    }
+
+
+def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
+    """Mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
+    finite = np.isfinite(values)
+    kept, names = pd.Series(np.asarray(values, dtype=float)[finite]), np.asarray(clips)[finite]
+    counts = {"frames": len(kept), "clips": len(np.unique(names)), "left_out": int(np.count_nonzero(~finite))}
+    return {"mean": kept.mean(), "sd": kept.std(), **_intervals(kept, names), **counts}
+
+
+def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statistics:
+    """Paired statistics of two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
+
+    Differences are baseline − regime, so positive means that the regime is better; tests are two-sided; Cohen's d is
+    the paired d_z = mean(difference)/SD(difference) = t/√n, the variant behind the paper's 0.390.
+
+    Args:
+        regime: errors with the parameters under test, shape [n].
+        baseline: errors of the baseline on the same frames, shape [n].
+        clips: clip of each frame, shape [n].
+    """
+    finite = np.isfinite(regime) & np.isfinite(baseline)
+    after, before = (pd.Series(np.asarray(errors, dtype=float)[finite]) for errors in (regime, baseline))
+    names, difference = np.asarray(clips)[finite], before - after
+    w = w_p = t = t_p = math.nan
+    if np.count_nonzero(difference) >= MINIMUM_FOR_WILCOXON:
+        w, w_p = stats.wilcoxon(difference)
+    # Differences that agree to rounding have no spread to test against; t would only measure the rounding.
+    if len(difference) > 1 and difference.std() > 1e-12 * difference.abs().max():
+        t, t_p = stats.ttest_1samp(difference, 0.0)
+    return {
+        "mean_difference": difference.mean(),
+        "change_percent": 100 * (after.mean() / (before.mean() or math.nan) - 1),
+        **_intervals(difference, names),
+        "wilcoxon_w": w,
+        "wilcoxon_p": w_p,
+        "t": t,
+        "t_p": t_p,
+        "cohens_d": t / np.sqrt(len(difference)) if len(difference) else math.nan,
+        "frames": len(difference),
+        "clips": len(np.unique(names)),
+        "left_out": int(np.count_nonzero(~finite)),
+    }
+
+
+def as_reported(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
+    return np.abs(theta) if bounds.force[1] <= 0 else theta
+
+
+def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFrame:
+    """Spread of the parameters, as reported, over the test frames in the admissible box.
+
+    Args:
+        frames: one row a test frame with its parameters.
+        bounds: the box.
+        contacts: number of different observed motions behind the frames.
+
+    Returns:
+        One row a parameter. `sd` is the sample SD over all frames, of which a constant predictor has 0; `low` and
+        `high` are the admissible range, `sd_of_range` and `sd_of_mean` the SD as a fraction of it and of |mean|,
+        `at_bound` the fraction of frames at an end of the range.
+    """
+    low, high = np.sort(as_reported(np.array([bounds.lower, bounds.upper]), bounds), axis=0)
+    values, width = frames[list(PARAMETERS)], high - low
+    spread = values.agg(["mean", "std", "min", "max"]).T.set_axis(["mean", "sd", "minimum", "maximum"], axis="columns")
+    spread = spread.assign(
+        low=low,
+        high=high,
+        sd_of_range=spread["sd"] / width,
+        sd_of_mean=spread["sd"] / spread["mean"].abs(),
+        at_bound=((values - low < AT_BOUND * width) | (high - values < AT_BOUND * width)).mean(),
+    )
+    constant = (spread["sd_of_range"] < MINIMUM_SPREAD) & ~(spread["sd_of_mean"] >= MINIMUM_VARIATION)
+    few = contacts < MINIMUM_CONTACTS
+    return spread.assign(verdict="n too small" if few else np.where(constant, "constant", "varies"))

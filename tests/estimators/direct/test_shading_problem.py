@@ -1,0 +1,99 @@
+"""The light around a press as a least-squares problem."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from palpate.data.contact.interaction import Interaction
+from palpate.data.shading.light import FINE
+from palpate.data.shading.sequence import ShadingSequence
+from palpate.estimators.direct import shading_fit
+from palpate.estimators.direct.lit_sheet import SIDE
+from palpate.estimators.direct.motion import FITTED
+from palpate.estimators.direct.shading import OTHERS, ShadingProblem, without_amplitude
+from palpate.estimators.estimate import NoEstimate
+from palpate.physics.load import Press, held
+from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.observation import Observation
+from tests.estimators.direct.test_lit_sheet import lit
+
+FRAME_S = 0.04
+TIMES = FRAME_S * np.arange(1, 11)
+
+
+def lit_contact(noise: float = 0.02) -> Interaction:
+    """A press for five frames; some places at rest, and others in single frames, show no tissue."""
+    generator, shape = np.random.default_rng(6), (FINE * SIDE, FINE * SIDE)
+    rest = generator.normal(-1.5, 0.2, shape)
+    light = rest + generator.normal(0, 0.02, (len(TIMES), *shape))
+    rest[19:23, 15:18], light[:, 8:12, 24:30], light[3, 30:34, 18:22] = np.nan, np.nan, np.nan
+    light[:, 18:24, 14:19] += 0.6  # what hides there is no tissue, and another light
+    sheet = lit(rest=rest)
+    load = Press.at(sheet.vertex, sheet.normal, held(0.2 / FITTED.time_step, FITTED.steps))
+    nothing = Observation.of_point(sheet.vertex, TIMES, np.full((len(TIMES), 3), np.nan), np.nan)
+    sequence = ShadingSequence(TIMES, light.astype(np.float32), rest, noise)
+    return Interaction(sheet.mesh, load, nothing, FITTED.time_step, shading=sequence)
+
+
+@pytest.fixture(scope="module")
+def problem() -> ShadingProblem:
+    return ShadingProblem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
+
+
+def start(problem: ShadingProblem) -> np.ndarray:
+    free = problem.box(RECOMMENDED.log_box).shape[1] - OTHERS - 3
+    return problem.start(np.concatenate([np.log([0.6, 0.05, 0.03]), np.zeros(free)]), np.zeros(2))
+
+
+def test_places_that_come_to_show_count_from_the_next_look_on(problem):
+    """Else the sum of squares has steps, and optima are found at them."""
+    logs = start(problem)
+    problem.look(logs)
+    shows = np.isfinite(problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))[0])
+    harder = logs + np.array([0, 0, 2.5, *[0] * (len(logs) - 3)])  # tissue is shifted farther
+    light, _ = problem.predicted(harder, problem.motion.quick(harder[:-OTHERS]))
+    comes = np.isfinite(light) & ~shows & np.isfinite(problem.observed) & problem.sheet.inner.ravel()
+    assert comes.any()
+    assert (problem.compared(light)[1][comes] == 0).all()
+    problem.look(harder)
+    assert (problem.compared(light)[1][comes] > 0).all()
+
+
+def test_derivatives_by_the_press_and_by_the_law(problem):
+    logs = start(problem)
+    light, slopes = problem.tangent(logs)
+    predicted, law = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
+    known = np.isfinite(light) & problem.sheet.inner.ravel()
+    np.testing.assert_allclose(light[known], predicted[known], atol=1e-3)
+    np.testing.assert_allclose(slopes[..., -2][known], law[known], atol=2e-3)  # by the response's logarithm
+    step = 1e-3 * np.eye(len(logs))[0]
+    ahead, behind = (
+        problem.predicted(each, problem.motion.quick(each[:-OTHERS]))[0][known] for each in (logs + step, logs - step)
+    )
+    numeric = (ahead - behind) / 2e-3
+    assert np.linalg.norm(slopes[..., 0][known] - numeric) < 0.05 * np.linalg.norm(numeric)
+
+
+def test_marginalised_amplitude_is_the_inverse_of_the_whole_covariance():
+    generator = np.random.default_rng(3)
+    white, along = generator.normal(size=(6, 4, 2)), generator.normal(size=(6, 4, 1))
+    found = without_amplitude(white, along)
+    for place in range(4):
+        covariance = np.eye(6) + along[:, place] @ along[:, place].T
+        expected = white[:, place].T @ np.linalg.solve(covariance, white[:, place])
+        np.testing.assert_allclose(found[:, place].T @ found[:, place], expected, rtol=1e-10)
+
+
+def test_a_contact_in_which_nothing_moves_stays_a_step(problem, monkeypatch):
+    """As one of a single frame, whose force may have ended before it began."""
+    monkeypatch.setattr(problem.motion, "coarse", lambda _: np.zeros((4, 3)))
+    logs = start(problem)
+    problem.look(logs)
+    fitted, found = shading_fit._patched(problem, logs, np.arange(len(TIMES)))
+    assert fitted is problem
+    assert found is logs
+    contact = lit_contact()
+    nothing = Press.at(contact.load.vertex, contact.load.direction, held(0.0, FITTED.steps))
+    with pytest.raises(NoEstimate, match="too short to show in the light"):
+        shading_fit.fit_shading(dataclasses.replace(contact, load=nothing), FRAME_S)

@@ -204,7 +204,7 @@ def test_fields_that_are_not_explained_or_not_determined_are_gathered_as_doubts(
 def test_the_fit_of_a_press_by_its_shading_stands_in_all_its_frames(tmp_path: Path) -> None:
     fit = dataclasses.replace(GOOD.estimate, by_light=True)
     empty = dataclasses.replace(ESTIMATE, estimate=None, verdict="")
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, maps=True) as output:
+    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, waits=True) as output:
         for contact in (False, True, True, False):
             output.write(FRAME, dataclasses.replace(empty, contact=contact))
         output.add(dataclasses.replace(GOOD, onset=1, onset_time_s=0.0, estimate=fit))

@@ -660,7 +660,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
         (
             "stiffness: 2.0",
             ("--estimator", "online"),
-            "does not tell where tissue was palpated; for --estimator online give palpation and palpated_at",
+            "is neither; for a palpation give palpation and palpated_at",
         ),
     ],
 )

@@ -7,6 +7,8 @@ from typing import cast
 
 import numpy as np
 import pytest
+from tests.estimators.online.pulls import by_palpation, draw_pull, holds
+from tests.estimators.online.pulls import followed as followed_pull
 
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.determined import Determined
@@ -14,8 +16,6 @@ from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.results.overlay import _described_field
-from tests.estimators.online.pulls import by_palpation, draw_pull, holds
-from tests.estimators.online.pulls import followed as followed_pull
 from tests.estimators.online.test_estimator import SETTINGS, SHARES, run, write_annotated
 from tests.evaluation.real_clips import SIZE, write
 from tests.results.fields import FIELD_SEEN

@@ -48,9 +48,9 @@ TOLERANCE = 1e-4
 QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
 COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
 """Columns of interactions.csv."""
-ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "force")
+ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "curve")
 """Fields of a row of the recovery benchmark."""
-REAL = ("frames in contact", "verdict", "skill in frames kept back", "reaction_over_stiffness")
+REAL = ("frames in contact", "verdict", "skill in frames kept back")
 Group = Literal["network", "direct", "rgb", "recovery", "online", "palpation", "plan", "real"]
 Values = dict[str, float | str]
 

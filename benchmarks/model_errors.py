@@ -1,12 +1,12 @@
 """Measures on drawn clips what the fits' own models get wrong, and writes `estimators/model_errors.yaml`.
 
-    python -m benchmarks.model_errors --part grip --clips 24 --seed 9201
+    python -m benchmarks.model_errors --part pull --clips 24 --seed 9201
 
 The sessions that users run are asked of clips of the validation split, and what they are off by is compared with what
 their residuals tell: the rest is the model's. Of every entry of the file that a part measures, `measured` then says the
 root mean square errors and what residuals tell of them (clips weighted as the most likely variance of the model weighs
 them), the standard deviation of the model that follows, from how many clips, and by which command. Fewer than 20 clips
-leave `value`, by which the estimators go, as it is. The part grip takes the suites retraction, foundation and regions;
+leave `value`, by which the estimators go, as it is. The part pull takes the suites retraction, foundation and regions;
 video takes presses in RGB videos, facing and oblique (`benchmarks.plain_video`, fifteen seconds a clip), in turns by
 either law of light.
 """
@@ -35,13 +35,15 @@ from palpate.common.command_line import progress_bars, say
 from palpate.common.files import replacing
 from palpate.common.options import options, require_within
 from palpate.common.settings import LARGEST
+from palpate.estimators.estimate import LEAST_SKILL
+from palpate.estimators.grip.grip_estimate import force_error
 from palpate.estimators.model_errors import FILE, read_entries
 from palpate.estimators.open import EstimatorOptions
 from palpate.models.calibration_fit import mean_squares
 
 SPLIT = "validation"
 VIDEO = "video"
-PARTS = {"grip": ("retraction", "foundation", "regions"), VIDEO: (VIDEO, "video-oblique")}
+PARTS = {"pull": ("retraction", "foundation", "regions"), VIDEO: (VIDEO, "video-oblique")}
 """Suites of every part."""
 DIRECT = "direct"
 LOOKS: tuple[Literal["matte", "endoscope"], ...] = ("matte", "endoscope")
@@ -67,8 +69,8 @@ def model_sd(off: float, residual: float) -> float:
     return float(f"{left:.2g}")
 
 
-def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of foundation and force, and what residuals tell of them, by which of the model's errors was counted.
+def pull_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
+    """Errors of the relative force of pulls, and what residuals tell of them.
 
     Args:
         rows: of clips.
@@ -76,20 +78,18 @@ def grip_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
     """
     found: Errors = {}
     for row in rows:
-        if "foundation" not in row or "force" not in row:
-            continue
-        # The largest error of a model that an interval has room for is the one that it counts.
-        kinds = ("as_seen", "uneven", "measured")
-        kind = next((kind for kind in kinds if row["foundation"][2] >= 0.98 * values[f"foundation_{kind}"]), "measured")
-        for quantity, (true, log, sd, *_) in ((name, row[name]) for name in ("foundation", "force")):
-            name = f"{quantity}_{kind}"
-            if name in values:
-                found.setdefault(name, []).append((log - true, max(sd**2 - values[name] ** 2, 0.0)))
+        if "curve" in row and row["skill"] >= LEAST_SKILL:
+            # The last frame's ratio is 1 by definition.
+            true, force, sd = row["curve"][:, :-1]
+            share = np.square(force_error(force, row["skill"])).sum()
+            stated = np.square(sd).sum() / share - values["pull_force"] ** 2
+            error = math.sqrt(np.square(force - true).sum() / share)
+            found.setdefault("pull_force", []).append((error, max(float(stated), 0.0)))
     return found
 
 
 def video_errors(rows: Sequence[Row], values: Mapping[str, float]) -> Errors:
-    """Errors of k_s and of both ratios of presses in RGB videos; arguments as of `grip_errors`.
+    """Errors of k_s and of both ratios of presses in RGB videos; arguments as of `pull_errors`.
 
     A fit takes its model's errors to be larger where it leaves more of the light's change and residuals are correlated
     (`estimators.direct.shading_fit`); by that factor errors are divided.
@@ -127,7 +127,7 @@ def write_entries(path: Path, entries: Entries) -> None:
 class ModelErrors:
     """What is measured."""
 
-    part: Literal["grip", "video"]
+    part: Literal["pull", "video"]
     """whose errors"""
     seed: int
     """of the clips"""
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             else:
                 rows += run_trial(Trial(index, seed, {suite: {DIRECT: EstimatorOptions(DIRECT, threads=1)}}))
             progress.advance(bar)
-    errors = {"grip": grip_errors, VIDEO: video_errors}[asked.part](rows, values)
+    errors = {"pull": pull_errors, VIDEO: video_errors}[asked.part](rows, values)
     if not errors:
         say(console, "No clip has an estimate that could be compared; give other seeds, or more clips.", "red")
         return 1

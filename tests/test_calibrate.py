@@ -117,7 +117,7 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
         return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
-    options = ["--output", str(tmp_path), "--export", "usd"]
+    options = ["--output", str(tmp_path), "--export"]
     assert calibrate.main(["palpation", str(write_scene(tmp_path)), *options]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["verdict"] == "nothing determined"

@@ -2,14 +2,12 @@
 
     python -m benchmarks.real --data DIR --output OUT
     python -m benchmarks.real --pulled CLIP [--layout YAML] [--masks FILE] --output OUT
-    python -m benchmarks.real --pulled CLIP [--layout YAML] --estimator online [--settings YAML] --output OUT
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
-fitted included; `contact_frame_N` is the probability that tissue moves with the instrument. With `--estimator online`
-it is predicted ten frames ahead instead, by stiffness place by place and by a sheet of one number. Writes table.csv
-(clip, measure, value); the same command judges again what could not be judged. `infer.py` draws the same session's
-fit.png. Not a medical device.
+fitted included, and the seconds that the fit takes; `contact_frame_N` is the probability that tissue moves with the
+instrument. Writes table.csv (clip, measure, value); the same command judges again what could not be judged. `infer.py`
+draws the same session's fit.png. Not a medical device.
 """
 
 from __future__ import annotations
@@ -23,13 +21,11 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 from benchmarks.harness import Measurements, Row, run
-from benchmarks.real.predicted import evaluate_prediction
 from benchmarks.real.pulled import PulledClip, evaluate_pull
 from palpate.common.provenance import ROOT
-from palpate.estimators.online.settings import FILES, OnlineSettings, load_settings
 
 KNOWN = {
     "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
@@ -50,34 +46,18 @@ class Real(Measurements):
     """of the pulled clip: YAML file that names a folder's files (default: CholecSeg8k)"""
     masks: Path | None = None
     """of the pulled clip: outlines of its instruments, or a segmentation model (default: as of infer.py)"""
-    estimator: Literal["direct", "online"] = "direct"
-    """of pulled clips: direct, as infer.py runs it, or online, ahead from frames 3, 4 and 5"""
-    settings: Path | None = None
-    """of online (default: as configs/online.yaml)"""
 
     keys: ClassVar = ("clip",)
 
     def __post_init__(self) -> None:
-        """Raise a ValueError where options don't belong together, or a file of settings can't be used."""
+        """Raise a ValueError where options don't belong together."""
         if self.layout is not None and self.pulled is None:
             raise ValueError(f"--layout {self.layout} is of a clip of --pulled; give both, or leave it out.")
-        if self.masks is not None and (self.pulled is None or self.estimator == "online"):
-            raise ValueError(f"--masks {self.masks} is of a clip of --pulled that direct judges; leave it out.")
-        if self.settings is not None and self.estimator != "online":
-            raise ValueError(f"--settings {self.settings} is for --estimator online; leave it out.")
-        for name in FILES if self.online is not None else ():
-            if getattr(self.online, name) is not None:
-                raise ValueError(f"{self.settings} names a file of {name}, which is for infer.py; leave it out here.")
+        if self.masks is not None and self.pulled is None:
+            raise ValueError(f"--masks {self.masks} is of a clip of --pulled; give both, or leave it out.")
         if not self.clips:
             where = "" if self.data is None else f"; {self.data} holds none of {', '.join(KNOWN)}"
             raise ValueError(f"there is nothing to judge{where}. Give --data or --pulled.")
-
-    @functools.cached_property
-    def online(self) -> OnlineSettings | None:
-        """Of the estimator that predicts a pulled clip ahead; None = the session of direct is asked."""
-        if self.estimator != "online":
-            return None
-        return OnlineSettings() if self.settings is None else load_settings(self.settings)
 
     @functools.cached_property
     def clips(self) -> dict[str, PulledClip]:
@@ -96,12 +76,11 @@ class Real(Measurements):
     @property
     def wanted(self) -> dict[str, Callable[[], Row]]:
         """What judges each clip, by its name."""
-        judge = evaluate_pull if self.online is None else functools.partial(evaluate_prediction, settings=self.online)
-        return {name: functools.partial(judge, clip) for name, clip in self.clips.items()}
+        return {name: functools.partial(evaluate_pull, clip) for name, clip in self.clips.items()}
 
     def record(self) -> Mapping[str, Any]:
         """What the results depend on."""
-        return {f"clip {name}": repr((clip, self.online)) for name, clip in self.clips.items()}
+        return {f"clip {name}": repr(clip) for name, clip in self.clips.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

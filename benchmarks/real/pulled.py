@@ -49,7 +49,8 @@ def evaluate_pull(clip: PulledClip) -> Row:
     """
     estimator = open_estimator("direct")
     stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks and str(clip.masks))
-    outputs = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
+    session = estimator.start(ClipInfo.of(stream))
+    outputs = list(estimates_of(session, stream))
     frames = [item for item in outputs if isinstance(item, FrameEstimate)]
     runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
     measures: Row = {"status": OK, "frames": len(frames)}
@@ -67,7 +68,7 @@ def evaluate_pull(clip: PulledClip) -> Row:
         "determined": ";".join(grip.determined),
         "skill in frames kept back": grip.skill,
         "skill if gripped elsewhere": grip.rival,
+        "seconds of following": session.seconds["follow"],
+        "seconds of the fit": session.seconds["grip"],
     }
-    for name in ("foundation_over_stiffness", "reaction_over_stiffness"):
-        measures |= {f"{name}{end}": getattr(grip, name + end) for end in ("", "_low", "_high")}
     return measures

@@ -27,13 +27,7 @@ of a grip:
 
 contact_right                   share of the frames in which something moves whose contact is the true one
 skill                           as estimated
-foundation, force               log of foundation, and of the force in the last frame, over stiffness: true, estimated,
-                                its standard deviation, shape [3]
 curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
-rank, rank_most                 rank correlation of the stiffness field with the true one where tissue moves; of regions
-                                that are separated exactly, in any order within each: √(3p(1 - p)), p the share of one
-held, knots, held_between       share of the field's knots there whose 90 % interval holds the truth; how many they are;
-                                the same share of all followed points there (bilinear between knots, a step is none)
 """
 
 import functools
@@ -143,7 +137,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
-        return {}, functools.partial(gripped, clip.frames, clip.scene, motion)
+        return {}, functools.partial(gripped, clip.scene, motion)
     contacts = observed_contacts(clip.frames, clip.info, trial.horizon)
     if not contacts:
         return {"status": "no contact", "reason": "no onset of contact was found."}, None

@@ -35,11 +35,6 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     face, shares = nearest(solid.rest[middles], triangles, rows_needed(triangles, spacing))
     step = np.zeros_like(solid.rest)
     step[middles] = np.einsum("pk,pkx->px", shares, triangles[face]) - solid.rest[middles]
-    return bend(solid, step)
-
-
-def bend(solid: Solid, step: np.ndarray) -> Solid:
-    """A body of straight elements with its nodes moved, shape [N, 3] [m], less far where that crushes one."""
     for _ in range(HALVINGS):
         crushed = (np.linalg.det(solid.deformation(step)) < LEAST).any(axis=1)
         if not crushed.any():
@@ -47,11 +42,6 @@ def bend(solid: Solid, step: np.ndarray) -> Solid:
         step[np.unique(solid.elements[crushed])] /= 2
     else:
         step[:] = 0
-    return bent(solid, step)
-
-
-def bent(solid: Solid, step: np.ndarray) -> Solid:
-    """A body of straight elements with its nodes moved, shape [N, 3] [m], none of which turns an element over."""
     change = solid.deformation(step)
     gradients, weights = np.matmul(solid.gradients, np.linalg.inv(change)), solid.weights * np.linalg.det(change)
     return dataclasses.replace(solid, rest=solid.rest + step, gradients=gradients, weights=weights)

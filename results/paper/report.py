@@ -98,7 +98,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         "depth.csv": {name: summarise(frames[column], clips) for name, column in DEPTHS.items()},
         "motion.csv": motion,
     }
-    found = {name: pd.DataFrame.from_dict(rows, orient="index") for name, rows in tables.items()}
+    found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}
     spread = spread_of(frames, bounds, len({*zip(clips, motions, strict=True)}))
     found["spread.csv"] = spread.assign(constant=as_reported(constant, bounds))
     found["per_frame.csv"] = frames.join(settled[PREDICTED]).set_index("clip")

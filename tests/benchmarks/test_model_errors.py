@@ -10,6 +10,7 @@ from benchmarks import model_errors
 from benchmarks import model_errors as module
 from benchmarks.harness import Row
 from benchmarks.recovery.trial import Trial
+from palpate.estimators.grip.grip_estimate import force_error
 from palpate.estimators.model_errors import FILE, MODEL_ERRORS, read_entries
 from palpate.models.calibration_fit import mean_squares
 
@@ -37,31 +38,33 @@ def test_the_file_is_as_the_command_wrote_it_last(tmp_path: Path) -> None:
 
 def test_a_file_with_other_entries_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "other.yaml").write_text("contact_rest: {value: 1.0}\n")
-    with pytest.raises(ValueError, match=r"other\.yaml holds other entries than foundation_measured, "):
+    with pytest.raises(ValueError, match=r"other\.yaml holds other entries than pull_force, "):
         read_entries(tmp_path / "other.yaml")
 
 
-def drawn(index: int, model: float, counted: float, told: float = 0.004) -> Row:
-    """A clip whose error is drawn from what residuals tell and what the model gets wrong."""
-    off = np.random.default_rng(index).normal(0, math.hypot(model, told))
-    numbers = np.array([-3.0, -3.0 + off, math.hypot(counted, told), 0.01])
-    return {"foundation": numbers, "force": numbers}
+def drawn(index: int, model: float, told: float = 0.004) -> Row:
+    """A pull whose relative force has errors that residuals tell, and errors of the model."""
+    true, skill = np.linspace(0.1, 1.0, 10), 0.6
+    shape, rng = force_error(true, skill), np.random.default_rng(index)
+    force = true + shape * rng.normal(0, math.hypot(model, told / 0.1), 10)
+    sd = force_error(force, skill) * math.hypot(VALUES["pull_force"], told / 0.1)
+    return {"skill": skill, "curve": np.array([true, force, sd])}
 
 
-@pytest.mark.parametrize(("kind", "model"), [("measured", 0.01), ("uneven", 0.3), ("as_seen", 0.8)])
-def test_what_the_model_gets_wrong_is_found(kind: str, model: float) -> None:
-    rows = [drawn(index, model, VALUES[f"foundation_{kind}"]) for index in range(400)]
-    entries = model_errors.updated(read_entries(), model_errors.grip_errors(rows, VALUES), "a command", "today")
-    found = entries[f"foundation_{kind}"]
-    assert found["value"] == found["measured"]["sd"] == pytest.approx(model, rel=0.1)
-    assert found["measured"]["stated"] == pytest.approx(0.004, rel=0.1)
+def test_what_the_model_gets_wrong_is_found() -> None:
+    rows = [drawn(index, 0.3) for index in range(400)]
+    entries = model_errors.updated(read_entries(), model_errors.pull_errors(rows, VALUES), "a command", "today")
+    found = entries["pull_force"]
+    assert found["value"] == found["measured"]["sd"] == pytest.approx(0.3, rel=0.1)
+    assert found["measured"]["stated"] == pytest.approx(0.04, rel=0.1)
     assert found["source"] == "measured"
     # Few clips are noted, and change nothing.
-    few = model_errors.updated(
-        read_entries(), model_errors.grip_errors(rows[: model_errors.ENOUGH - 1], VALUES), "a command", "today"
-    )[f"foundation_{kind}"]
-    assert few["value"] == VALUES[f"foundation_{kind}"]
-    assert few["measured"]["clips"] == model_errors.ENOUGH - 1
+    few = model_errors.pull_errors(rows[: model_errors.ENOUGH - 1], VALUES)
+    entry = model_errors.updated(read_entries(), few, "a command", "today")["pull_force"]
+    assert entry["value"] == VALUES["pull_force"]
+    assert entry["measured"]["clips"] == model_errors.ENOUGH - 1
+    # A pull that is not explained doesn't count.
+    assert model_errors.pull_errors([rows[0] | {"skill": 0.2}], VALUES) == {}
 
 
 def test_videos_tell_three_quantities_whatever_a_fit_makes_of_each_clip() -> None:
@@ -96,14 +99,13 @@ def test_clips_count_by_how_little_their_residuals_leave_open() -> None:
 
 def test_the_command_writes_what_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def evaluated(trial: Trial) -> list[Row]:
-        known = drawn(trial.index, 0.01, VALUES["foundation_measured"])
-        return [known for suite in trial.wanted if suite == "foundation"]
+        return [drawn(trial.index, 0.1) for suite in trial.wanted if suite == "foundation"]
 
     monkeypatch.setattr(module, "run_trial", evaluated)
     output = tmp_path / "errors.yaml"
-    assert model_errors.main(["--part", "grip", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
-    measured = read_entries(output)["foundation_measured"]["measured"]
+    assert model_errors.main(["--part", "pull", "--clips", "3", "--seed", "5", "--output", str(output)]) == 0
+    measured = read_entries(output)["pull_force"]["measured"]
     assert measured["clips"] == 3
-    assert measured["command"] == "python -m benchmarks.model_errors --part grip --clips 3 --seed 5"
+    assert measured["command"] == "python -m benchmarks.model_errors --part pull --clips 3 --seed 5"
     monkeypatch.setattr(module, "run_trial", lambda _: [])
-    assert model_errors.main(["--part", "grip", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1
+    assert model_errors.main(["--part", "pull", "--clips", "1", "--seed", "5", "--output", str(output)]) == 1

@@ -126,7 +126,7 @@ def test_a_clip_that_can_t_be_read_is_a_sentence(inputs: Path, tmp_path: Path, c
         ([], "there is nothing to judge. Give --data or --pulled."),
         (["--data", "{empty}"], "{empty} holds none of " + ", ".join(KNOWN)),
         (["--layout", "a.yaml"], "--layout a.yaml is of a clip of --pulled; give both, or leave it out."),
-        (["--masks", "a.yaml"], "--masks a.yaml is of a clip of --pulled that direct judges; leave it out."),
+        (["--masks", "a.yaml"], "--masks a.yaml is of a clip of --pulled; give both, or leave it out."),
     ],
 )
 def test_wrong_usage_is_a_sentence(tmp_path, capsys, arguments, told) -> None:

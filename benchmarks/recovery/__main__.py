@@ -74,7 +74,7 @@ class Benchmark(Experiment):
     """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
     observation: Literal["depth", "contact"] | None = None
     """what direct and network look at: the whole dent (depth, default), or the point that was touched (contact)"""
-    bound: Literal["field", "contact"] = "field"
+    bound: Literal["depth", "contact"] = "depth"
     """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
     with
     --onset between, of somebody who doesn't know the instants either"""

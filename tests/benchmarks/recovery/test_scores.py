@@ -139,11 +139,11 @@ def test_a_suites_bound_follows_its_measured_noise():
 def test_without_a_sequence_the_sequence_bounds_nothing():
     rows = [recovery(0), recovery(1, field_information=None)]
     assert table(rows)["all", "stiffness"]["n"] == 2
-    assert table(rows, "field")["all", "stiffness"]["n"] == 1
-    assert table(rows, "field")["every clip", "stiffness"]["n"] == 2
+    assert table(rows, "depth")["all", "stiffness"]["n"] == 1
+    assert table(rows, "depth")["every clip", "stiffness"]["n"] == 2
 
 
-@pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("field", 1.0)])
+@pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("depth", 1.0)])
 def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, share):
     # Of log k_s and the first delay [[100, 60], [60, 45]]; a delay from -1 to 1 is known to 1/√3 beforehand. What is
     # left of k_s is 100 − 60²/(45 + 3) = 25; of k_d, which no delay looks like, 100.

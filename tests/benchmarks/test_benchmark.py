@@ -115,7 +115,7 @@ def test_direct_and_network_are_told_what_to_look_at():
 def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
     """The depth-change sequence's is 0.05 and the contact's 0.1."""
     found = []
-    for bound in ((), ("--bound", "field"), ("--bound", "contact")):
+    for bound in ((), ("--bound", "depth"), ("--bound", "contact")):
         assert run(tmp_path, *bound) == 0
         rows = {(row["regime"], row["parameter"]): row for row in read_rows(tmp_path / "table.csv")}
         found.append(float(rows["all", "damping"]["bound_log"]))

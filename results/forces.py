@@ -66,7 +66,7 @@ class ContactForce:
         cls,
         run: InteractionEstimate,
         estimates: Sequence[FrameEstimate],
-        newtons: Sequence[Mapping[str, float]] = (),
+        newtons: np.ndarray | None = None,
         seconds: float = math.inf,
     ) -> "ContactForce":
         """The force of a run that has ended.
@@ -74,7 +74,7 @@ class ContactForce:
         Args:
             run: the run.
             estimates: of all frames so far, by index in the clip.
-            newtons: rows of forces.csv where a pull's force is known in newtons.
+            newtons: force of a pull where its fit has it, and the ends of its 90 % interval, shape [3, K] [N].
             seconds: time after the onset up to which an estimate by depth constrains the force [s].
         """
         begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
@@ -98,11 +98,9 @@ class ContactForce:
         elif isinstance(found, FieldEstimate):
             why = "--estimator online tells no force."
         elif found is not None and "relative_force" in found.determined:
-            half, unit, why = NINETY * found.force_sd, MEASURED if newtons else RELATIVE, STILL
+            half, unit, why = NINETY * found.force_sd, RELATIVE if newtons is None else MEASURED, STILL
             kept = np.stack([found.force, found.force - half, found.force + half])
-            if newtons:
-                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
-            force, low, high = _between(run.onset_time_s + found.times, kept, times)
+            force, low, high = _between(run.onset_time_s + found.times, kept if newtons is None else newtons, times)
         place = run.onset_frame, run.onset_time_s, state(run)
         return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
 

@@ -1,4 +1,4 @@
-"""The static pictures of a clip: `fit.png` of its contacts, verdicts first, and estimated next to measured forces."""
+"""The static picture of a clip: `fit.png` of its contacts, verdicts first."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ import numpy as np
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.known_force import KnownForce
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import InteractionEstimate
-from palpate.results.calibrated import Curve
 from palpate.results.panels import (
     FAR_COLOR,
     INK,
@@ -78,35 +76,6 @@ def _height(run: InteractionEstimate | None, sentences: str) -> float:
     motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
     field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
     return 0.9 + 0.2 * len(lines_of(sentences)) + 2.8 * motion + 1.2 * field
-
-
-def draw_comparison(measured: KnownForce, curves: Sequence[Curve], known: KnownForce | None, title: str) -> Figure:
-    """Draw measured and estimated forces over time.
-
-    Args:
-        measured: all that was measured.
-        curves: estimated.
-        known: those that gave the scale.
-        title: name of the clip.
-    """
-    unit = curves[0].unit if curves else "N"
-    subtitle = "Measured and estimated forces." if curves else "No force was estimated where forces were measured."
-    figure = new_figure(WIDTH, 5.9, title, subtitle)
-    axes = figure.subplots()
-    axes.plot(measured.times, measured.force, color=OBSERVED, label="measured [N]")
-    if known is not None:
-        axes.plot(known.times, known.force, color=RELEASE, linewidth=4, alpha=0.4, label="which gave the scale")
-    other = axes if unit == "N" else axes.twinx()
-    for index, curve in enumerate(curves):
-        name = f"estimated [{curve.unit}]" if not index else None
-        other.plot(curve.times, curve.force, color=SIMULATED, label=name)
-        if np.isfinite(curve.low).all():
-            other.fill_between(curve.times, curve.low, curve.high, color=SIMULATED, alpha=0.15, linewidth=0)
-    axes.set(xlabel="time [s]", ylabel="force [N]")
-    if other is not axes:
-        other.set_ylabel(f"estimated force [{unit}]", color=SIMULATED)
-    figure.legend(loc="outside upper right", ncols=3, frameon=False)
-    return figure
 
 
 def write_figure(path: Path, figure: Figure) -> None:

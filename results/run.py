@@ -44,7 +44,7 @@ from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.bag import write_bag
-from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
+from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, model_of
@@ -109,7 +109,6 @@ class Batch:
             "scale of online": online and known is not None and not known.every_clip,
             "half of a sheet": online and (known is None) != (online.settings.sheet_m is None),
             "limit without force": limited and name not in MAPPING,
-            "limit without newtons": limited and known is not None and not known.tells,
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
@@ -185,10 +184,7 @@ class Batch:
         if new:
             self.providers |= new
             say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
-        warnings = record["warnings"]
-        if newtons is not None and newtons.measured is not None:
-            warnings = [*warnings, comparison_sentence(newtons.record()["comparison"])]
-        for warning in warnings:
+        for warning in record["warnings"]:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(MOST_REASONS):
             total = results.counts.total()
@@ -293,7 +289,7 @@ class Batch:
         Raises:
             ValueError: it is not among them, or nobody says which it is.
         """
-        if self.calibration is None or not self.calibration.leans_on_a_clip:
+        if self.calibration is None or not self.calibration.of_one_clip:
             return paths
         name = self.calibration.fields.clip
         if name is None and len(paths) > 1:
@@ -322,11 +318,9 @@ class Batch:
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
-        compared = newtons is not None and newtons.measured is not None
-        known = newtons is not None and newtons.known is not None
-        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known, store.FIELDS: self.fields}
+        wanted = {store.OVERLAY: self.options.overlay, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
-        wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
+        wanted |= {store.CALIBRATED: newtons is not None}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:

@@ -17,18 +17,14 @@ from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
 
 TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
-INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
-CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
-REPORT = "forces.json"
+INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
+CALIBRATED, REPORT = "calibrated.csv", "forces.json"
 """Files of a clip's folder. The record is written last: with it a folder is complete."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 SCENE = re.compile(r"scene_\d+(\.pvd|\.ply|_\d+\.vtu)|particles_\d+\.(vtk|ply)|particles\.csv")
 """Names of the files that --export writes there, and of a sequence's particles."""
-WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, FIT,
-    COMPARISON, RECORD,
-)  # fmt: skip
+WRITTEN = (TABLE, INTERACTIONS, REPORT, *BAGS.values(), FIELDS, CALIBRATED, OVERLAY, FIT, RECORD)
 """All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
 a user's."""
 MARKER = ".unfinished-results"

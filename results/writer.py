@@ -29,7 +29,7 @@ from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
-from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
+from palpate.results.plots import MOST_PANELS, draw_fits, write_figure
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
@@ -114,8 +114,6 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
-                known = None if calibration is None else calibration.known
-                self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
                 video = self._partial / store.OVERLAY
@@ -196,7 +194,7 @@ class ClipResults:
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
-        forces: list[dict[str, Any]] = []
+        forces = None
         if self.calibration is not None:
             try:
                 forces = self.calibration.add(run)
@@ -225,8 +223,6 @@ class ClipResults:
                     write_series(self._partial, f"scene_{run.onset_frame}", deformation_of(run, times))
                 except NoEstimate:
                     self.unexported += 1
-            if self._forces is not None:
-                self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in millimetres and newtons what was added, once all of it has been."""
@@ -240,27 +236,18 @@ class ClipResults:
             self._write_waiting(None)
             while self._drawing:
                 self._drawing.popleft().result()
+            rows = () if self.calibration is None else self.calibration.rows
             if self.calibration is not None:
-                self._write_newtons(self.calibration, title)
+                table = self._open_table(store.CALIBRATED, columns.CALIBRATED)
+                table.writerows(columns.row(columns.CALIBRATED, values) for values in rows)
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
-            newtons = self.calibration
-            rows = () if newtons is None else newtons.rows
             report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
-
-    def _write_newtons(self, calibration: ClipCalibration, title: str) -> None:
-        tables = [(store.CALIBRATED, columns.CALIBRATED, calibration.rows)]
-        if calibration.measured is not None:
-            tables.append((store.COMPARED, columns.COMPARED, calibration.compared_rows()))
-            figure = draw_comparison(calibration.measured, calibration.curves, calibration.known, title)
-            write_figure(self._partial / store.COMPARISON, figure)
-        for name, header, rows in tables:
-            self._open_table(name, header).writerows(columns.row(header, values) for values in rows)
 
     def _open_table(self, name: str, header: Mapping[str, str]) -> Any:
         """A CSV file with its head written, open as long as all of the clip's."""

@@ -522,8 +522,6 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
 
 def test_wrong_usage(inputs, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
-    (inputs / "measured.yaml").write_text("measured: forces.csv")
-    (inputs / "forces.csv").write_text("time_s,force_N\n0,1\n1,1\n2,1\n")
     model = str(inputs / "parameters.onnx")
     for options, said in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset; choose one of"),
@@ -544,10 +542,6 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (
             ["--estimator", "online", "--force-limit", "1"],
             "which --estimator online does not give; take network or direct.",
-        ),
-        (
-            ["--force-scale", str(inputs / "measured.yaml"), "--force-limit", "1"],
-            "measured.yaml has no scale; give known_s there, or leave --force-scale out.",
         ),
         (
             ["--estimator", "online", "--bag", "ros2"],

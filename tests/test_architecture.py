@@ -46,8 +46,6 @@ FENCES = {
     "matplotlib": (
         "planning/pictures.py",
         "results/plots.py",
-        "results/panels.py",
-        "results/surface_plot.py",
         "results/paper/",
         "evaluation/",
         "benchmarks/",
@@ -207,7 +205,7 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 @pytest.mark.parametrize(
     ("library", "user"),
     [
-        ("matplotlib", "palpate.results.panels"),
+        ("matplotlib", "palpate.results.plots"),
         ("scipy.stats", "palpate.estimators.direct.sampling"),
         ("jinja2", "palpate.results.page.render"),
     ],

@@ -35,7 +35,7 @@ def require_own(*paths: Path) -> None:
         ForeignFile: something is there that is not as this program wrote it.
     """
     for path in paths:
-        if os.path.lexists(path) and (path.is_symlink() or not _is_listed(path)):
+        if os.path.lexists(path) and (path.is_symlink() or not is_own(path)):
             raise ForeignFile(path)
 
 
@@ -52,14 +52,14 @@ def replacing_own(path: Path) -> Generator[Path]:
         require_own(path)  # writing may have taken long
         files = _list_of(path.parent)
         # Both are noted before the files change places: an interruption in between leaves one of them.
-        files[path.name] = [*_digests(path), *_digests(partial)]
+        files[path.name] = [*dict.fromkeys([*_digests(path), *_digests(partial)])]
         _write_list(path.parent, files)
 
 
 def write_own(path: Path, content: str | bytes) -> None:
     """Write a file, text as UTF-8, as `replacing_own` does; raises its ForeignFile."""
     with replacing_own(path) as partial:
-        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        partial.write_bytes(content.encode("utf-8", "replace") if isinstance(content, str) else content)
 
 
 def list_folder(folder: Path) -> None:
@@ -97,7 +97,7 @@ def _content(folder: Path) -> dict[str, str]:
     return content
 
 
-def _is_listed(path: Path) -> bool:
+def is_own(path: Path) -> bool:
     """Whether a file is as its folder's list has it; one that has no entry, whatever its size, is not read."""
     return is_unchanged(path, _list_of(path.parent).get(path.name))
 

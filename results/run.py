@@ -74,8 +74,6 @@ class Outcome:
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
-    given: str = ""
-    """Name of the clip's file or folder."""
 
 
 class Batch:
@@ -112,7 +110,6 @@ class Batch:
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
-            "shard of a scale": options.shard and known is not None and known.of_one_clip,
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
@@ -141,7 +138,7 @@ class Batch:
             newtons = None if self.fields else self._newtons(given, path, causes)
             known = given.known if newtons is None else newtons.known
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
-            return self._kept_results(source.name, folder, path.name)
+            return self._kept_results(source.name, folder)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
@@ -190,7 +187,7 @@ class Batch:
             total = results.counts.total()
             said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
             say(self.console, f"{source.name}: {said}")
-        return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
+        return Outcome(source.name, DONE, str(folder), counts_of(record))
 
     def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
         """The same of a sequence beside a robot."""
@@ -205,7 +202,7 @@ class Batch:
         causes = causes_of(sequence, self.estimator.described)
         files = (store.TABLE, PARTICLES, store.RECORD)
         if store.is_up_to_date(folder, digest_of(causes), files, overwrite=self.options.overwrite):
-            return self._kept_results(name, folder, name)
+            return self._kept_results(name, folder)
         task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
         try:
             done = functools.partial(progress.advance, task)
@@ -216,12 +213,12 @@ class Batch:
                 store.settle(folder)
         for warning in record["warnings"]:
             say(self.console, f"{name}: {warning}")
-        return Outcome(name, DONE, str(folder), counts_of(record), name)
+        return Outcome(name, DONE, str(folder), counts_of(record))
 
-    def _kept_results(self, name: str, folder: Path, given: str) -> Outcome:
+    def _kept_results(self, name: str, folder: Path) -> Outcome:
         """Say that a clip's results are up to date, which is its outcome."""
         say(self.console, f"{name}: up to date in {folder}; --overwrite computes it again")
-        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), given)
+        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -235,15 +232,9 @@ class Batch:
         if self.options.topic is not None and not any(map(is_bag, found)):
             raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
         paths = self._ordered(list(found))
-        if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
-            number, count = self.options.shard or (1, 1)
-            if count > len(paths):
-                raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
-            mine = set(paths[number - 1 :: count])
-            for path in paths:  # those of the others too, so that all agree which folder is whose
-                with suppress(ValueError):  # said when it is the clip's turn
-                    self.folders[path] = self.store.folder(name_of(path), path, settled=path in mine)
-            paths = [path for path in paths if path in mine]
+        for path in paths if self.options.jobs > 1 or self.options.scheduler else ():
+            with suppress(ValueError):  # said when it is the clip's turn
+                self.folders[path] = self.store.folder(name_of(path), path)
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
@@ -347,7 +338,7 @@ class Batch:
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
         name = name_of(path) if is_sequence(path) else path.name  # many are a sequence.yaml
-        return Outcome(name, FAILED, sentence, given=name)
+        return Outcome(name, FAILED, sentence)
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
@@ -445,10 +436,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _write_pages(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Write the batch's page and its clips', and say where; one that can't be written is no clip's failure."""
-    failed = [(outcome.given, outcome.where) for outcome in outcomes if outcome.state == FAILED]
+    failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:
-        page = write_pages(output, failed, {outcome.given for outcome in outcomes}, anew=False)
-        say(console, f"Look at {page}")
+        say(console, f"Look at {write_pages(output, failed, anew=False)}")
     except store.OutputError as error:
         say(console, f"no page: {error}")
 

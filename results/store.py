@@ -20,6 +20,8 @@ TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
 CALIBRATED, REPORT = "calibrated.csv", "forces.json"
 """Files of a clip's folder. The record is written last: with it a folder is complete."""
+PAGES = "index.html", "page.html"
+"""Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `common.output`."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 SCENE = re.compile(r"scene_\d+(\.pvd|\.ply|_\d+\.vtu)|particles_\d+\.(vtk|ply)|particles\.csv")
@@ -108,13 +110,10 @@ class ResultStore:
         with writing(output):
             tempfile.TemporaryFile(dir=output).close()
 
-    def folder(self, name: str, origin: Path, *, settled: bool = True) -> Path:
+    def folder(self, name: str, origin: Path) -> Path:
         """Folder of the clip `name` that comes from `origin`.
 
         Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
-
-        Args:
-            settled: whether what a killed run left next to it is settled; not where another process works on it.
 
         Raises:
             OutputError: both are taken, or a killed run's results can't be moved to their place.
@@ -124,7 +123,7 @@ class ResultStore:
         names = (plain, f"{plain}-{_mark(source)}")
         with writing(self.output):
             for name in names:
-                if settled and name.casefold() not in self._taken:
+                if name.casefold() not in self._taken:
                     settle(self.output / name)
         owners = {name: self._owner(name) for name in names}
         for wanted in (source, ""):

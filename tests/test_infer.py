@@ -17,6 +17,7 @@ from distributed import LocalCluster
 
 from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
+from palpate.common.output import LIST
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.contact.motion import FRAYED
 from palpate.data.source.frames import open_source
@@ -43,7 +44,7 @@ from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = [
-    "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
+    LIST, "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
 ]  # fmt: skip
 SCENE = SceneSettings(
     width=214, height=120, frames=22, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.0005,
@@ -89,7 +90,7 @@ def flat(text: str) -> str:
 def test_folder_and_video_give_complete_results_and_a_narrow_table(inputs, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call(inputs, tmp_path) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drawn", "folder", "index.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [LIST, "drawn", "folder", "index.html"]
     for name in ("drawn", "folder"):
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == FILES
         table = rows(tmp_path / name)
@@ -776,24 +777,6 @@ def test_clips_at_once_give_the_same_tables_and_one_that_fails_is_named(
     assert contents(tmp_path) == before
 
 
-def test_shares_together_are_the_whole(named_alike, inputs, one_by_one, tmp_path, capsys):
-    statuses, found = [], []
-    for share in ("2/3", "3/3", "1/3"):
-        statuses.append(several(named_alike, inputs, tmp_path, "--shard", share))
-        found.append(len(clips_in(tmp_path)))
-    assert (statuses, found) == ([0, 1, 0], [1, 1, 2])
-    page = (tmp_path / "index.html").read_text()  # of all shares
-    assert (page.count("/page.html"), page.count('class="failed"')) == (2, 1)
-    assert tables(tmp_path) == one_by_one
-    capsys.readouterr()
-    assert several(named_alike, inputs, tmp_path, "--shard", "1/4") == 2
-    assert "--shard 1/4 exceeds the 3 clips; give n up to that." in capsys.readouterr().err
-    for share in ("0/2", "3/2", "1", "a/b", "1/2/3", "-1/2"):
-        with pytest.raises(SystemExit, match=r"^2$"):
-            several(named_alike, inputs, tmp_path, f"--shard={share}")
-        assert f"'{share}' is no share i/n" in capsys.readouterr().err
-
-
 def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one_by_one, tmp_path, monkeypatch, capsys):
     def interrupted(*tasks, **options):
         with contextlib.closing(run_tasks(*tasks, **options)) as results:
@@ -899,5 +882,3 @@ def test_the_clip_that_scales_the_others_is_done_first_and_shares_are_refused(in
     assert tables(tmp_path / "two") == tables(tmp_path / "one")
     assert len(tables(tmp_path / "two")) == 6
     capsys.readouterr()
-    assert call(inputs, tmp_path / "two", *options, "--shard", "1/2") == 2
-    assert "known.yaml scales all clips by one; leave --shard out" in capsys.readouterr().err

@@ -15,7 +15,6 @@ import argparse
 import dataclasses
 import math
 import signal
-import socket
 import sys
 import threading
 import time
@@ -48,7 +47,6 @@ SCALED_IN = 0.5
 """The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
 WAITING, UNDECIDED = 1, 16
 """Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
-LOOPBACK = "127.0.0.1"
 REMEMBERED = 1 << 16
 """So many frames' lateness counts."""
 NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated")
@@ -109,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
     alarm = None
     if options.force_limit is not None:
         alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator), 1 / source.fps)
-    lines = JsonLines(source, options.port, server, alarm)
+    lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
             for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
@@ -129,14 +127,12 @@ class JsonLines:
 
     Args:
         source: whose estimates are printed.
-        port: lines also go there as datagrams, on this machine alone; None = nowhere.
         server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
-    def __init__(self, source: LiveSource, port: int | None, server: Any, alarm: ForceAlarm | None) -> None:
-        self.source, self.port, self.server, self.alarm = source, port, server, alarm
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def __init__(self, source: LiveSource, server: Any, alarm: ForceAlarm | None) -> None:
+        self.source, self.server, self.alarm = source, server, alarm
         self._late: dict[bool, deque[float]] = {decided: deque(maxlen=REMEMBERED) for decided in (False, True)}
         """Of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
@@ -171,8 +167,6 @@ class JsonLines:
         line, server = as_json(found), self.server
         with self._one:
             print(line, flush=True)
-            if self.port is not None:
-                self._socket.sendto(line.encode(), (LOOPBACK, self.port))
             if server is not None and server.is_connected() and len(server.outgoing_messages) < MOST_UNSENT:
                 from pyigtl import StringMessage
 
@@ -214,5 +208,5 @@ TYPES = infer.TYPES | {
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options = read_beside(__file__) | {name: infer.declared()[name] for name in SHARED}
-    add_listed(parser, options, TYPES, {"halves": HALVES}, loopback=LOOPBACK, **infer.WORDS)
+    add_listed(parser, options, TYPES, {"halves": HALVES}, **infer.WORDS)
     return parser

@@ -16,8 +16,6 @@ CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
 """What of parameters.csv is looked at: all of it is too much of a long clip."""
-SETTINGS = ("input", "estimator", "depth_model", "masks", "scale", "camera", "settings", "providers", "versions")
-"""What run.json has of how a clip was computed."""
 CONTACT_CURVES = ("unit", "time_s", "frame_s", "force", "force_low", "force_high")
 """What forces.json has of every frame in contact."""
 
@@ -71,32 +69,23 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
-    shown = (folder / store.OVERLAY).is_file()
-    settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return {
-        "video": store.OVERLAY if shown else None,
-        "video_note": "" if shown else TEXTS["no_video"],
+        "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
-        "columns": record["columns"],
-        "settings": _flat(settings),
-        "timings": record["timings_s"],
         "curves": _curves(record, frames, contacts),
     }
 
 
 def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of a sequence: the last frame's row, and settings."""
+    """The same of a sequence: the last frame's row."""
     last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
     rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
-    return {
-        "last": rows[1:],
-        "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
-    }
+    return {"last": rows[1:]}
 
 
 PAGES = {"video": ("clip.html", _of_video), "sequence": ("sequence.html", _of_sequence)}
@@ -160,11 +149,3 @@ def _number(cell: str) -> float | None:
 def _table(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", errors="replace", newline="") as stream:
         return [{name: row.get(name, "") for name in columns or row} for row in csv.DictReader(stream)]
-
-
-def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Settings with those within settings, by their joined names."""
-    found = []
-    for name, value in values.items():
-        found += _flat(value, f"{before}{name}.") if isinstance(value, dict) else [(f"{before}{name}", value)]
-    return found

@@ -304,24 +304,18 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("trainer.gradient_clip_val", 1, "is 1.0, and three optimisers step by hand; lower model.learning_rate"),
         ("trainer.accumulate_grad_batches", 2, "three optimisers step by hand; raise data.loading.batch_size instead"),
         ("trainer.strategy", "ddp_spawn", "strategy is 'ddp_spawn', and three optimisers step in turn, and files"),
-        ("lr_scheduler", "StepLR", "the rate is constant; to lower it, add --ckpt_path last and a lower --model.learn"),
-        ("trainer.check_val_every_n_epoch", 0, "check_val_every_n_epoch is 0; give 1 or more"),
-        ("data.root", "", "data.root is empty; name the folder"),
-        ("trainer.default_root_dir", "", "default_root_dir is empty"),
-        ("run_name", "", "run_name is empty; name the run, or leave it out."),
     ],
 )
 def test_a_value_without_room_or_sense_gets_a_sentence(config, capsys, option, value, expected):
     assert expected in refused(capsys, "fit", "-c", config, f"--{option}={value}")
 
 
-def test_what_else_lightning_has_and_this_program_not_says_what_to_do_instead(config: Path, tmp_path: Path, capsys):
+def test_what_is_not_deterministic_or_no_section_is_said(config: Path, tmp_path: Path, capsys):
     on_gpu = ("--trainer.accelerator", "gpu", "--trainer.deterministic", "true")
     assert "has no deterministic gradient on a GPU; give warn" in refused(capsys, "fit", "-c", config, *on_gpu)
-    assert "test writes what is estimated from every test frame; for" in refused(capsys, "predict", "-c", config)
     path = tmp_path / "scheduled.yaml"
     path.write_text("optimizer: Adam")
-    assert "is not accepted; it is Adam; give --model.learning_rate" in refused(capsys, "fit", "-c", config, "-c", path)
+    assert "the section optimizer is not accepted; correct" in refused(capsys, "fit", "-c", config, "-c", path)
 
 
 def cut_database(path: Path) -> None:
@@ -651,14 +645,8 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
 
     version = client.get_model_version_by_alias("a-first", "best")
     assert (version.run_id, version.version) == (run.info.run_id, 1)
-    assert version.description.startswith("# Model card: a/first")
-    for told in (f"digest {given_data.dataset.digest}", "depth 6×40×56", "best.ckpt", "| test/error_predicted |"):
-        assert told in version.description
     mlflow.set_tracking_uri(f"sqlite:///{tmp_path / 'mlflow.db'}")
     network = mlflow.pyfunc.load_model("models:/a-first@best")
-    signature = network.metadata.signature
-    assert [(tensor.name, tensor.shape) for tensor in signature.inputs.inputs] == [("depth", (-1, 6, 40, 56))]
-    assert [(tensor.name, tensor.shape) for tensor in signature.outputs.inputs] == [("theta", (-1, 3))]
     windows = np.random.default_rng(0).random((2, 6, 40, 56), dtype=np.float32)
     np.testing.assert_allclose(network.predict({"depth": windows})["theta"], ParameterModel(output)(windows), atol=1e-6)
 

@@ -14,7 +14,6 @@ import argparse
 import contextlib
 import hashlib
 import os
-import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -72,8 +71,8 @@ PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
 """Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
-OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)
-"""What of Lightning's command line is not as usual."""
+REFUSED: dict[str, dict[str, Any]] = read_beside(__file__)
+"""Trainer options that can't be used freely."""
 
 
 class UsageError(ValueError):
@@ -98,16 +97,12 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            remedy = OTHERWISE["instead"].get(unknown[0], "correct or remove it")
-            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; {remedy}.")
+            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
-        missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
-        remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
-        raise UsageError(f"{sentence}; {remedy}.") from ex
+        raise UsageError(f"{sentence}; {program()} {{fit,validate,test,export}} --help lists all options.") from ex
 
 
 class RunRecord(SaveConfigCallback):
@@ -234,12 +229,7 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
-        for name, remedy in OTHERWISE["empty"].items():
-            if str(config[name]) == "":
-                raise UsageError(f"{name} is empty; {remedy}.")
-        if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
-            raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
-        for name, refused in OTHERWISE["refused"].items():
+        for name, refused in REFUSED.items():
             if trainer[name] not in refused["work"]:
                 raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))

@@ -13,7 +13,7 @@ from palpate.common.output import ForeignFile, write_own
 from palpate.data.contact.interaction import Interaction
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.paper import simulated
-from palpate.results.paper.figures import draw_response, draw_theta
+from palpate.results.paper.figures import draw_response
 from palpate.results.paper.statistics import as_reported, compare, spread_of, summarise
 
 Record = Mapping[str, Any]
@@ -36,7 +36,7 @@ DEPTHS = {
 GIVEN = ["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()]
 """Columns of the table of frames that come from the records."""
 TABLES = ("table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv")
-FILES = ("figure3.png", "theta.png", *TABLES)
+FILES = ("figure3.png", *TABLES)
 
 
 class EvaluationError(ValueError):
@@ -128,15 +128,10 @@ def write_evaluation(
     except ValueError as error:
         raise EvaluationError(str(error)) from error
     frames = found.tables["per_frame.csv"].reset_index()
-    figures = {
-        "figure3.png": draw_response(found.trajectories, frames["release_s"].to_numpy(), mechanics),
-        "theta.png": draw_theta(frames, found.tables["spread.csv"]),
-    }
-    contents = {name: table.to_csv().encode() for name, table in found.tables.items()}
-    for name, figure in figures.items():
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png")
-        contents[name] = buffer.getvalue()
+    figure, buffer = draw_response(found.trajectories, frames["release_s"].to_numpy(), mechanics), io.BytesIO()
+    figure.savefig(buffer, format="png")
+    contents = {"figure3.png": buffer.getvalue()}
+    contents |= {name: table.to_csv().encode() for name, table in found.tables.items()}
     try:
         output.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.estimate import NINETY
+from palpate.estimators.estimate import NINETY, Estimate
 from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import InteractionEstimate
@@ -86,7 +86,9 @@ def _moves(run: InteractionEstimate) -> bool:
 def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
     """Heading of a contact, the verdict first and no number surer than it, and lines of what is said of it."""
     found, heading = run.main_estimate, f"{in_words(state(run))}: contact from frame {run.onset_frame}"
-    explained = "" if found is None or isinstance(found, FieldEstimate) else found.explanation
+    explained = found.explanation if isinstance(found, Estimate) else ""
+    if isinstance(found, GripEstimate):
+        explained = f"Skill {found.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     if run.estimate is not None and found is run.estimate:
         sure = "doubtful" if run.verdict == "determined" and run.detail else run.verdict
         heading += ", " + ", ".join(" ".join(pair) for pair in numbers(sure, run.estimate.numbers()))

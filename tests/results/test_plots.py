@@ -77,7 +77,7 @@ def test_motion_is_drawn_along_the_force() -> None:
 
 def test_pulls_show_their_force_and_fields_their_motion() -> None:
     grip, field = fits(dataclasses.replace(NONE, grip=GRIP), dataclasses.replace(NONE, field=PULL, detail="Told."))
-    assert heading(grip) == "foundation: contact from frame 1"
+    assert heading(grip) == "relative force: contact from frame 1"
     np.testing.assert_allclose(curve(grip, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
     assert heading(field) == "stiffness ratios: contact from frame 1"
     assert field.get_title("left") == "Told."

@@ -19,7 +19,6 @@ from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
 from palpate.results.calibrated import NEWTONS
-from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
@@ -27,6 +26,9 @@ MEASURED = "N, by the force that was measured for a while"
 """Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
 ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
+OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "above_s", "force_over_stiffness_mm") for end in ENDS]
+OPTIONAL += ["peak_time_s", "above_unknown_s", "metric_by"]
+"""What not every contact has; null where it lacks."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 NO_FORCE = "Nothing is determined of the force."
@@ -134,7 +136,7 @@ class ContactForce:
         """
         seconds, known = lasts[self.frames], np.isfinite(self.force)
         curves = np.stack([self.force, self.low, self.high])
-        found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
+        found: dict[str, Any] = dict.fromkeys(OPTIONAL)
         if limit is not None:
             found |= self._above(limit, seconds)
         if known.any():
@@ -204,7 +206,7 @@ def forces_record(
     records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."
-    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}
+    return {"notice": notice, "force_limit": limited, "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:

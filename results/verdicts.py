@@ -17,8 +17,6 @@ MEANINGS: dict[str, str] = _TEXTS["meanings"]
 """What the verdicts say, a sentence each."""
 ALARMS: dict[str, dict[str, Any]] = _TEXTS["alarms"]
 """What is said of the alarm, and the colour of the picture's edge where it has one."""
-FIELDS: dict[str, str] = _TEXTS["fields"]
-"""What is said of a field of stiffness."""
 FAR = "more than twice or less than half the observed one"
 
 

@@ -19,7 +19,6 @@ from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.output import LIST
 from palpate.common.workers import WorkerLost, run_tasks
-from palpate.data.contact.motion import FRAYED
 from palpate.data.source.frames import open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout
@@ -154,15 +153,6 @@ def test_other_settings_replace_only_our_results_and_only_when_asked(inputs, tmp
     assert after["run.json"] != before["run.json"]
     theirs = ("notes.txt", "figures/fit.png")
     assert [after[name] for name in theirs] == [before[name] for name in theirs] == [b"mine", b"mine too"]
-
-
-@pytest.mark.parametrize("option", ["--output", "--layout", "--camera", "--model"])
-def test_an_empty_path_is_refused(inputs, tmp_path, monkeypatch, capsys, option):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match=r"^2$"):
-        call(inputs, tmp_path / "out", option, "", clips="clips/folder")
-    assert f"argument {option}: is empty; name a file or folder" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 def repaint_last(clip: Path) -> None:
@@ -407,24 +397,6 @@ def test_without_contact_the_table_of_contacts_is_empty_and_contact_from_the_fir
     assert record(tmp_path / "out" / "begun")["contacts"] == {"no_estimate": 1}
 
 
-def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(synthetic, tmp_path, monkeypatch):
-    """The clip ends with the onset, and its outlines disagree with its depth."""
-    folder = shutil.copytree(synthetic / "video01_00000", tmp_path / "clip")
-    onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
-    for path in folder.glob("frame_*"):
-        if int(path.name.split("_")[1]) > onset:
-            path.unlink()
-    layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
-    layout["times"] = layout["times"][: onset + 1]
-    (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
-    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
-    assert direct(folder, tmp_path / "out", "--no-overlay") == 0
-    (row,) = runs(tmp_path / "out" / "clip")
-    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), "0", "no_estimate")
-    reason = "The tissue at the contact could not be followed after its onset."
-    assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
-
-
 def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
     """The press is of 0.05 units: above a limit of 0.045 as soon as it is determined, and never of 0.1."""
     arguments = [str(synthetic), "--output", str(tmp_path), "--onset", "stamp", "--no-overlay", "--force-limit"]
@@ -567,16 +539,6 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         assert f"'{options[1]}' is not a" in capsys.readouterr().err
     with pytest.raises(SystemExit, match=r"^2$"):
         infer.main([])
-
-
-@pytest.mark.parametrize("noise", ["0", "1e-300", "1e-12", "2.9e-5", "-0.001", "nan", "inf"])
-def test_a_noise_below_the_simulators_own_error_is_wrong_usage(noise, tmp_path, capsys):
-    """Smaller ones ended in numpy's complaint about infinite numbers, or in certainty of 1e-7."""
-    with pytest.raises(SystemExit, match=r"^2$"):
-        direct(tmp_path, tmp_path / "out", f"--noise={noise}")
-    said = flat(capsys.readouterr().err)
-    assert f"'{noise}' is not a noise above the simulator's own error; give 3e-05 or more" in said
-    assert "Traceback" not in said
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         "motion.csv": motion,
     }
     found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}
-    spread = spread_of(frames, bounds, len({*zip(clips, motions, strict=True)}))
+    spread = spread_of(frames, bounds, len(motions))
     found["spread.csv"] = spread.assign(constant=as_reported(constant, bounds))
     found["per_frame.csv"] = frames.join(settled[PREDICTED]).set_index("clip")
     return Evaluation(found, predicted, constant)

@@ -177,5 +177,5 @@ def test_reasons_and_legend() -> None:
     palpated.anchored(FIELD_SEEN)
     assert palpated.said == "No kilopascals: stiffness is not determined where the tissue was palpated."
     found = Kilopascals(cast(DrivenTissue, SimpleNamespace(surface=surface)), (4000, 0.0, 0)).anchored(FIELD_SEEN)
-    assert "against stretch the median is 4 kPa (" in _described_field(found)
+    assert "the median is 4 kPa (" in _described_field(found)
     assert "relative units" in _described_field(FIELD_SEEN)

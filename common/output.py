@@ -14,8 +14,6 @@ from palpate.common.files import all_below, as_json, file_sha256, read_file, rep
 
 LIST = ".written-by-palpate.json"
 """Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
-MAX_HASHED_BYTES = 2**28
-"""Larger files of a folder that is written as a whole are recognised by size and time of change."""
 
 
 class ForeignFile(FileExistsError):
@@ -90,7 +88,8 @@ def _content(folder: Path) -> dict[str, str]:
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not path.is_symlink():
             state = path.stat()
-            huge = state.st_size > MAX_HASHED_BYTES
+            # Larger files are recognised by size and time of change.
+            huge = state.st_size > 2**28
             content[name] = f"{state.st_size} bytes, {state.st_mtime_ns}" if huge else file_sha256(path)
         elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
             content[name] = ""

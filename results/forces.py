@@ -22,8 +22,6 @@ from palpate.results.calibrated import NEWTONS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
-MEASURED = "N, by the force that was measured for a while"
-"""Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
 ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
 OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "above_s", "force_over_stiffness_mm") for end in ENDS]
@@ -31,7 +29,6 @@ OPTIONAL += ["peak_time_s", "above_unknown_s", "metric_by"]
 """What not every contact has; null where it lacks."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
-NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
@@ -85,7 +82,7 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why, scene, direction = "", run.detail or NO_FORCE, {}, None
+        unit, why, scene, direction = "", run.detail or "Nothing is determined of the force.", {}, None
         if isinstance(found, Estimate):
             direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
@@ -100,7 +97,8 @@ class ContactForce:
         elif isinstance(found, FieldEstimate):
             why = "--estimator online tells no force."
         elif found is not None and "relative_force" in found.determined:
-            half, unit, why = NINETY * found.force_sd, RELATIVE if newtons is None else MEASURED, STILL
+            unit, why = RELATIVE if newtons is None else "N, by the force that was measured for a while", STILL
+            half = NINETY * found.force_sd
             kept = np.stack([found.force, found.force - half, found.force + half])
             force, low, high = _between(run.onset_time_s + found.times, kept if newtons is None else newtons, times)
         place = run.onset_frame, run.onset_time_s, state(run)

@@ -19,14 +19,11 @@ _TOOL_COLOR: Color = (56, 189, 248)
 _FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
 _FONT = cv2.FontFace("sans")
-_SMALLEST_WIDTH = 480
-"""Narrower clips are enlarged, or the numbers would not fit [px]."""
-_NOTICE = "Research software, not a medical device"
 
 
 def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
     """Width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for text."""
-    factor = max(1, -(-_SMALLEST_WIDTH // size[0]))
+    factor = max(1, -(-480 // size[0]))
     return (size[0] * factor + 1) // 2 * 2, (size[1] * factor + 1) // 2 * 2
 
 
@@ -148,7 +145,7 @@ def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     shade(canvas, (0, height - bar), (width, bar), 0.55)
     baseline = height - bar * 0.32
     text(canvas, f"frame {estimate.frame}   {estimate.time_s:.2f} s", (size, baseline), size, WHITE)
-    text(canvas, _NOTICE, (width - size, baseline), size, _SOFT, align="right")
+    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, align="right")
 
 
 def text(

@@ -55,10 +55,6 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 WITH_FORCE = ("direct", "network")
 """Estimators that give a force."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
-"""Options that have no effect on a sequence beside a robot."""
-MOST_REASONS = 3
-"""Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
@@ -149,7 +145,7 @@ class Batch:
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"], 1 / source.fps)
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"])
             written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
@@ -184,7 +180,7 @@ class Batch:
             say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
         for warning in record["warnings"]:
             say(self.console, f"{source.name}: {warning}")
-        for reason, count in results.unexplained.most_common(MOST_REASONS):
+        for reason, count in results.unexplained.most_common(3):
             total = results.counts.total()
             said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
             say(self.console, f"{source.name}: {said}")
@@ -194,7 +190,8 @@ class Batch:
         """The same of a sequence beside a robot."""
         if not isinstance(self.estimator, OnlineEstimator):
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        for name in (name for name in OF_VIDEO if getattr(self.options, name) is not None):
+        of_video = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
+        for name in (name for name in of_video if getattr(self.options, name) is not None):
             said = f"is for videos, and {printable(path)} is a sequence; leave it out"
             raise ValueError(f"--{name.replace('_', '-')} {said}.")
         name, sequence = name_of(path), open_sequence(path)

@@ -33,8 +33,6 @@ MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
 """Value of `program` in run.json; another program's results are never replaced."""
-RECORD_KINDS = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
-"""Types of the record's fields that are read again."""
 _NAME_BYTES = 120
 
 
@@ -177,7 +175,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         return {}
     if not isinstance(record, dict) or record.get("program") != PROGRAM:
         return {}
-    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in RECORD_KINDS.items()) else {}
+    kinds = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
+    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in kinds.items()) else {}
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:

@@ -35,9 +35,6 @@ from palpate.results.store import writing
 from palpate.results.verdicts import state
 from palpate.results.vtu import deformation_of, write_series
 
-MOST_UNDRAWN = 4
-"""Pictures that wait to be drawn."""
-
 
 class ClipResults:
     """Writes one clip's results into a hidden folder next to the final one, and moves it there when all is done.
@@ -158,7 +155,7 @@ class ClipResults:
     def _draw(self, frame: Waiting) -> None:
         """Append a picture to the overlay, if there is one, once those before it are drawn."""
         if self._video is not None:
-            while len(self._drawing) >= MOST_UNDRAWN:
+            while len(self._drawing) >= 4:
                 self._drawing.popleft().result()
             self._drawing.append(self._drawer.submit(self._drawn, self._video, frame))
 

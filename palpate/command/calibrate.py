@@ -32,15 +32,13 @@ from palpate.results.vtu import palpation_deformation, write_series
 
 PALPATION = ("calibration.json", "errors.csv")
 TYPES = {"path": path_option, "size": real_number("a positive number", 1e-6)}
-CHOICES = {"kinds": ("palpation",)}
-"""What calibrate.yaml calls types and choices."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate calibrate", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), TYPES, CHOICES)
+    add_listed(parser, read_beside(__file__), TYPES, {"kinds": ("palpation",)})
     return parser
 
 

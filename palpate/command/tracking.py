@@ -29,8 +29,6 @@ EXPERIMENT = "palpate"
 """Name of the experiment that holds the runs, and so compares them."""
 RUN_ID = "mlflow_run_id"
 """Name under which a checkpoint holds its run's id."""
-DIGEST_LENGTH = 16
-"""Characters of a data set's digest; MLflow's databases hold 36."""
 PLACES = (
     ("experiments", "artifact_location"),
     ("runs", "artifact_uri"),
@@ -137,7 +135,8 @@ def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
     from mlflow.entities import Dataset, DatasetInput, InputTag
 
     place = {"source_type": "local", "source": as_json({"uri": str(root)})}
-    data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:DIGEST_LENGTH], **place)
+    # MLflow's databases hold 36 characters.
+    data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:16], **place)
     given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
     logger.experiment.log_inputs(logger.run_id, [given])
 

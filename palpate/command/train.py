@@ -58,21 +58,19 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
 so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
-MIN_PROCESSES = 2
-"""Processes that may train together however few cores there are."""
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
-BASELINE_CONTACTS = 8
-"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
 PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
     "contact": (ContactSettings, train_contact, WEIGHTS),
 }
 """Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
-FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
-"""Errors with exit status 1, each of which is a sentence."""
 REFUSED: dict[str, dict[str, Any]] = read_beside(__file__)
 """Trainer options that can't be used freely."""
+
+
+FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
+"""Errors with exit status 1, each of which is a sentence."""
 
 
 class UsageError(ValueError):
@@ -238,7 +236,7 @@ class TrainCLI(LightningCLI):
                 "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
                 "warn, which makes the rest deterministic, or trainer.accelerator cpu."
             )
-        allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
+        allowed, devices = max(os.cpu_count() or 1, 2), str(trainer.devices)
         count = int(devices) if devices.removeprefix("-").isdecimal() else 1
         if not 1 <= count <= allowed and on_cpu:
             raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
@@ -286,7 +284,7 @@ class TrainCLI(LightningCLI):
         if not self.trainer.is_global_zero:
             return
         folder = folder_of(self.trainer.default_root_dir, "evaluation")
-        contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
+        contacts = self.datamodule.interactions("train", 8)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, path, "evaluation")

@@ -14,10 +14,6 @@ from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
-FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
-"""What of parameters.csv is looked at: all of it is too much of a long clip."""
-CONTACT_CURVES = ("unit", "time_s", "frame_s", "force", "force_low", "force_high")
-"""What forces.json has of every frame in contact."""
 
 
 def clip_folders(output: Path) -> list[Path]:
@@ -66,7 +62,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
 
 def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a video shows besides what all show."""
-    frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
+    columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
+    frames, runs = _table(folder / store.TABLE, columns), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
     return {
@@ -124,7 +121,8 @@ def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: l
     for contact in contacts:
         values = {name: _number(contact["row"][name]) for name in CURVES}
         values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
-        found["contacts"].append(values | {name: contact["forces"][name] for name in CONTACT_CURVES})
+        names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
+        found["contacts"].append(values | {name: contact["forces"][name] for name in names})
     return found
 
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 Failure = tuple[str, str]
 """Name of a clip that has no results, and the sentence that says why."""
 INDEX, CLIP = store.PAGES
-UNREADABLE = "its results are damaged or of another version ({}: {}); compute it again with palpate infer --overwrite."
 
 
 def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
@@ -42,7 +41,8 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
                     shown = clip_of(folder)
                     text = environment.get_template(shown["template"]).render(clip=shown, colors=COLORS)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
-                failures.append((folder.name, f"{folder}: {UNREADABLE.format(type(error).__name__, error)}"))
+                why = f"its results are damaged or of another version ({type(error).__name__}: {error})"
+                failures.append((folder.name, f"{folder}: {why}; compute it again with palpate infer --overwrite."))
                 continue
             rows.append(summary)
             try:

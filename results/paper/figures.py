@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 from palpate.physics.mechanics import Mechanics
 from palpate.results.paper.simulated import distances
 
-PERCENTILES = (10, 25, 50, 75, 90)
 MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
 GREY = "#667085"
 
@@ -26,7 +25,7 @@ def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.n
 
 
 def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
-    low, lower, median, upper, high = np.percentile(relative, PERCENTILES, axis=0)
+    low, lower, median, upper, high = np.percentile(relative, (10, 25, 50, 75, 90), axis=0)
     axes.fill_between(times, low, high, color=OUTER_COLOUR, lw=0, label="10–90th percentile")
     axes.fill_between(times, lower, upper, color=INNER_COLOUR, lw=0, label="25–75th percentile")
     axes.plot(times, median, color=MEDIAN_COLOUR, lw=2, label="median")

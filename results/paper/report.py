@@ -33,10 +33,7 @@ DEPTHS = {
     "θ in the farthest corner of the box": "theta_sensitivity",
 }
 """Column of the table of frames by what is compared with the next depth map (the last: with the decoded one)."""
-GIVEN = ["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()]
-"""Columns of the table of frames that come from the records."""
-TABLES = ("table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv")
-FILES = ("figure3.png", *TABLES)
+FILES = "figure3.png", "table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv"
 
 
 class EvaluationError(ValueError):
@@ -72,7 +69,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
-    frames = pd.DataFrame(records, columns=GIVEN)
+    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])
     frames[list(PARAMETERS)] = as_reported(theta, bounds)
     constant = simulated.fit_constant_theta(training, bounds, mechanics)[0]
     frames["error_constant"] = simulated.simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan

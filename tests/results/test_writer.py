@@ -84,7 +84,7 @@ def test_a_known_force_that_does_not_reach_a_pull_is_said(tmp_path: Path) -> Non
 
 
 def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) -> None:
-    alarm = ForceAlarm(1.0, "N", 1.0, 0.04)
+    alarm = ForceAlarm(1.0, "N", 1.0)
     sure = frame_in_contact("determined", (0.25, 0.125, -1.0), (1.1, 1.1, 1.1), contact=True)
     less = frame_in_contact("determined", (0.25, 0.125, -0.85), (1.1, 1.1, 1.1), contact=True)
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, alarm=alarm) as output:

@@ -11,7 +11,7 @@ from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
-from palpate.results.verdicts import ALARMS, COLORS, FAR, MEANINGS, Color, in_words, is_far, numbers, state
+from palpate.results.verdicts import ALARMS, COLORS, MEANINGS, Color, in_words, numbers, state
 
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
@@ -119,7 +119,6 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
     notes = [ALARMS[estimate.alarm]["say"]] if estimate.alarm else []
     notes += [MEANINGS[estimate.verdict]] if estimate.verdict else []
-    notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None and estimate.field.verdict != "undetermined":
         notes.append(_described_field(estimate.field))

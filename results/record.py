@@ -6,7 +6,7 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import distributions
 from os.path import isfile
 from pathlib import Path
@@ -122,7 +122,7 @@ def build_record(
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
-            *_untold(results),
+            *([_unexported(results)] if results.unexported else []),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
@@ -132,13 +132,8 @@ def build_record(
     }
 
 
-def _untold(results: ClipResults) -> Iterator[str]:
-    """What isn't known of runs of contact, in sentences."""
-    if results.unexported:
-        yield WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
-    yield from results.doubts[:1]
-    if results.doubts[1:]:
-        yield WARNINGS["doubts"].format(count=len(results.doubts) - 1)
+def _unexported(results: ClipResults) -> str:
+    return WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
 
 
 def _left_out(clip: ClipStream) -> list[str]:

@@ -100,8 +100,6 @@ class ClipResults:
         """Those for the picture, with a motion first."""
         self.stretched = False
         """Whether tissue has anywhere stretched with an instrument."""
-        self.doubts: list[str] = []
-        """Sentences on runs of contact that have a field of stiffness of which nothing is determined."""
         self._open = ExitStack()
         self._drawing: deque[Future[None]] = deque()
         """Pictures that are drawn and coded in a thread of their own, in order."""
@@ -200,8 +198,6 @@ class ClipResults:
             self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
-            if run.field.explanation and not run.field.determined:
-                self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
         contact = ContactForce.of(run, self.estimates, forces, self._seconds)
         self._contacts.append(contact)
         self._agree(run, contact)

@@ -108,7 +108,7 @@ def test_folder_and_video_give_complete_results_and_a_narrow_table(inputs, tmp_p
     (run,) = runs(tmp_path / "folder")
     assert (run["onset_frame"], run["status"], run["verdict"], run["force"]) == ("14", "ok", "undetermined", "0.4")
     said = capsys.readouterr().out
-    for text in ("folder", "done", "1 frames no_tool", "3 frames no_contact", "4 frames undetermined"):
+    for text in ("folder", "done", "1 frame no_tool", "3 frames no_contact", "4 frames undetermined"):
         assert text in said
     assert "…" not in said
 
@@ -121,7 +121,7 @@ def test_finished_clips_are_not_computed_again(inputs, tmp_path, capsys):
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
     said = capsys.readouterr()
     assert "up to date" in said.err
-    assert "1 contacts undetermined" in said.out
+    assert "1 contact undetermined" in said.out
     # Without the overlay nothing is missing either.
     assert call(inputs, tmp_path, "--no-overlay", clips="clips/folder") == 0
     assert (tmp_path / "folder" / "run.json").stat().st_mtime_ns == before
@@ -371,7 +371,7 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tm
     (row,) = runs(tmp_path / "video01_00000")
     assert row["status"] == "no_estimate"
     assert row["detail"] == "The depth's noise isn't known; set --smoothing above 0, or give --noise."
-    assert f"video01_00000: no estimate of 1 of 1 contacts: {row['detail']}" in flat(capsys.readouterr().err)
+    assert f"video01_00000: no estimate of 1 of 1 contact: {row['detail']}" in flat(capsys.readouterr().err)
     assert {row[name] for name in INTERACTIONS if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {""}
     assert int(row["frames"]) > 10
     # A noise of one's own makes another result of it, which takes the first one's place only when asked.

@@ -55,8 +55,7 @@ def clip_of(folder: Path) -> dict[str, Any]:
     template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
     # A series of .vtu files is listed by its index.
     files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
-    shown = summary_of(folder) | more(folder, record) | {"template": template}
-    shown["files"] = [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files]
+    shown = summary_of(folder) | more(folder, record) | {"template": template, "files": files}
     return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
 
 

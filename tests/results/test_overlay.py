@@ -89,7 +89,6 @@ def test_notes_say_what_the_numbers_cannot() -> None:
     )
     assert overlay._notes(estimate) == [
         "Not determined by what was observed so far.",
-        "The simulated displacement is more than twice or less than half the observed one.",
         "Because.",
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
     ]

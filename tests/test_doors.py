@@ -13,7 +13,6 @@ from tests.test_architecture import ROOT, faces, modules
 MODULES = [
     "benchmarks.goldens",
     "benchmarks.inference",
-    "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
     "evaluation.benchmark",

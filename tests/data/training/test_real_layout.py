@@ -15,8 +15,8 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
-from palpate.data.training.cholecseg8k import join_folders, list_clips, main
 from palpate.data.training.datamodule import ClipDataModule
+from palpate.data.training.preparation import join_folders, list_clips
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
 from palpate.data.training.splits import NamedVideos
 from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, describe, real_frames, write_clip
@@ -91,15 +91,6 @@ def test_joined_folders_have_one_depth_scale(tmp_path):
     apart = prepare(far, SETTINGS, tmp_path / "cache")
     assert joined.depth(7).mean() / joined.depth(0).mean() == pytest.approx(1.5, rel=1e-3)
     assert apart.depth(3).mean() / joined.depth(7).mean() == pytest.approx(1.0, abs=0.01)
-
-
-def test_the_door_joins_them_too(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-    write_video(tmp_path / "data", 1, (80, 84))
-    assert main(["data", "--depth", "stored", "--cache", "cache"]) == 0
-    out = capsys.readouterr().out
-    assert [said in out for said in ("1 clips", "8 ok", "video01_00084")] == [True, True, False]
 
 
 # --- named videos ----------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from distributed import LocalCluster
 from palpate.command import infer
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.workers import WorkerLost, run_tasks
-from palpate.data.contact.motion import FRAYED
 from palpate.data.source.frames import open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout
@@ -404,24 +403,6 @@ def test_without_contact_the_table_of_contacts_is_empty_and_contact_from_the_fir
     assert row["status"] == "no_estimate"
     assert row["detail"].startswith("The onset of the contact was not observed")
     assert record(tmp_path / "out" / "begun")["contacts"] == {"no_estimate": 1}
-
-
-def test_what_is_wrong_with_a_contact_is_told_beside_the_reason_for_no_estimate(synthetic, tmp_path, monkeypatch):
-    """The clip ends with the onset, and its outlines disagree with its depth."""
-    folder = shutil.copytree(synthetic / "video01_00000", tmp_path / "clip")
-    onset = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["onset_frame"]
-    for path in folder.glob("frame_*"):
-        if int(path.name.split("_")[1]) > onset:
-            path.unlink()
-    layout = json.loads((folder / "clip.json").read_text(encoding="utf-8"))
-    layout["times"] = layout["times"][: onset + 1]
-    (folder / "clip.json").write_text(json.dumps(layout), encoding="utf-8")
-    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
-    assert direct(folder, tmp_path / "out", "--no-overlay") == 0
-    (row,) = runs(tmp_path / "out" / "clip")
-    assert (row["onset_frame"], row["frames"], row["status"]) == (str(onset), "0", "no_estimate")
-    reason = "The tissue at the contact could not be followed after its onset."
-    assert row["detail"] == f"{FRAYED.format(share=0.25)} {reason}"
 
 
 def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
@@ -862,9 +843,8 @@ def test_a_device_that_is_not_there_is_wrong_usage(inputs, tmp_path, capsys):
         name for name in ("openvino", "cuda") if PROVIDERS[name] not in onnxruntime.get_available_providers()
     )
     said = f"--device {missing} is not in this onnxruntime; install onnxruntime-{missing.replace('cuda', 'gpu')},"
-    picture = str(Path(__file__).resolve().parents[1] / "data" / "depth" / "photometric.onnx")
-    masks = ["--estimator", "direct", "--depth", "stored", "--masks", picture]
-    for options in ([], ["--estimator", "direct", "--depth", "photometric"], masks):
+    masks = ["--estimator", "direct", "--depth", "stored", "--masks", str(save_model(tmp_path / "m.onnx", BOTH))]
+    for options in ([], masks):
         model = [] if options else ["--model", str(inputs / "parameters.onnx")]
         arguments = [str(inputs / "clips"), "--output", str(tmp_path / "out"), "--device", missing]
         assert infer.main([*arguments, *options, *model]) == 2
@@ -883,7 +863,7 @@ def test_every_network_runs_where_and_as_wide_as_was_asked_and_the_record_says_s
     options = ("--no-overlay", "--threads", "1", "--depth", "photometric", "--masks", masks, "--device", "cpu")
     assert call(inputs, tmp_path / "out", *options, clips="clips/folder") == 0
     found = record(tmp_path / "out" / "folder")["providers"]
-    assert found == dict.fromkeys(("estimator", "depth", "masks"), "CPUExecutionProvider")
+    assert found == dict.fromkeys(("estimator", "masks"), "CPUExecutionProvider")
     assert set(threads) == {1}
 
 

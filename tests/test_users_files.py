@@ -18,7 +18,6 @@ from palpate.command import calibrate, infer, plan, train
 from palpate.common.files import replacing
 from palpate.common.output import LIST, ForeignFile
 from palpate.data.clip import prepare
-from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.material_fit import NOTHING
@@ -156,7 +155,6 @@ def runs_of(inputs: Path) -> dict[str, Run]:
         "train_network": lambda _, out: train.main(
             ["fit", "-c", str(inputs / "tiny.yaml"), f"--trainer.default_root_dir={out}"]
         ),
-        "write_depth": lambda chance, out: write_photometric(out / "depth.onnx", chance.choice((60.0, 90.0))),
         "keep_prepared": lambda _, out: prepare(inputs / "tiny", SETTINGS, out),
     }
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from palpate.common.settings import require_between, require_choices, require_numbers
 from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.depth.photometric import PhotometricDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
 from palpate.data.depth.stereo import StereoDepth
@@ -22,7 +23,7 @@ from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
 
-BUILT_IN = ("stored", "stereo")
+BUILT_IN = ("stored", "stereo", "photometric")
 """Sources of depth that need no model."""
 FAR_QUANTILE = 0.999
 """Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
@@ -41,9 +42,10 @@ class DepthSettings:
     """Source of depth, and the constants that are fixed for a clip."""
 
     source: str = "auto"
-    """auto (stored where the clip has it, else photometric), stored, stereo, a preset's name, or an .onnx file."""
+    """auto (stored where the clip has it, else photometric), stored, stereo, photometric, a preset's name, or an .onnx
+    file."""
     model: str | None = None
-    """ONNX file for a preset that ships none; with any other source it is refused."""
+    """ONNX file of a preset; with any other source it is refused."""
     preset: str | None = None
     """Preset (name or .yaml file) with the conventions of an .onnx path; by default the .yaml file of its name in its
     folder. With any other source it is refused."""
@@ -104,6 +106,8 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
         return StoredDepth(layout, source.path)
     if kind == "stereo":
         return StereoDepth(layout, source)
+    if kind == "photometric":
+        return PhotometricDepth()
     path, preset = resolve_model(kind, settings.model, settings.preset)
     model = DepthModel(path, preset, threads=settings.threads, device=settings.device)
     if preset.kind == "disparity":

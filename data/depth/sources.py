@@ -127,7 +127,6 @@ class ModelDepth(DepthSource):
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)
         self._frozen = False
-        self.from_shading = self._preset.shading
         self.metres = (1.0, 0.0, f"the depth network {self._preset.name}") if self._preset.metric else None
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]

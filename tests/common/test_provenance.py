@@ -108,7 +108,7 @@ def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, every
     modules = modules[::every]
     for path in modules:
         path.with_name(f"{path.name}.changed").write_bytes(changed(path.read_bytes()))
-    models = [tree / "data/depth/photometric.onnx", tree / "data/depth/presets/photometric.yaml"]
+    models = [tree / "models/weights/contact.onnx", tree / "data/depth/presets/midas-small.yaml"]
     for path in models:
         path.with_name(f"{path.name}.changed").write_bytes(path.read_bytes() + b"\n")
     (tmp_path / "clip.mp4").touch()

@@ -72,21 +72,3 @@ def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
     cleaned = depth.copy()
     cleaned[rows, columns] = np.minimum(depth[rows, columns], values[np.arange(len(rows)), quarter])
     return cleaned
-
-
-def frayed_share(depth: np.ndarray, labels: np.ndarray, rest: np.ndarray, noise: float) -> float:
-    """Share of the tissue's pixels at the tool's outline that lie clearly in front of the tissue at rest.
-
-    Args:
-        depth: z, shape [h, w] [scene units], 0 = invalid.
-        labels: label map, shape [h, w].
-        rest: z of the tissue at rest, shape [h, w] [scene units]; 0 where it isn't known.
-        noise: standard deviation of the depth [scene units].
-
-    Returns:
-        0 to 1; 0 where no tissue is near the tool.
-    """
-    outline = (labels == TISSUE) & (depth > 0) & (rest > 0) & near(labels == TOOL)
-    if not outline.any():
-        return 0.0
-    return float((depth < rest - 2 * CLEARLY * noise)[outline].mean())

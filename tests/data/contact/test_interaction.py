@@ -5,7 +5,6 @@ The streamed side goes through `estimators.runs`, the stored one through `data.t
 
 import dataclasses
 import itertools
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -132,23 +131,3 @@ def test_until_a_frame_a_run_is_what_was_known_then(tmp_path: Path) -> None:
                 require_same(tracker.current.builder.build(*told), whole.build(*told))
                 compared += 1
     assert compared == 27
-
-
-def test_a_long_press_takes_no_more_memory_than_a_short_one(tmp_path: Path) -> None:
-    clip = open_clip(tmp_path / "clip", "never released", SETTINGS)
-    *_, before, onset, _, _, last = clip
-    last.consecutive = True
-    mechanics = Mechanics(steps=40, load_steps=10)
-    tracker, sizes = RunTracker(ClipInfo.of(clip), mechanics.seconds), {}
-    tracker.push(before)
-    tracker.push(onset)
-    for count in range(1, 5001):
-        now = onset.frame.time_s + count / 25
-        moment = dataclasses.replace(last.frame, index=8 + count, number=8 + count, time_s=now)
-        assert tracker.push(dataclasses.replace(last, frame=moment)) is None
-        if count in (50, 5000):
-            sizes[count] = len(pickle.dumps(tracker.current))
-    assert sizes[5000] - sizes[50] < 10  # larger numbers
-    run = tracker.finish().builder
-    assert run.pressed == 5000
-    np.testing.assert_allclose(run.build(mechanics).observation.times, [0.04, 0.08, 0.12, 0.16, 0.2])

@@ -44,16 +44,6 @@ def test_draws_keep_to_their_ranges() -> None:
         np.testing.assert_allclose(contact.interaction.observation.times, np.arange(1, 26) / 25)
 
 
-def test_a_press_may_outlast_the_second_that_is_stored() -> None:
-    long = dataclasses.replace(SETTINGS, press_seconds=(1.2, 1.3))
-    for contact in draw_contacts(long, 11, 2, 0.005):
-        seen = contact.interaction
-        assert not seen.released
-        press = Press.at(seen.vertex, seen.direction, np.ones(FINE_MECHANICS.steps))
-        loaded = simulate(contact.theta, seen.mesh, press, FINE_MECHANICS)
-        np.testing.assert_allclose(seen.moved, loaded[15::16], atol=1e-7)
-
-
 def test_the_same_seed_gives_the_same_contacts() -> None:
     first, again = (draw_contacts(SETTINGS, 5, 2, 0.005) for _ in range(2))
     for one, two in zip(first, again, strict=True):
@@ -105,12 +95,3 @@ def test_motions_follow_the_fitted_simulator() -> None:
     coarse = dataclasses.replace(FINE_MECHANICS, time_step=seen.time_step, steps=seen.load.steps)
     path = simulate(contact.theta, seen.mesh, seen.load, coarse)
     assert np.abs(path[seen.observation.steps(seen.time_step)] - seen.moved).max() < 5e-4
-
-
-@pytest.mark.parametrize("reach", [2, 5])
-def test_the_cut_edge_is_held(scene: Scene, reach: int) -> None:
-    mesh, _, cut = crop_mesh(scene.mesh, scene.vertex, reach)
-    edge = np.abs(mesh.pixels - scene.mesh.pixels[scene.vertex]).max(axis=1) == reach
-    np.testing.assert_array_equal(cut, edge)
-    assert edge.any()
-    assert mesh.rim[edge].all()

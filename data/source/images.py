@@ -67,8 +67,6 @@ def decode_image(
             problem = f"is {width}x{height}, far larger than its picture; store it at that size"
             raise InputError(f"{named} {problem}.")
         require_pixels(named, width, height)
-        if _packed(content) > 9 * width * height + 2**12:  # more than four channels of 16 bits that can't be packed
-            raise InputError(f"{named} is far larger than a picture of {width}x{height}; store it anew.")
     image = None
     if not _truncated(content):
         try:
@@ -118,16 +116,6 @@ def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
             f"and at most {LARGEST_ASPECT}:1."
         )
     return width, height
-
-
-def _packed(content: bytes) -> int:
-    """Size of a PNG's packed pixels [bytes]."""
-    place, found = 8, 0
-    while place + 8 <= len(content):
-        size = int.from_bytes(content[place : place + 4], "big")
-        found += size if content[place + 4 : place + 8] == b"IDAT" else 0
-        place += 12 + size
-    return found
 
 
 def _truncated(content: bytes) -> bool:

@@ -47,14 +47,6 @@ def test_folders_of_one_video_whose_numbers_follow_on_are_one_clip(tmp_path):
     assert join_folders(list_clips(tmp_path, LAYOUT), LAYOUT) == {first: (second,), apart: (), other: ()}
 
 
-def test_folders_that_say_otherwise_of_their_camera_stay_apart(tmp_path):
-    first, second = write_video(tmp_path, 1, (0, 4))
-    describe(second, depth_scale=2.0)
-    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
-    (second / "clip.json").write_text("{")  # it fails by itself
-    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
-
-
 def test_contact_goes_on_across_joined_folders(tmp_path):
     first, second = write_video(tmp_path, 1, (80, 84))
     source = open_source(first, LAYOUT, (second,))
@@ -203,13 +195,6 @@ def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
     stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST))
     points = [frame.contact.tissue_point for frame in stream if frame.in_contact]
     np.testing.assert_allclose(released.moved[0], points[3] - points[2], atol=1e-6)
-
-
-@pytest.mark.parametrize(("settings", "judged"), [(GRID, 2), (NEAREST, 0)])
-def test_whether_a_tool_hovers_is_not_asked_where_all_pairs_count(tmp_path, settings: GeometrySettings, judged: int):
-    folder = write_clip(tmp_path / "video01" / "video01_00000", contact=(1, 2), frames=4)
-    stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=settings))
-    assert sum(np.isfinite(frame.contact_probability) for frame in stream) == judged
 
 
 @pytest.mark.slow

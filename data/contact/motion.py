@@ -24,8 +24,6 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
-REST_SECONDS = 1.0
-"""Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
 REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
 SHADING_NOISE = 0.02
@@ -158,7 +156,8 @@ class ContactMotion:
         if followed and np.isfinite(self._left).all():
             # Not over the root of REST_FRAMES: rounding errors and the camera's drift are the same in all of them.
             return abs(float(np.mean(self._left))) > REST_SIGMA * self._run.onset.contact.noise
-        return onset.frame.time_s - self._last_time < REST_SECONDS
+        # Tissue that isn't followed counts as being at rest again after a second.
+        return onset.frame.time_s - self._last_time < 1.0
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:
         if self.settings.smoothing > 0:

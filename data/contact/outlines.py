@@ -13,8 +13,6 @@ FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
 OUTLINE_REACH = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
-MAX_BEHIND = 0.25
-"""A larger share of the tool's outline isn't the bottom of a dent."""
 CLEARLY = 3.0
 """A depth lies clearly behind others from this many standard deviations of its noise."""
 
@@ -46,7 +44,8 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
     outline = (labels == TOOL) & (around > 0) & (depth > 0)
     behind = outline & (depth > around + CLEARLY * noise)
-    if behind.sum() > MAX_BEHIND * outline.sum():
+    # A larger share of the tool's outline isn't the bottom of a dent.
+    if behind.sum() > 0.25 * outline.sum():
         return labels
     return np.where(behind, np.uint8(TISSUE), labels)
 

@@ -25,14 +25,6 @@ from palpate.data.source.layout import ClipLayout, InputError, matches
 
 BUILT_IN = ("stored", "stereo", "photometric")
 """Sources of depth that need no model."""
-FAR_QUANTILE = 0.999
-"""Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
-FAR_MULTIPLE = 3.0
-"""Largest depth of a frame as a multiple of its median; larger depth is background or a mismatch."""
-CLIP_QUANTILE = 0.9
-"""Quantile of the sampled frames' largest depths that is the clip's, so that a few bad frames have no effect."""
-OUTSIDE_LABEL = 255
-"""Label of pixels outside the camera's picture, after the removal of lens distortion."""
 MOST_THREADS = 1024
 """Largest number of threads of one program."""
 
@@ -147,7 +139,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."
         raise InputError(f"{source.path} has no frame with usable depth; {reason}")
-    scale = float(np.quantile(extents, CLIP_QUANTILE, method="lower")) if known is None else known
+    scale = float(np.quantile(extents, 0.9, method="lower")) if known is None else known
     return scale, None if depth.focal is None else depth.focal * source.size[0]
 
 
@@ -186,7 +178,8 @@ def _samples(
 def _largest_depth(depth: np.ndarray) -> float:
     """A frame's largest depth that is not an outlier [unit of the source]."""
     valid = depth[depth > 0]
-    return float(min(np.quantile(valid, FAR_QUANTILE), FAR_MULTIPLE * np.median(valid)))
+    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
+    return float(min(np.quantile(valid, 0.999), 3.0 * np.median(valid)))
 
 
 def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
@@ -242,7 +235,8 @@ def resize_depth(
     complete = bool(valid.all())
     result = np.zeros(size, np.float32)
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
-        if value == OUTSIDE_LABEL:
+        # Outside the camera's picture, after the removal of lens distortion.
+        if value == 255:
             continue
         usable = member if complete else member * valid
         weight = shares[index] if complete else _resized(usable, size)

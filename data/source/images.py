@@ -22,8 +22,6 @@ MOST_PIXELS = 2**25
 """Largest picture that is unpacked [px]; those of 8K are smaller."""
 MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
-MOST_PATH_LETTERS = 600
-"""Largest number of letters of a path in an error message."""
 LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
 """Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 _STDERR_LOCK = threading.Lock()
@@ -128,5 +126,5 @@ def _truncated(content: bytes) -> bool:
 def printable(path: Path) -> str:
     """The path as text that any terminal and file can hold; the middle of one of many folders is left out."""
     text = plain(os.fsencode(path).decode("utf-8", "replace"))
-    half = MOST_PATH_LETTERS // 2
+    half = 300
     return text if len(text) <= 2 * half else f"{text[:half]}…{text[-half:]}"

@@ -21,15 +21,9 @@ from palpate.data.synthetic.truth import TrueMotion
 
 SCATTERING = (0.9, 0.5, 0.35)
 """How far light spreads in tissue, a standard deviation: red, green and blue [grid px]."""
-GLOSS = 180.0
-"""Exponent of the wet surface's highlights."""
 TARGET, FOLLOWED, STEP = 0.2, 0.15, 0.02
 """Mean light that the exposure is after, the share of what is missing that it takes up a frame, and the logarithm by
 which it changes at least."""
-SLICES = 5
-"""Depths in which an instrument's shadow is thrown."""
-SMOKE_SIZE = 40.0
-"""Size of the wisps of smoke [grid px]."""
 
 
 class EndoscopeRenderer:
@@ -56,7 +50,8 @@ class EndoscopeRenderer:
         self._vignetting = 1 - generator.uniform(0.1, 0.4) * distance / distance.max()
         self._smoke, self._drift = generator.uniform(0, 0.08), generator.uniform(-1, 1, 2)
         sides = (camera.height, cell[1]), (camera.width, cell[0])
-        coarse = [round(side / of_cell / SMOKE_SIZE * 2) + 2 for side, of_cell in sides]
+        # Wisps of smoke are 40 grid px wide.
+        coarse = [round(side / of_cell / 40.0 * 2) + 2 for side, of_cell in sides]
         self._wisps = np.clip(0.5 + 0.3 * generator.standard_normal(coarse), 0, 1).astype(np.float32)
         self._gain: float | None = None
         """Logarithm of the exposure; None before the first frame, which finds its own."""
@@ -142,7 +137,7 @@ class EndoscopeRenderer:
             half /= np.linalg.norm(half, axis=-1, keepdims=True)
             reaches = share * np.square(EXPOSURE_DISTANCE / distance)
             found[0, index] = reaches * into * (level + slope * same)
-            found[1, index] = reaches * np.power(np.clip(_dot(rough, half), 0, 1), GLOSS)
+            found[1, index] = reaches * np.power(np.clip(_dot(rough, half), 0, 1), 180.0)
         return found
 
     def _shadow(self, tool: Tool, depth: np.ndarray, lamp: np.ndarray) -> np.ndarray:
@@ -152,7 +147,8 @@ class EndoscopeRenderer:
             return shadow.astype(np.float32)
         behind = depth[tool.rows, tool.columns]
         shift = 1 / np.maximum(tool.depth, 1e-3) - 1 / behind
-        edges = np.quantile(shift, np.linspace(0, 1, SLICES + 1))
+        # Depths in which the shadow is thrown.
+        edges = np.quantile(shift, np.linspace(0, 1, 6))
         for low, high in itertools.pairwise(edges):
             some = (shift >= low) & (shift <= high)
             moved = -0.5 * (low + high) * lamp[:2] * [camera.fx, camera.fy]

@@ -21,8 +21,6 @@ GREY = {name: entry.grey for name, entry in CLASSES.items()}
 """Grey code of every class."""
 ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdominal wall": (0.62, 0.30, 0.24)}
 """Linear RGB of the tissues."""
-HIGHLIGHT_EXPONENT = 1500
-"""Phong exponent of the wet surface: the light is mirrored within about 2 degrees."""
 
 
 class Renderer:
@@ -82,7 +80,8 @@ class Renderer:
         rough /= np.linalg.norm(rough, axis=-1, keepdims=True)
         glance = np.clip(np.einsum("ijk,ijk->ij", rough, towards), 0, 1)
         falloff = EXPOSURE_DISTANCE**2 / distance_square
-        highlight = self.scene.settings.highlights * np.power(glance, HIGHLIGHT_EXPONENT)
+        # A wet surface mirrors the light within about 2 degrees (Phong).
+        highlight = self.scene.settings.highlights * np.power(glance, 1500)
         return ((albedo * facing[..., None] + highlight[..., None]) * falloff[..., None])[inner]
 
 

@@ -24,12 +24,6 @@ SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-6, 1e-9
 """Local error of the integrator; positions come out within about 1e-6 scene units."""
-STIFFENING_LENGTH = 0.01
-"""Elongation at which nonlinear springs have grown (1 + β) times as stiff [scene units]."""
-WINDOW_LEAK = 1e-6
-"""Largest displacement allowed where the window cuts the mesh [scene units]."""
-VARIATION_LENGTH = 6.0
-"""Correlation length of the spring-to-spring variation [grid px]."""
 TIME_TOLERANCE = 1e-9
 """Times closer than this are equal [s]."""
 STEP = PressShape()
@@ -244,7 +238,8 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
     white = generator.standard_normal((settings.grid_height, settings.grid_width))
     if settings.stiffness_variation == 0:
         return None
-    smooth = gaussian_filter(white, VARIATION_LENGTH, mode="wrap")
+    # Correlation length of the spring-to-spring variation.
+    smooth = gaussian_filter(white, 6.0, mode="wrap")
     return np.exp(settings.stiffness_variation * smooth / smooth.std())
 
 
@@ -326,7 +321,7 @@ def _integrate(
         joined = abs(window.difference)
         neighbours = (joined.T @ (joined @ window.cut.astype(np.float64))) > 0
         leak = np.abs(displaced[:, neighbours]).max(initial=0)
-        if leak <= WINDOW_LEAK or radius >= largest:
+        if leak <= 1e-6 or radius >= largest:
             return window, displaced, response
         radius = math.ceil(1.5 * radius)
 
@@ -378,7 +373,8 @@ def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, directi
         elongation = grown / (length + window.lengths)
         tension = scale * elongation
         if settings.nonlinearity:
-            tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
+            # At an elongation of 0.01 springs have grown (1 + β) times as stiff.
+            tension *= 1 + settings.nonlinearity * np.square(elongation / 0.01)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
         forces[window.pressed] += force * force_factor(press.shape, np.asarray(time), press.load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()

@@ -110,7 +110,7 @@ def test_between_frames_amounts_go_on_evenly_and_end_with_the_sequence() -> None
     times = 0.08 * np.arange(1, 6)
     mixes = np.array([1.0, 3.0, 100.0, 2.0, 1.0])[:, None] * MIX
     hidden = np.zeros((5, SIDE, SIDE), bool)
-    hidden[2].reshape(-1)[: int((1 - module.MIN_VISIBLE) * PIXELS) + 1] = True
+    hidden[2].reshape(-1)[: int((1 - 0.4) * PIXELS) + 1] = True
     amounts, _, flags = parts(sequence_features(sequence_of(mixes, times, hidden), SPACING, NOISE, WITHIN))
     slots = slot_times()
     size = np.interp(slots, [0, 0.08, 0.16, 0.32, 0.4], [0, 1, 3, 2, 1]) * (slots < 0.4 + 1e-6)

@@ -6,6 +6,7 @@ can follow it.
 """
 
 import math
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -35,8 +36,11 @@ class Renderer:
         self.bumps = bumps(scene, generator)
         camera = scene.camera
         self.rays = back_project(np.ones((camera.height, camera.width)), camera)
-        whole = (slice(0, camera.height), slice(0, camera.width))
-        self.rest_light = self._tissue_light(self.rest, whole)
+
+    @cached_property
+    def rest_light(self) -> np.ndarray:
+        """Linear light of the tissue at rest, shape [H, W, 3]."""
+        return self._tissue_light(self.rest, np.s_[0 : self.scene.settings.height, 0 : self.scene.settings.width])
 
     def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Draw a frame. Frames are drawn in order: the noise goes on from the last one.

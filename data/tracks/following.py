@@ -153,11 +153,6 @@ class PointFollower:
         """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
-    @property
-    def expected(self) -> np.ndarray:
-        """Where the points are now, lost ones by their neighbours' motion, shape [N, 2] [px]."""
-        return self._expected(self._filled())
-
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         apart = ~values_at(self.shown.edge, self.place)
@@ -174,7 +169,7 @@ class PointFollower:
     def _relink(self, gray: np.ndarray, tissue: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
         motion = self._filled()
-        motion[self._grid] = expected = self._expected(motion) - self.points
+        motion[self._grid] = expected = np.where(self.followed[:, None], self.place - self.points, motion[self._grid])
         dragged = values_at(self.shown.edge, self.points + expected) | (self.distance < EDGED)
         place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
         off = np.linalg.norm(place - self.points - expected, axis=1)
@@ -183,10 +178,6 @@ class PointFollower:
         good &= resemblance(self._patterns, patterns(gray, place)) > 0.8
         self.followed = self.followed | good
         self._take(place, good)
-
-    def _expected(self, around: np.ndarray) -> np.ndarray:
-        """Places from the motion of the whole grid."""
-        return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
     def _take(self, place: np.ndarray, found: np.ndarray) -> None:
         self.place = np.where(found[:, None], place, self.place).astype(np.float32)

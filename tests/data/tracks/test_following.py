@@ -112,9 +112,6 @@ def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
         now[tool] = 30
         follower.step(now, tool)
         assert not follower.followed[hidden].any()
-        # Where it was last seen is a step behind by now.
-        off = follower.expected - follower.points - [2.0 * index, -index]
-        assert np.abs(np.median(off[hidden], axis=0)).max() < 0.3
     follower.step(warped(picture, shift(2.0 * RELINKED, -RELINKED)), NO_TOOL)
     assert follower.followed[hidden].mean() > 0.9
     off = np.linalg.norm(follower.moved - [2.0 * RELINKED, -RELINKED], axis=1)[hidden & follower.followed]

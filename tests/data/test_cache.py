@@ -143,8 +143,3 @@ def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             prepare(*asked)
-
-
-def test_names_of_any_length_and_alphabet(tmp_path):
-    folder = write_clip(tmp_path / ("ö" * 100), frames=3)
-    assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3

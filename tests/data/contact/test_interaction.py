@@ -15,13 +15,11 @@ from palpate.data.clip import ClipStream
 from palpate.data.contact.interaction import Interaction
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
-from palpate.data.synthetic.source import open_synthetic
 from palpate.data.training.samples import SampleSettings, builder_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.runs import Run, RunTracker
 from palpate.physics.mechanics import Mechanics
-from tests.data.clips import GRID, SETTINGS, make_clip, remove_depth, remove_frame, stored, write_clip
-from tests.data.synthetic.test_source import SCENE
+from tests.data.clips import GRID, SETTINGS, remove_depth, remove_frame, stored, write_clip
 
 MECHANICS = Mechanics()
 SMOOTH = dataclasses.replace(GRID, smoothing=4.0)
@@ -104,17 +102,6 @@ def test_stream_and_prepared_clip_give_the_same_interaction(name: str, geometry,
         if onset == min(contact) or geometry.smoothing == 0  # else what was pressed before may be dented still
     }
     require_one_builder(runs, stored(clip, tmp_path / "cache"), settings)
-
-
-def test_a_noisy_synthetic_clip_whose_drift_is_subtracted(tmp_path: Path) -> None:
-    scene = dataclasses.replace(SCENE, depth_bits=8)
-    geometry = dataclasses.replace(SMOOTH, height=60, width=107, rigid_motion="subtract")
-    settings = PrepareSettings(geometry=geometry, masks="annotation")
-    clip = open_synthetic(make_clip(scene, 4), settings)
-    runs = tracked(clip)
-    assert [run.builder.noise > 0 for run in runs.values()] == [True]
-    assert [len(run.builder.build(MECHANICS).sequence.times) > 5 for run in runs.values()] == [True]
-    require_one_builder(runs, stored(clip, tmp_path), settings)
 
 
 def test_until_a_frame_a_run_is_what_was_known_then(tmp_path: Path) -> None:

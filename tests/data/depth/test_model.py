@@ -109,13 +109,6 @@ def test_preprocessing_is_scale_mean_std_in_the_presets_order():
     assert (tensor.shape, tensor[0, 0, 0].tolist()) == ((1, 4, 6, 3), [0, 51, 255])
 
 
-def resized(shape: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """A random picture, and the network's input made of it."""
-    picture = np.random.default_rng(0).integers(0, 256, (*shape, 3), np.uint8)
-    preset = DepthPreset(name="a", kind="metric", size=size)
-    return picture, preprocess(picture, preset, place(*shape, preset))
-
-
 # Output kinds, and geometry of the output
 
 
@@ -183,13 +176,6 @@ def test_relative_inverse_depth_keeps_one_range_for_the_clip(tmp_path):
     # The darker frame is not stretched to near and far: its flicker shows.
     share = np.maximum(DARKER[..., 0] / 255 - 0.2, 0)
     np.testing.assert_allclose(maps[2], 1 / (5 + 25 * share), rtol=5e-3)
-
-
-def test_without_a_scale_the_first_frame_freezes_the_range(tmp_path):
-    depth, source, _ = opened(tmp_path, {"kind": "relative_inverse"}, [GREY, DARKER])
-    first, second = (depth(frame) for frame in source)
-    assert first.min() == pytest.approx(0.03, rel=1e-2)
-    assert second.min() > 1.1 * first.min()
 
 
 def test_focal_length_is_the_median_of_the_clip_and_then_fixed(tmp_path):

@@ -103,12 +103,6 @@ def test_resize_never_blends_with_invalid_pixels(valid, size):
     assert np.all((depth == 0) | np.isclose(depth, 0.7, rtol=1e-5))
 
 
-def test_resize_of_a_ramp_is_the_ramp_at_the_cells_centres():
-    ramp = np.broadcast_to(np.linspace(0.2, 0.8, 856, dtype=np.float32), (480, 856))
-    depth, _ = resize_depth(ramp, np.ones((480, 856), np.uint8))
-    assert depth[60] == pytest.approx(ramp[0].reshape(214, 4).mean(axis=1), rel=1e-5)
-
-
 def test_resize_keeps_a_cell_only_with_half_of_its_label_valid():
     depth = np.full((4, 8), 0.5, np.float32)
     depth[:3, :4] = 0  # a quarter valid

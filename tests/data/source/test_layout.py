@@ -167,6 +167,19 @@ def test_what_is_no_text_is_refused(tmp_path, content):
         read_mapping(tmp_path / "a.yaml", "a file")
 
 
+def test_merges_that_unfold_without_end_are_refused_or_not_unfolded(tmp_path):
+    """With PyYAML up to 6.0.3 the one, from 6.0.4 on the other."""
+    path = tmp_path / "a.yaml"
+    path.write_text(MERGED)
+
+    try:
+        found = read_mapping(path, "a file")
+    except InputError as error:
+        found = str(error)
+    refusal = f"{path} is not a file (its references have no end); correct the file."
+    assert found in (refusal, {name: {"x": 1} for name in "abcdefghij"})
+
+
 def test_references_are_followed(tmp_path):
     (tmp_path / "a.yaml").write_text("one: &one {x: 1}\ntwo: {<<: *one, y: 2}\nboth: [*one, *one]\n")
     one = {"x": 1}

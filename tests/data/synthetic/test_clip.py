@@ -16,7 +16,7 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.discovery import discover
 from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
-from palpate.data.synthetic.__main__ import main, picture_size
+from palpate.data.synthetic.__main__ import main
 from palpate.data.synthetic.clip import SyntheticClip, clip_seed, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from tests.data.clips import make_clip
@@ -201,9 +201,3 @@ def test_bad_usage_gets_a_sentence(tmp_path, monkeypatch, capsys, options, statu
     assert said in message
     assert "Traceback" not in message
     assert list(Path("set").rglob("*")) == []
-
-
-def test_sizes() -> None:
-    assert (picture_size("full"), picture_size("640x360")) == ((854, 480), (640, 360))
-    with pytest.raises(ValueError, match="give full, medium, small or WIDTHxHEIGHT"):
-        picture_size("640")

@@ -132,15 +132,6 @@ def test_no_video_is_in_two_splits():
     assert not NamedVideos()
 
 
-def test_named_videos_without_a_sample_to_train_on_are_refused(tmp_path):
-    write_video(tmp_path / "data", 1, (0,))
-    write_clip(tmp_path / "data" / "video02" / "video02_00000", contact=(), frames=3)
-    data = module(tmp_path, ("video02",), ("video01",))
-    data.prepare_data()
-    with pytest.raises(InputError, match="no sample in the videos named to train on"):
-        data.setup("fit")
-
-
 # --- contact pair and release ----------------------------------------------------------------------------------------
 
 CAMERA = Camera(100.0, 100.0, 63.5, 47.5, 128, 96)

@@ -66,7 +66,6 @@ LIGHT_DOORS = {
     "palpate.command.page": "palpate.results.page.render",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
-    "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
 HEAVY = ("torch", "lightning", "pytorch_lightning", "kornia", "mlflow", "jsonargparse", "torchmetrics", "onnx")

@@ -3,7 +3,6 @@
 harness      what all share: resuming, tables, pictures and page; an experiment gives rows for a case
 paper        `train.py test`: table 2, figure 3 and whether training collapsed
 recovery     synthetic clips with known truth against the best that is possible; benchmark: its door
-model_errors what fits get wrong besides what residuals tell, for estimators/model_errors.yaml; a door of its own
 compare_with_truth  estimates of synthetic clips; a door of its own
 plain_video  presses in drawn videos, from the pictures alone; a door of its own
 real         real clips, judged on what was kept back from the fit; a door of its own

@@ -58,7 +58,7 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
     """`change` from a map to the predicted one, for a decoder of this kind; None where it has no use for it.
 
     Args:
-        kind: direct, residual or physics.
+        kind: direct or physics.
         theta, mechanics: as in `change`.
         batch: a batch of the data module.
         side: a for forward in time, b for backward.

@@ -18,7 +18,6 @@ MODULES = [
     "estimators.network.calibration",
     "evaluation.benchmark",
     "evaluation.compare_with_truth",
-    "evaluation.model_errors",
     "evaluation.online",
     "evaluation.palpation",
     "evaluation.palpation.example",

@@ -1,20 +1,17 @@
-"""A contact's followed point, or its whole dent, fitted from start to verdict: optima, the posterior, the estimate."""
+"""A contact's dent fitted from start to verdict: optima, the posterior, the estimate."""
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.error_model import log_likelihoods, variance_scale
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
     DELAYS,
     Combined,
-    ContactProblem,
     Optimum,
     apart,
     combine,
@@ -31,7 +28,6 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.mechanics import Mechanics
 
-Problem = ContactProblem | SequenceProblem
 LARGEST_MISFIT = 1.5
 """The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
@@ -51,24 +47,8 @@ TRUST = 2 / 3
 holds more pliable tissue than there is; two thirds and more gave the most right verdicts on validation clips."""
 
 
-def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
-    """Fit a problem's parameters, those of θ first, within their box, shape [2, D]."""
-    low, high = box
-    prior = box_information(box)
-    candidates = evenly_spread(low, high)
-    paths = problem.coarse_paths(candidates)
-    starts = problem.best_starts(candidates, paths, low, high)
-    optima = distinct([find_optimum(problem, start, box) for start in starts])
-    draws = _sample(problem, optima, box, (candidates, paths))
-    if draws.effective < TOO_FEW:
-        # Most likely all starts have missed the best optimum, and some draw came near it.
-        optima = distinct([*optima, find_optimum(problem, draws.likeliest, box)])
-        draws = _sample(problem, optima, box, (candidates, paths))
-    return concluded(problem, box, optima, combine(optima, prior), draws if draws.effective >= TOO_FEW else None)
-
-
 def concluded(
-    problem: Problem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None, **more: Any
+    problem: SequenceProblem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
 ) -> Estimate:
     """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
@@ -78,7 +58,6 @@ def concluded(
         optima: all that were found.
         combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
         draws: of the posterior, which say them better; None = there are too few.
-        more: further fields of the estimate.
     """
     motion, prior, (mean, spread, best) = problem.motion, box_information(box), combined
     judges = mean[None]
@@ -101,34 +80,12 @@ def concluded(
         delays=tuple((motion.within * delays).tolist()),
         delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
-        **more,
+        outliers=problem.outliers,
     )
     if not is_oblique(found):
         return found
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
-
-
-def _sample(
-    problem: ContactProblem, optima: list[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
-) -> Draws:
-    """The posterior around its optima; known points [C, D] with their motions [C, N, 3] are draws as well."""
-    # The coarse step's error hardly varies over the posterior.
-    best = optima[0].logs
-    coarse_error = problem.coarse_paths(best[None])[0] - problem.path(best)
-    direction, sigma, prior = problem.direction, problem.sigma, box_information(box)
-    observed = (problem.moved + coarse_error) @ direction / sigma
-
-    def likelihoods(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return log_likelihoods(observed, paths @ direction / sigma)
-
-    shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
-    # Less information where an optimum explains the motion badly.
-    trusted = [each.information / max(variance_scale(2 * each.cost, len(observed)), 1.0) for each in optima]
-    widths = [WIDER * np.linalg.inv(each + prior) for each in trusted]
-    start = Mixture(shares / shares.sum(), np.array([optimum.logs for optimum in optima]), np.array(widths))
-    before = known[0], likelihoods(known[1])
-    return sample_posterior(lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, before)
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
@@ -147,11 +104,6 @@ FEW = 4
 long, and led no farther (five validation clips of presses on patches)."""
 REFUTED = 20.0
 """Optima whose misfit is so much larger than the best one's are out [nats]."""
-ROUND = 64
-"""Draws of a round; a power of two."""
-ENOUGH = 100.0
-"""Effective draws that are enough: the mean is then within a tenth of a standard deviation. A draw takes as long as
-ten of a single point's."""
 TAIL = 3.0
 """Half of the first draws are spread so many times as far as the optima say, as far as the box allows (a defensive
 mixture, Hesterberg 1995). Only inertia tells the common scale of k_s, k_d and F, and the less the larger that is:
@@ -193,7 +145,7 @@ def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray)
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
         found = _sample_field(problem, optima, best, box, scale)
         draws = found if found.effective >= TOO_FEW else None
-    return concluded(problem, box, optima, (mean, spread, best), draws, outliers=problem.outliers)
+    return concluded(problem, box, optima, (mean, spread, best), draws)
 
 
 def fit_press(
@@ -293,14 +245,8 @@ def _sample_field(
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
 
-    def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = []
-        for item in logs:
-            left = problem.left(problem.motion.quick(item) + error, item)
-            values.append(-0.5 * float(left @ left) / scale)
-        found = np.array(values).reshape(-1, 1)
-        return found, found
+    def log_likelihood(logs: np.ndarray) -> np.ndarray:
+        left = [problem.left(problem.motion.quick(item) + error, item) for item in logs]
+        return np.array([-0.5 * float(each @ each) / scale for each in left])
 
-    start = first_draws(optima, scale, prior)
-    none = np.empty((0, len(best.logs)))
-    return sample_posterior(likelihoods, box, start, (none, likelihoods(none)), ROUND, ENOUGH)
+    return sample_posterior(log_likelihood, box, first_draws(optima, scale, prior))

@@ -4,7 +4,7 @@ contract        Estimator and Session: opened once, a session a clip; open: an e
 estimate        what is said of θ; records: of a frame and of a run of contact
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
-grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
+grip            a sheet fitted to tissue that an instrument pulls, for runs without an onset
 palpation       measured forces: curves, regions, relaxation
 online          stiffness place by place, of particles that are mapped to what every frame shows
 runs            runs of contact, frame by frame, and what all sessions share
@@ -12,7 +12,6 @@ onset           unknown beginnings of a press; oblique: presses aslant to the li
 known_force     a force measured in a part of a motion, which tells it for the rest
 force_scale     newtons for scene units by a known force or stiffness; calibration_file: the file that says so
 palpated        Young's modulus from what a palpation left
-model_errors    what fits of pulls get wrong besides what residuals tell, as measured on synthetic clips
 cloud_shape     the surface that a cloud shows, in sequences beside a robot
 model_settings  an exported network's preparation, and what both networks' estimators share
 session         runs a session over a clip: the one way in which frames become estimates

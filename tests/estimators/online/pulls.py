@@ -7,6 +7,8 @@ from unittest import mock
 
 import numpy as np
 
+from benchmarks.online import sequences
+from benchmarks.online.sequences import FINE, SIDE, SPRINGS, State
 from palpate.data.source.sequence import open_sequence
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals
@@ -14,8 +16,6 @@ from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.session import Frame, Method
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.evaluation.online import sequences
-from palpate.evaluation.online.sequences import FINE, SIDE, SPRINGS, State
 from tests.sequences import FPS, SHIFT, TURN, write_sequence
 
 MODULUS = 1.7 - 0.5**2 / 1.7

@@ -7,7 +7,7 @@ import pytest
 
 from palpate.data.source.layout import InputError
 from palpate.estimators.online.given import read_path, read_pins
-from tests.evaluation.real_clips import write
+from tests.benchmarks.real_clips import write
 
 
 def test_tissue_is_pinned_where_the_mask_is_white(tmp_path: Path) -> None:

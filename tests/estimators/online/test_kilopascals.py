@@ -14,10 +14,10 @@ from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.kilopascals import Kilopascals
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.results.overlay import _described_field
+from tests.benchmarks.real_clips import SIZE, write
 from tests.estimators.online.pulls import by_palpation, draw_pull, holds
 from tests.estimators.online.pulls import followed as followed_pull
 from tests.estimators.online.test_estimator import SETTINGS, SHARES, run, write_annotated
-from tests.evaluation.real_clips import SIZE, write
 from tests.results.fields import FIELD_SEEN
 from tests.tables import read_rows
 

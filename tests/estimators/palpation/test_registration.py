@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.palpation.synthetic import sphere
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import View, join_views, register
-from palpate.evaluation.palpation.synthetic import sphere
 from palpate.physics.fem import make_solid, mesh_surface
 
 RADII = np.array([0.05, 0.04, 0.045])

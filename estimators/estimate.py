@@ -27,9 +27,6 @@ LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
 BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
-CONTRADICTION = 11.34
-"""Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
-
 
 class NoEstimate(ValueError):
     """A contact can't be estimated; the message is a sentence that says why."""
@@ -174,7 +171,8 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     logs = [np.log(np.abs(item.theta)) for item in (by_depth, by_light)]
     both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
     refuted = ""
-    if apart @ np.linalg.solve(sum(covariances), apart) > CONTRADICTION:
+    # Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times.
+    if apart @ np.linalg.solve(sum(covariances), apart) > 11.34:
         refuted = "The tissue's depth and its shading contradict each other."
     return dataclasses.replace(
         by_depth,

@@ -23,9 +23,6 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS
 from palpate.physics.msd.simulation import simulate
 
-MIN_MAGNITUDE = 1e-12
-"""Smaller magnitudes of parameters count as this before their logarithm is taken."""
-
 
 class GanEstimator(ModelEstimator):
     """Runs a trained parameter network over prepared clips.
@@ -94,7 +91,8 @@ class GanSession(RunSession):
             with self.timed("network"):
                 theta = self.estimator.model(depth[None])[0]
             if run.builder is not None and current.track_start == run.index:
-                self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), MIN_MAGNITUDE))
+                # Smaller magnitudes of parameters count as this before their logarithm is taken.
+                self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), 1e-12))
                 self._count += 1
             direction = force_direction(contact.normal, current.displacement, self.clip.geometry)
             with self.timed("simulation"):

@@ -20,8 +20,6 @@ LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
 RADIUS = NormalDist().inv_cdf(0.5 + LEVEL / 2)
 """Half the width of such an interval, in standard deviations."""
-LEAST_SPREAD = 0.1
-"""Of a column of logarithms that can have a coefficient; the noise of one suite has none."""
 MIDDLE = 0.05, 0.95
 """Quantiles of log σ between which widths may bend."""
 LEAST_CLIPS = 100
@@ -60,7 +58,8 @@ def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
         known: shape [n, D]; a column without spread gets a coefficient of 0.
     """
     spread = known.std(axis=0)
-    used = spread > LEAST_SPREAD
+    # Of a column of logarithms that can have a coefficient; the noise of one suite has none.
+    used = spread > 0.1
     columns = np.column_stack([np.ones(len(errors)), (known[:, used] - known[:, used].mean(axis=0)) / spread[used]])
 
     def loss(coefficients: np.ndarray) -> tuple[float, np.ndarray]:

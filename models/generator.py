@@ -79,8 +79,6 @@ SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
 MAX_WIDTH, MAX_BLOCKS = 256, 64
 """Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
-LEAST_DEPTH = 1e-3
-"""Depths are kept this far from 0 and 1 before their logit is taken."""
 
 
 class HeadOutput(NamedTuple):
@@ -180,7 +178,8 @@ class Decoder(nn.Module):
         hidden = self.up_full(functional.interpolate(hidden, size=size))
         change = self.output(hidden)
         if self.kind == "physics":
-            change = change + torch.logit(current, eps=LEAST_DEPTH)
+            # Depths are kept this far from 0 and 1 before their logit is taken.
+            change = change + torch.logit(current, eps=1e-3)
         return torch.sigmoid(change)
 
 

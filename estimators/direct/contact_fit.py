@@ -28,20 +28,10 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.mechanics import Mechanics
 
-LARGEST_MISFIT = 1.5
-"""The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
 DELAY_AT_END = 0.9
 """Delays beyond this share of their range lie at its end: the press may have begun outside of it."""
-LEAST_SHARE = 0.02
-"""Every optimum gets at least this share of the first draws, relative to the likeliest."""
-WIDER = 1.2
-"""The first draws are this much wider than the optima, in variance."""
-TOO_FEW = 10.0
-"""Fewer effective draws say less than the optima themselves."""
-JUDGES = 15
-"""Draws whose information is compared."""
 TRUST = 2 / 3
 """Share of the posterior that must agree that a contact determines its parameters. Half would trust the prior, which
 holds more pliable tissue than there is; two thirds and more gave the most right verdicts on validation clips."""
@@ -62,10 +52,12 @@ def concluded(
     motion, prior, (mean, spread, best) = problem.motion, box_information(box), combined
     judges = mean[None]
     if draws is not None:
-        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
+        # Draws whose information is compared.
+        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
     information = problem.information(mean)
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
     delays = mean[motion.delays]
+    # The model does not explain what lies farther from its best fit than this many σ.
     found = Estimate(
         theta=motion.theta(mean),
         covariance=spread[:3, :3],
@@ -75,7 +67,7 @@ def concluded(
         modes=count_modes(optima, prior),
         noise=problem.sigma,
         misfit=problem.misfit(best.logs),
-        largest_misfit=LARGEST_MISFIT,
+        largest_misfit=1.5,
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         delays=tuple((motion.within * delays).tolist()),
         delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
@@ -99,11 +91,6 @@ def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
-FEW = 4
-"""Evaluations of a start in a round, after which it is decided anew what the pixels show. With 8 rounds took twice as
-long, and led no farther (five validation clips of presses on patches)."""
-REFUTED = 20.0
-"""Optima whose misfit is so much larger than the best one's are out [nats]."""
 TAIL = 3.0
 """Half of the first draws are spread so many times as far as the optima say, as far as the box allows (a defensive
 mixture, Hesterberg 1995). Only inertia tells the common scale of k_s, k_d and F, and the less the larger that is:
@@ -131,7 +118,8 @@ def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
     for _ in range(problem.motion.looks):
         problem.look(optima[0].logs, finer=True, outliers=True)
         optima = distinct([find_optimum(problem, optimum.logs, box) for optimum in optima])
-        optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
+        # Optima whose misfit is so much larger than the best one's are out [nats].
+        optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + 20.0]
     return optima
 
 
@@ -144,7 +132,8 @@ def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray)
     spread, draws = scale * spread, None
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
         found = _sample_field(problem, optima, best, box, scale)
-        draws = found if found.effective >= TOO_FEW else None
+        # Fewer effective draws say less than the optima themselves.
+        draws = found if found.effective >= 10.0 else None
     return concluded(problem, box, optima, (mean, spread, best), draws)
 
 
@@ -216,7 +205,8 @@ def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.n
         led = []
         for logs in starts:
             problem.look(logs)
-            found = find_optimum(problem, logs, box, FEW)
+            # Evaluations of a start in a round, after which it is decided anew what the pixels show.
+            found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
             led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
         led.sort(key=lambda pair: pair[0])
@@ -232,8 +222,10 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
         scale: σ² is so many times as large as the optima take it to be.
         prior: information of the admissible box, shape [D, D].
     """
-    shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
-    widths = [WIDER * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, TAIL) for o in optima]
+    # Every optimum gets at least this share of the first draws, relative to the likeliest.
+    shares = np.maximum(evidence_shares(optima, prior), 0.02)
+    # The first draws are this much wider than the optima, in variance.
+    widths = [1.2 * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, TAIL) for o in optima]
     places = np.array([optimum.logs for optimum in optima])
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 

@@ -35,8 +35,6 @@ STEP = math.sqrt(12)
 ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
 """Depths farther apart than the first are taken to correlate less than the theory says [steps]; the second is the share
 of the rounding errors' variance that is taken to be independent."""
-HIDDEN = 1e6
-"""Standard deviation of what isn't seen [σ]."""
 
 
 class SequenceProblem(LeastSquares):
@@ -121,7 +119,8 @@ class SequenceProblem(LeastSquares):
         """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
         noise, frames = self.sequence.noise, len(sunk)
         new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
-        new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
+        # Standard deviation of what isn't seen [σ].
+        new = np.where(self.seen, new, (1e6 * noise.total) ** 2).T
         walls = np.sqrt(np.where(self.seen, self._walls, 0.0)).T
         # A patch's end stays where it is, more or less.
         covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]

@@ -24,10 +24,6 @@ APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
 TOLERANCE = 1e-6
 MOST_EVALUATIONS = 60
-SAME = 0.05
-"""Optima nearer to each other than this in every log-parameter are one."""
-NEGLIGIBLE = 1e-3
-"""Optima with less than this share of the likeliest one's evidence are left out."""
 LEAST_MODE, MODES_APART = 0.05, 3.0
 """Optima are modes of the posterior from such a share of the likeliest one's evidence on, if they lie so many standard
 deviations of their difference from all likelier ones."""
@@ -172,7 +168,8 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
         prior: information of the admissible box, which limits that volume, shape [3, 3].
     """
     shares = evidence_shares(optima, prior)
-    shares = np.where(shares < NEGLIGIBLE, 0.0, shares)
+    # Optima with less than this share of the likeliest one's evidence are left out.
+    shares = np.where(shares < 1e-3, 0.0, shares)
     shares /= shares.sum()
     places = np.array([optimum.logs for optimum in optima])
     mean = shares @ places
@@ -203,6 +200,7 @@ def distinct(optima: Sequence[Optimum]) -> list[Optimum]:
     """The optima without those that another start found as well, the best first."""
     kept: list[Optimum] = []
     for optimum in sorted(optima, key=lambda item: item.cost):
-        if all(np.abs(optimum.logs - other.logs).max() > SAME for other in kept):
+        # Optima nearer to each other than this in every log-parameter are one.
+        if all(np.abs(optimum.logs - other.logs).max() > 0.05 for other in kept):
             kept.append(optimum)
     return kept

@@ -23,8 +23,6 @@ ENOUGH = 100.0
 """Effective draws after which no further round is made: a mean is then within a tenth of a standard deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
-WIDER = 1.2
-"""Moved components are this much wider than the draws that they follow, in standard deviations."""
 GUIDES = 40.0
 """Effective draws that a mixture is moved by: where fewer count, a flattened posterior is followed. Bounded errors cut
 jagged pieces out of a posterior, and a mixture that jumps to the first piece found misses the others."""
@@ -72,7 +70,8 @@ class Mixture:
         means = parts.T @ points
         apart = points[:, None] - means
         spreads = np.einsum("nk,nki,nkj->kij", parts, apart, apart)
-        shape = WIDER**2 * (FREEDOM - 2) / FREEDOM
+        # Moved components are this much wider than the draws that they follow, in standard deviations.
+        shape = 1.2**2 * (FREEDOM - 2) / FREEDOM
         return Mixture(shares, means, (1 - KEPT) * shape * spreads + KEPT * self.scales[used])
 
 

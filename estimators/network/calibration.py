@@ -48,8 +48,6 @@ from palpate.models.onnx_session import PosteriorModel
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 """Files that the benchmark writes into its folder."""
-MAX_RESULTS_BYTES = 2**27
-"""Largest size of a file of results."""
 
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
@@ -105,7 +103,8 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
     for folder in folders:
         check_record(folder, model_sha256, seen, onset)
         try:
-            rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
+            # Largest size of a file of results.
+            rows += map(json.loads, read_file(folder / RESULTS, (2**27)).splitlines())
         except (OSError, ValueError, RecursionError) as error:
             raise ValueError(f"{folder / RESULTS} holds no results; run the evaluation into {folder} anew.") from error
     return rows

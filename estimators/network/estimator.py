@@ -26,8 +26,6 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
-LEAST_OBSERVATIONS = 2
-"""Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
 FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
@@ -41,8 +39,6 @@ NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
-BOUND_MARGIN = 0.02
-"""A mean closer to a bound than this share of the box (in logarithms) counts as at the bound."""
 
 
 class NetworkEstimator(ModelEstimator):
@@ -116,7 +112,8 @@ class NetworkEstimator(ModelEstimator):
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
             contact = contact.observed(contact.observation.times <= min(load, longest) + TIME_TOLERANCE)
-        if len(contact.observation) < LEAST_OBSERVATIONS:
+        # Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer.
+        if len(contact.observation) < 2:
             raise NoEstimate(TOO_EARLY)
         return contact
 
@@ -132,7 +129,8 @@ class NetworkEstimator(ModelEstimator):
         box, (mean, covariance, expected) = self.bounds.log_box, outputs
         misfit, information = compared(contact, mechanics, mean, covariance, within)
         noise = network_noise(contact)
-        at_bound = np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0])
+        # A mean closer to a bound than this share of the box (in logarithms) counts as at the bound.
+        at_bound = np.minimum(mean - box[0], box[1] - mean) < 0.02 * (box[1] - box[0])
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
         known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
         return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)

@@ -62,16 +62,10 @@ from palpate.physics.likelihood import Likelihood, Linearised
 WEIGHTS, LOG = "posterior.pt", "training.jsonl"
 """Files of the output folder; the first appears at the end."""
 CONTACTS_A_SCENE = 8
-LEAST_STEPS = 4
-"""Fewest steps of a stage: its learning rate rises over three steps, and falls."""
 ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
 """Samples a step of the rough stage, and its largest learning rate."""
-SEED_OFFSET = 1_000_003
-"""Number added to the seed for contacts whose instants are unknown."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """Samples a step of the last two stages, and their largest learning rate."""
-COVARIANCE_WEIGHT = 0.3
-"""Weight of the covariance's loss relative to the means'; the two share the network, and nothing else."""
 SCALE_SAMPLES, LEAST_SCALE = 2000, 0.02
 """Samples that set the inputs' centre and scale, and the least scale of the depth-change sequence's inputs."""
 BLUR_SHARES = 0.3, 0.03
@@ -101,7 +95,8 @@ class ContactSettings:
     def __post_init__(self) -> None:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
-        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (LEAST_STEPS, LARGEST_NUMBER))
+        # Fewest steps of a stage.
+        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST_NUMBER))
         any_number = 0, LARGEST_NUMBER
         require_between(self, contacts=(1, LARGEST_NUMBER), seed=any_number, workers=any_number, **steps)
 
@@ -209,7 +204,8 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     prior, middle = (values.double() for values in box_prior(*box))
     whole = information + prior
     best = logs + torch.linalg.solve(whole, pull - (logs - middle) @ prior)
-    return moved + COVARIANCE_WEIGHT * covering(mean.detach(), factor, best.to(mean), whole)
+    # Weight of the covariance's loss relative to the means'; the two share the network, and nothing else.
+    return moved + 0.3 * covering(mean.detach(), factor, best.to(mean), whole)
 
 
 def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -308,9 +304,10 @@ def train_contact(options: ContactSettings) -> None:
 def _trainer(options: ContactSettings, progress: Progress) -> Trainer:
     """The trainer, with depth-change sequences on contacts of which half have unknown instants."""
     half = -(-options.contacts // 2)
+    # Number added to the seed for contacts whose instants are unknown.
     parts = [
         make_contacts(half, options.seed + offset, progress, options.workers, within)
-        for offset, within in ((0, 0.0), (SEED_OFFSET, FRAME_S))
+        for offset, within in ((0, 0.0), (1_000_003, FRAME_S))
     ]
     within = [0.0] * len(parts[0]) + [FRAME_S] * len(parts[1])
     return Trainer([*parts[0], *parts[1]], within, options.seed)

@@ -29,8 +29,7 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
     height, width = canvas.shape[:2]
     inset = cv2.resize(canvas, (round(INSET * width), round(INSET * height)), interpolation=cv2.INTER_AREA)
     places = (field.pixels + 0.5) * factor
-    stretch = field.distance if field.young is None else field.young[0]
-    against = (canvas, 1.0, stretch, field.known), (inset, INSET, field.shape, field.shape_known)
+    against = (canvas, 1.0, field.distance, field.known), (inset, INSET, field.shape, field.shape_known)
     for picture, share, values, known in against:
         if not known.any():
             continue

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.online.particle_field import YOUNG, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
@@ -146,10 +146,7 @@ def _described_field(field: ParticleField) -> str:
     if math.isnan(field.skill):
         return FIELDS["still"]
     name = "undetermined" if field.verdict == "undetermined" else "coloured"
-    unit = FIELDS["relative"]
-    if "young_kPa" in (found := field.numbers()):
-        unit = FIELDS["young"].format(*(found[name] for name in YOUNG))
-    return FIELDS[name if field.explained else "unexplained"].format(left=1 - field.skill, range=RANGE, unit=unit)
+    return FIELDS[name if field.explained else "unexplained"].format(left=1 - field.skill, range=RANGE)
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

@@ -28,18 +28,14 @@ from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.given import read_path, read_pins
-from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import FILES, OnlineSettings
 from palpate.estimators.online.surface import facing, make_surface, uncovered
-from palpate.estimators.palpated import palpated_young
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
-FIELD_ALONE = (
-    "Relative stiffness place by place (fields.npz) is told, kPa by a known force or palpation; no k_s, k_d or F."
-)
+FIELD_ALONE = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
 UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
 
 NUMBERS = (
@@ -65,7 +61,6 @@ class OnlineEstimator:
         self.settings = settings
         self.pins = None if settings.pins is None else read_pins(Path(settings.pins))
         self.path = None if settings.path is None else read_path(Path(settings.path))
-        self.palpated = None if settings.palpation is None else palpated_young(Path(settings.palpation))
         named = {name: getattr(settings, name) for name in FILES}
         paths = {name: Path(path) for name, path in named.items() if path is not None}
         files = {name: {"path": str(path.resolve()), "sha256": file_sha256(path)} for name, path in paths.items()}
@@ -106,13 +101,6 @@ class _Followed:
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
-        anchor: Palpated | float | None = settings.sheet_m
-        if estimator.palpated is not None:
-            place = grid_to_picture(
-                np.array([settings.palpated_at]), clip.size[::-1], (surface.camera.width, surface.camera.height)
-            )
-            anchor = (*estimator.palpated, surface.particle(place))
-        self.kilopascals = Kilopascals(self._driven, anchor)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
@@ -134,8 +122,6 @@ class _Followed:
             moved = still
         cloud = None if self._settings.match == "tracks" else self._cloud(frame)
         self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
-        if self._gap is not None and self._clip.force is not None:
-            self.kilopascals.add(abs(float(self._clip.force.at(np.array(frame.frame.time_s)))))
         self._times.append(frame.frame.time_s)
 
     def _led(self, time: float) -> np.ndarray | None:
@@ -194,8 +180,7 @@ class _Followed:
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
-        found = ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
-        return self.kilopascals.anchored(found, None if self._clip.metres is None else self._clip.metres())
+        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
 
     def _cloud(self, frame: PreparedFrame) -> Cloud:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
@@ -261,7 +246,6 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            kilopascals = self._driven.kilopascals.said if found.determined else ""
-            said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
+            said = " ".join(filter(None, (found.explanation or UNDRIVEN, self._driven.fitted)))
         detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
         return run.estimate(interaction=contact, field=found, detail=detail)

@@ -80,11 +80,6 @@ class Surface:
         shape = len(inside), self.body.count
         return inside, csr_array((shares[inside].ravel(), members[inside].ravel(), starts), shape=shape)
 
-    def particle(self, place: np.ndarray) -> int | None:
-        """The one nearest to a place, shape [1, 2] [px], in the triangle around it; None = beside the tissue."""
-        shares = self.places(place)[1]
-        return int(shares.indices[shares.data.argmax()]) if shares.nnz else None
-
 
 def make_surface(
     frame: PreparedFrame,

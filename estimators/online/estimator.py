@@ -9,28 +9,23 @@ them.
 import dataclasses
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from palpate.common.files import file_sha256
 from palpate.common.robust import affine_motion
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import back_project
-from palpate.data.source.images import printable
-from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower, shrunk
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.given import read_path, read_pins
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
-from palpate.estimators.online.settings import FILES, OnlineSettings
-from palpate.estimators.online.surface import facing, make_surface, uncovered
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.surface import facing, make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
@@ -50,21 +45,13 @@ class OnlineEstimator:
 
     Args:
         settings: how.
-
-    Raises:
-        InputError: a file that they name can't be used.
     """
 
     name = "online"
 
     def __init__(self, settings: OnlineSettings) -> None:
         self.settings = settings
-        self.pins = None if settings.pins is None else read_pins(Path(settings.pins))
-        self.path = None if settings.path is None else read_path(Path(settings.path))
-        named = {name: getattr(settings, name) for name in FILES}
-        paths = {name: Path(path) for name, path in named.items() if path is not None}
-        files = {name: {"path": str(path.resolve()), "sha256": file_sha256(path)} for name, path in paths.items()}
-        self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
+        self.described = {"name": self.name, **dataclasses.asdict(settings)}
         """All that the fields depend on besides the clip."""
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
@@ -72,13 +59,7 @@ class OnlineEstimator:
         return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
-        """Open a session.
-
-        Raises:
-            InputError: a mask of pins that is not of the pictures' size.
-        """
-        if self.pins is not None:
-            self.pins.require_size(clip.size)
+        """Open a session."""
         return OnlineSession(self, clip)
 
 
@@ -92,12 +73,10 @@ class _Followed:
     def __init__(self, first: PreparedFrame, clip: ClipInfo, estimator: OnlineEstimator) -> None:
         if not first.visible:
             raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
-        settings, self._path = estimator.settings, estimator.path
+        settings = estimator.settings
         self._number, self._clip, self._settings = first.frame.number, clip, settings
-        self._origin = None if self._path is None else self._path.begun(first.frame)
         picture, labels = first.view
-        chosen = settings.particles, settings.thickness, estimator.pins, estimator.path
-        surface = make_surface(first, clip.camera, clip.geometry, *chosen)
+        surface = make_surface(first, clip.camera, clip.geometry, settings.particles, settings.thickness)
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
@@ -121,26 +100,8 @@ class _Followed:
                 self._background = affine_motion(follower.points, motion, known, places)
             moved = still
         cloud = None if self._settings.match == "tracks" else self._cloud(frame)
-        self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
+        self._gap = self._driven.step(moved, cloud).gap
         self._times.append(frame.frame.time_s)
-
-    def _led(self, time: float) -> np.ndarray | None:
-        """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't known.
-
-        Raises:
-            InputError: behind the camera.
-        """
-        place = None if self._path is None else self._path.at(time)
-        if self._path is None or place is None or self._origin is None:
-            return None
-        surface = self._driven.surface
-        motion = place - self._origin
-        shrunk = np.divide((surface.camera.width, surface.camera.height), self._clip.size)
-        places = self._driven.led_places(motion[:2] * shrunk - self._background[surface.gripped], -motion[2])
-        if not (places[:, 2] > 0).all():
-            said = f"takes tissue behind the camera by {time:g} s"
-            raise InputError(f"{printable(self._path.path)} {said}; give z in scene units, as the clip's depth is.")
-        return places
 
     @property
     def fitted(self) -> str:
@@ -156,7 +117,6 @@ class _Followed:
     def estimate(self) -> FieldEstimate:
         """What the run tells by now."""
         driven = self._driven
-        driven.finish()
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
@@ -195,7 +155,7 @@ class _Followed:
         inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
         column, row = np.clip(pixels, 0, (width - 1, height - 1)).astype(int).T
         shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
-        shown &= facing(states, surface.body.rest, surface.faces)[upper] & uncovered(states, surface.body.faces)[upper]
+        shown &= facing(states, surface.body.rest, surface.faces)[upper]
         return cloud[some], upper[shown]
 
 

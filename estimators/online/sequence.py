@@ -23,7 +23,7 @@ from palpate.physics.pbd.body import make_body
 
 PIXELS = 12.0
 """Between particles: followed points of a video at 600 particles have about as many."""
-OF_VIDEO = ("match", "background", "pins", "path")
+OF_VIDEO = ("match", "background")
 """Settings that a sequence's own file stands for."""
 
 
@@ -53,9 +53,9 @@ class SequenceTissue:
         rest = np.empty((0, 3)) if self._points is None else self._points[self._begin]
         self._followed = np.flatnonzero(np.isfinite(rest).all(axis=1))
         match = "both" if len(self._followed) else "chamfer"
-        how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
+        how = dataclasses.replace(settings, match=match, background="keep")
         pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
-        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how)
+        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how, led=True)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
@@ -65,8 +65,6 @@ class SequenceTissue:
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
-            if frame == self._sequence.held[-1]:
-                self.driven.finish()
             yield frame, self._field(gap)
 
     def _moved(self, frame: int) -> np.ndarray:

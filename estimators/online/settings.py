@@ -1,6 +1,6 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -11,8 +11,6 @@ from palpate.estimators.online.session import Method
 from palpate.physics.pbd.simulation import Stepping
 
 LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
-FILES = ("pins", "path")
-"""Settings that name files."""
 MOST_FITTED = 50
 """Frames that can be fitted to; every one is kept until then."""
 
@@ -47,12 +45,6 @@ class OnlineSettings:
     """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
     thickness: float | None = None
     """Of the tissue along its surface's normal [scene units]; None = a sheet."""
-    pins: str | None = None
-    """Mask picture of the clip's size whose white tissue is pinned, next to the settings' file; None = the tissue's
-    edge far from instruments."""
-    path: str | None = None
-    """CSV file of the gripper's way, likewise, with the columns time_s, x_px, y_px and z [scene units]; None = as the
-    points move that are followed at the instrument."""
     match: Literal["tracks", "chamfer", "both"] = "tracks"
     """What the state is taken to: followed points across the line of sight, the cloud of its depth, or both. What is
     reported of stiffness comes of followed points whatever this is."""
@@ -88,9 +80,6 @@ class OnlineSettings:
             raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
         if self.thickness is not None and not self.thickness > 0:
             raise ValueError(f"thickness is {self.thickness}; give a positive length, or null for a sheet.")
-        for name in FILES:
-            if "\0" in (getattr(self, name) or ""):
-                raise ValueError(f"{name} holds a NUL, which no file's name does; leave it out.")
         if self.points < 1:
             raise ValueError(f"points is {self.points}; give 1 at least.")
         if not 0 <= self.fitted <= MOST_FITTED:
@@ -107,12 +96,9 @@ class OnlineSettings:
 
 
 def load_settings(path: Path) -> OnlineSettings:
-    """Settings of a YAML file; what it leaves out keeps its default, and files that it names lie next to it.
+    """Settings of a YAML file; what it leaves out keeps its default.
 
     Raises:
         InputError: unreadable file, an unknown key, or an impossible value.
     """
-    values = read_mapping(path, "a file of settings")
-    settings = from_mapping(OnlineSettings, values, str(path))
-    files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
-    return replace(settings, **files)
+    return from_mapping(OnlineSettings, read_mapping(path, "a file of settings"), str(path))

@@ -1,7 +1,7 @@
 """A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -153,15 +153,3 @@ def across(palpation: Palpation, pose: np.ndarray) -> np.ndarray:
     first = first - (first @ normal) * normal
     first /= np.linalg.norm(first)
     return (moved(palpation.points, pose) - palpation.contact) @ np.stack([first, np.cross(normal, first)], axis=1)
-
-
-def half_as_stiff(rest: Equilibrium) -> Equilibrium:
-    """A body under the same forces with half of its Young's modulus: what an error by a factor of two looks like.
-
-    Raises:
-        NoEquilibrium: it can't bear them.
-    """
-    energy = rest.energy
-    softer = replace(energy.material, young=energy.material.young / 2)
-    start = 2 * rest.displacement
-    return find_equilibrium(energy.solid, softer, rest.held, forces=energy.forces, start=start, near=rest.solver)

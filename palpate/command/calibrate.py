@@ -4,8 +4,7 @@
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
 (Frank 2010), or to clouds, poses and forces of a robot whose tool presses (sequence.yaml). Writes calibration.json,
-errors.csv, the distance of every point from the fitted surface, and errors.png, where these lie, next to those of a
-body half as stiff.
+errors.csv, the distance of every point from the fitted surface, and errors.png, where these lie.
 
 Not a medical device.
 """
@@ -13,7 +12,6 @@ Not a medical device.
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -27,7 +25,7 @@ from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
+from palpate.estimators.palpation.bench import across, surface_distance, surface_error
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
@@ -115,13 +113,11 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
 
 
 def _picture(scene: Scene, found: MaterialFit) -> Figure:
-    """What the first palpation's simulation leaves, next to that of half as stiff a body where that bears the force."""
-    each, pose, softer = scene.palpations[0], found.poses[0], None
+    """What the first palpation's simulation leaves."""
+    each, pose = scene.palpations[0], found.poses[0]
     fitted = 1000 * surface_distance(scene.skin, found.rests[0], each, pose)
-    with suppress(NoEquilibrium):
-        softer = 1000 * surface_distance(scene.skin, half_as_stiff(found.rests[0]), each, pose)
     title = f"Palpation 1 of {len(scene.palpations)}, {np.linalg.norm(each.force):.3g} N: what its simulation leaves"
-    return draw_surface_errors(1000 * across(each, pose), fitted, softer, 1000 * each.hole, title)
+    return draw_surface_errors(1000 * across(each, pose), fitted, 1000 * each.hole, title)
 
 
 def _errors(scene: Scene, found: MaterialFit) -> str:

@@ -263,27 +263,16 @@ def test_below_a_field_are_its_course_and_its_map() -> None:
     assert mapped.get_title("left") == "stiffness: determined nowhere"
 
 
-def test_surface_errors_share_a_scale_on_which_half_the_stiffness_shows() -> None:
-    """A dent as deep again, in noise that is larger, of which cells leave little and the difference nothing."""
+def test_surface_errors_are_means_over_cells() -> None:
     chance = np.random.default_rng(4)
     places = chance.uniform(-40, 40, (6000, 2))
     away = np.linalg.norm(places, axis=1)
-    fitted = np.where(away < 16, np.nan, chance.normal(0, 0.3, len(places)))
-    dent = 0.6 * np.exp(-(((away - 16) / 8) ** 2))
-    figure = draw_surface_errors(places, fitted, fitted + dent, 16.0, "a press of 0.5 N")
-    *panels, bar = figure.axes
-    (one, two, three) = (axes.collections[0] for axes in panels)
-    assert one.get_clim() == two.get_clim() == three.get_clim()
-    low, high = one.get_clim()
+    left = np.where(away < 16, np.nan, 0.6 * np.exp(-(((away - 16) / 8) ** 2)) + chance.normal(0, 0.3, len(places)))
+    figure = draw_surface_errors(places, left, 16.0, "a press of 0.5 N")
+    panel, bar = figure.axes
+    low, high = panel.collections[0].get_clim()
     assert (low, bar.get_ylabel()) == (-high, f"measured less simulated surface, up to {high:.2f} mm")
+    assert high == pytest.approx(0.6, abs=0.15)
     assert figure.get_supxlabel().endswith(NOTICE)
-    first, second, third = (np.asarray(each.get_array()) for each in (one, two, three))
-    np.testing.assert_allclose(third, second - first, atol=1e-12)
-    reached = np.quantile(np.abs(np.stack([first, second])), 0.98, axis=1) / high
-    assert reached[1] > 0.9
-    assert reached[0] < 0.6 * reached[1]
     beside = (away >= 16) & (away < 24)
-    names = [axes.get_title() for axes in panels]
-    assert names[0] == f"as fitted\n{fitted[beside].mean():+.2f} mm next to the tool"
-    assert names[2] == f"half as stiff less as fitted\n{dent[beside].mean():+.2f} mm next to the tool"
-    assert len(draw_surface_errors(places, fitted, None, 16.0, "a press").axes) == 2
+    assert panel.get_title() == f"{left[beside].mean():+.2f} mm next to the tool"

@@ -30,8 +30,6 @@ diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so
 MASS, STIFFNESS = "mass", "stiffness"
 EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
 """b by the property that contacts share."""
-FORCE_ROW = np.array([0.0, 0.0, 1.0])
-"""Row that picks log |F| from φ."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,8 @@ class ForceScale:
             if own is None:
                 return None
             # Where this run determined g, g = … - weight·(F's row)·φ.
-            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.homogeneous])
+            # [0, 0, 1] picks log |F| from φ.
+            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + EXPONENTS[self.homogeneous])
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
             return found + np.outer(length_error, length_error)
 

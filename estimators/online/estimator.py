@@ -30,9 +30,6 @@ from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
-FIELD_ALONE = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
-UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
-
 NUMBERS = (
     *("skill", "field_known", "shape_known"),
     *(f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")),
@@ -206,6 +203,8 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            said = " ".join(filter(None, (found.explanation or UNDRIVEN, self._driven.fitted)))
-        detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
+            undriven = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
+            said = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
+        alone = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
+        detail = " ".join(filter(None, (run.detail, said, alone)))
         return run.estimate(interaction=contact, field=found, detail=detail)

@@ -33,10 +33,6 @@ STRIDE = 0.1
 its turns. Facets pull it to and fro there."""
 ROUNDS = 15
 """Simulations of every press at most."""
-TURNED = 0.25
-"""Share of a step that the next one takes back, from which on steps are halved."""
-STIFFEST = 4.0**5
-"""Over what the linear law says, from where no equilibrium is looked for any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +235,8 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
                 trust /= 3
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
-            if trust < SHORTEST or stiffer > STIFFEST:
+            # Stiffer than that over the linear law's E, no equilibrium is searched.
+            if trust < SHORTEST or stiffer > 4.0**5:
                 raise
             continue
         states = states_of(bench, tried, 1.0)
@@ -252,7 +249,8 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         (young, at), rests, system = aim, tried, following
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
-        trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
+        # Steps of which the next one takes back a quarter are halved.
+        trust = trust / 2 if steps > 1 and gone @ found.change < -0.25 * gone @ gone else 1.0
         report(f"step {steps}: E {young:.4g} Pa, ν {at:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == ROUNDS:
             return young, at, rests, found

@@ -28,8 +28,6 @@ FRAMES = 20
 """Frames, the first ones, that show the tissue at rest."""
 HIDDEN, UPRIGHT = 1.3, 0.7
 """Hole around a contact over the tool's radius, and least cosine of a force with the normal of the tissue's plane."""
-OFF = 5e-3
-"""How far the tip may be above the tissue where the force is largest, for what poses and clouds err [m]."""
 REPEATED = {"base": (1e-6, 1e-5), "tool": (1e-4, 5e-4)}
 """Standard deviations of a camera's pose between two frames, by what carries it [m, rad]."""
 FINE = 0.2
@@ -76,7 +74,8 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     heights, covered = shape.heights(contacts[:, :2])
     if not covered.all():
         raise InputError(f"{where}: the tool presses where clouds at rest show no tissue; give clouds of all of it.")
-    if (above := float((heights - contacts[:, 2]).max())) > OFF:
+    # How far the tip may be above the tissue where the force is largest, for what poses and clouds err [m].
+    if (above := float((heights - contacts[:, 2]).max())) > 5e-3:
         said = f"is {above:.2g} m off the tissue while it presses; put forces and poses on one clock, or mend `tip`"
         raise InputError(f"{where}: the tip {said}.")
     contacts[:, 2] = heights

@@ -13,7 +13,6 @@ from palpate.physics.fem.surface import areas, nearest, rows_needed
 
 LEAST = 0.3
 """Of det F, below which a middle goes back half of its way."""
-HALVINGS = 6
 
 
 def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
@@ -35,7 +34,7 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     face, shares = nearest(solid.rest[middles], triangles, rows_needed(triangles, spacing))
     step = np.zeros_like(solid.rest)
     step[middles] = np.einsum("pk,pkx->px", shares, triangles[face]) - solid.rest[middles]
-    for _ in range(HALVINGS):
+    for _ in range(6):
         crushed = (np.linalg.det(solid.deformation(step)) < LEAST).any(axis=1)
         if not crushed.any():
             break

@@ -14,8 +14,6 @@ _ITERATIONS = 3000
 _CLOSE, _LARGE = 12, 800
 """Iterations with the factors of a matrix close by, above which this one's own are cheaper; one for so many unknowns,
 where that is more: factors of 37,500 to 62,000 take as long as 90 to 250 iterations."""
-_FEW = 3
-"""Right-hand sides up to which they are worth trying."""
 
 
 class LinearSystem:
@@ -50,7 +48,7 @@ class LinearSystem:
         columns = np.atleast_2d(right.T)
         if "factors" not in self.__dict__:
             found = None
-            if self.borrowed is not None and len(columns) <= _FEW:
+            if self.borrowed is not None and len(columns) <= 3:
                 borrowed = LinearOperator(self.matrix.shape, self.borrowed.solve)
                 most = max(_CLOSE, len(right) // _LARGE)
                 found = self._all_iterated(columns, tolerance, borrowed, most)

@@ -128,14 +128,11 @@ WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
 FLAT = 0.1
 """Quality of an outer element with all corners on the surface, below which it is left out."""
-SHED = 3
-"""How often such elements are, each time before drawing again."""
 ROUNDS = 30
 SHARE = 0.5
 """Of the way to the surface that a node goes in a round."""
 _OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
 """Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
-_CHUNK = 4_000_000
 
 
 class NoBody(ValueError):
@@ -260,7 +257,7 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
         square = _cross(second - first, third - first)
         upright = np.abs(square) > 1e-12 * sides[one] * sides[two]
         below, hits = np.zeros((len(depth), len(flat)), np.int64), np.zeros(len(flat), np.int64)
-        step = max(1, _CHUNK // len(corners))
+        step = max(1, 4_000_000 // len(corners))
         for begin in range(0, len(flat), step):
             ray = flat[begin : begin + step, None]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -281,7 +278,7 @@ def _without_flat(
     nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
-    for _ in range(SHED):
+    for _ in range(3):
         flat = _flat(nodes, tetrahedra)
         if not flat.any() or flat.all():
             break

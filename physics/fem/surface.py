@@ -3,8 +3,6 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-MOST_ROWS = 24
-"""Of samples on a triangle."""
 CANDIDATES = 16
 """Samples of the surface closest to a point, on whose triangles the closest place is looked for."""
 
@@ -37,7 +35,7 @@ def even_shares(rows: int) -> np.ndarray:
 
 def rows_needed(triangles: np.ndarray, spacing: float) -> int:
     """Rows of samples, as `nearest` takes them, that lie at most half a spacing apart on triangles [F, 3, 3]."""
-    return int(np.clip(np.ceil(2 * np.sqrt(areas(triangles).max()) / spacing), 1, MOST_ROWS))
+    return int(np.clip(np.ceil(2 * np.sqrt(areas(triangles).max()) / spacing), 1, 24))
 
 
 def areas(triangles: np.ndarray) -> np.ndarray:

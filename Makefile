@@ -59,10 +59,10 @@ demo: $(INSTALLED)
 	@echo
 	@echo "One clip compared with its truth: by the shipped network, by the one just trained, and by fitting the simulator"
 	@echo "(infer.py --estimator direct):"
-	@$(BIN)/python -m evaluation.compare_with_truth $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
+	@$(BIN)/python -m benchmarks.compare_with_truth --results $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
 	@echo
 	@echo "The same clip from its video file alone, with depth and masks estimated, lengths up to the depth's scale:"
-	@$(BIN)/python -m evaluation.compare_with_truth $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
+	@$(BIN)/python -m benchmarks.compare_with_truth --results $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
 	@echo
 	@echo "Look at the results in a browser: file://$(abspath $(DEMO)/results/index.html)"
 
@@ -80,7 +80,7 @@ define calibrated
 	$(BIN)/python -m estimators.network.calibration --model $(1)/uncalibrated.onnx --output $(2) \
 		--validation $(1)/validation $(1)/fine --pressed $(1)/pressed --between $(1)/between
 endef
-validate = $(BIN)/python -m evaluation.benchmark --estimator network --split validation --model $(1)/uncalibrated.onnx
+validate = $(BIN)/python -m benchmarks.recovery --estimator network --split validation --model $(1)/uncalibrated.onnx
 
 MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt

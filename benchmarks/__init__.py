@@ -1,5 +1,13 @@
-"""What is timed or measured once, against what; each is run by `python -m benchmarks.NAME`.
+"""What is measured, against known truth, the papers' tables and the clock; `python -m benchmarks.NAME`. Not installed.
 
-goldens        numbers that a change must leave as they are
-inference      encoder and head alone, one contact, and plain videos from end to end
+goldens      numbers that a change must leave as they are
+recovery     synthetic clips with known truth against the best that is possible
+plain_video  presses in synthetic RGB videos
+compare_with_truth  results of `palpate infer` on synthetic clips
+real         real clips, judged on frames kept back from the fit
+online       Table II of Liang 2024: the online estimator on simulated pulls
+palpation    moduli from simulated palpations, as of Frank 2010
+model_errors errors of the fits beyond what residuals tell, for estimators/model_errors.yaml
+inference    time of networks, of a contact and of whole videos
+harness      what all share: an experiment gives rows for a case; resuming and tables
 """

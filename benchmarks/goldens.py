@@ -27,6 +27,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from rich.console import Console
 
+from benchmarks.harness import read_results
+from benchmarks.online.__main__ import main as follow
+from benchmarks.palpation.example import main as press
+from benchmarks.real.__main__ import main as judge
+from benchmarks.recovery.__main__ import main as recover
+from benchmarks.recovery.suites import EVERY
 from palpate.api import calibrate, plan
 from palpate.command.infer import main as infer
 from palpate.common.command_line import say
@@ -34,12 +40,6 @@ from palpate.common.files import as_json
 from palpate.common.options import options
 from palpate.common.provenance import ROOT
 from palpate.data.synthetic.__main__ import main as draw
-from palpate.evaluation.benchmark import main as recover
-from palpate.evaluation.harness import read_results
-from palpate.evaluation.online.__main__ import main as follow
-from palpate.evaluation.palpation.example import main as press
-from palpate.evaluation.real.__main__ import main as judge
-from palpate.evaluation.recovery.suites import EVERY
 
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
@@ -48,9 +48,9 @@ TOLERANCE = 1e-4
 QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
 COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
 """Columns of interactions.csv."""
-ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "force")
+ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "curve")
 """Fields of a row of the recovery benchmark."""
-REAL = ("frames in contact", "verdict", "skill in frames kept back", "reaction_over_stiffness")
+REAL = ("frames in contact", "verdict", "skill in frames kept back")
 Group = Literal["network", "direct", "rgb", "recovery", "online", "palpation", "plan", "real"]
 Values = dict[str, float | str]
 

@@ -31,6 +31,9 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from benchmarks.plain_video import HEIGHTS, PlainVideo
+from benchmarks.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
+from benchmarks.recovery.trial import observed_contacts
 from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
 from palpate.common.tables import to_markdown
@@ -41,9 +44,6 @@ from palpate.estimators.contract import ClipInfo
 from palpate.estimators.network.estimator import RATES, NetworkEstimator
 from palpate.estimators.onset import ONSETS
 from palpate.estimators.open import EstimatorOptions, open_estimator
-from palpate.evaluation.plain_video import HEIGHTS, PlainVideo
-from palpate.evaluation.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
-from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import open_model

@@ -9,7 +9,7 @@ from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder that holds the project's packages: the checkout, or where they are installed."""
-PACKAGES = ("common", "data", "estimators", "evaluation", "models", "physics", "planning", "results")
+PACKAGES = ("common", "data", "estimators", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
 PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "physics/mesh.py")

@@ -1,50 +1,9 @@
-"""Robust statistics: errors with Student's distribution in a plane, spreads by medians, and affine motions of points.
-
-Followed points err by a little, and now and then by a lot. Student's distribution lets a point that is far off count
-little, by weights that are found anew with every fit (iteratively reweighted least squares; Lange, Little and Taylor
-1989, "Robust statistical modeling using the t distribution", equations 6 and 7).
-"""
+"""Robust statistics: spreads by medians, and affine motions of points."""
 
 import numpy as np
 
-FREEDOM = 3.0
-"""Degrees of freedom of Student's distribution, in the plane."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of a normal variable over the median of its absolute value."""
-SCALED = 10
-"""Steps to the errors' scale."""
-
-
-def student_weights(squares: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """How much errors in the plane count, any shape: about 1 for usual ones, little for those that are far off.
-
-    Args:
-        squares: squared lengths of the errors.
-        variance: of the errors by axis, in the same unit.
-    """
-    return (FREEDOM + 2) / (FREEDOM + squares / variance)
-
-
-def student_loss(squares: np.ndarray, variance: np.ndarray) -> float:
-    """Negative log density of errors in the plane, up to a constant; arguments as of `student_weights`."""
-    return float(((FREEDOM + 2) / 2 * np.log1p(squares / variance / FREEDOM) + np.log(variance)).sum())
-
-
-def error_scale(squares: np.ndarray, known: np.ndarray, weights: np.ndarray, scale: float, least: float) -> float:
-    """Likeliest variance by axis of weighted errors besides the known one, from a value on.
-
-    Args:
-        squares: squared lengths of errors in the plane, shape [n].
-        known: variances by axis, shape [n].
-        weights: shape [n].
-        scale: the value so far.
-        least: a variance that isn't larger counts as 0.
-    """
-    found = max(scale, float(known.min()))
-    for _ in range(SCALED):
-        variance = known + found
-        found *= float(np.sqrt((weights * squares / (2 * variance**2)).sum() / (1 / variance).sum()))
-    return found if found > least else 0.0
 
 
 def median_sd(values: np.ndarray) -> float:

@@ -4,7 +4,7 @@ contract        Estimator and Session: opened once, a session a clip; open: an e
 estimate        what is said of θ; records: of a frame and of a run of contact
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
-grip            a sheet fitted to tissue that an instrument holds and moves, for runs without an onset
+grip            a sheet fitted to tissue that an instrument pulls, for runs without an onset
 palpation       measured forces: curves, regions, relaxation
 online          stiffness place by place, of particles that are mapped to what every frame shows
 runs            runs of contact, frame by frame, and what all sessions share

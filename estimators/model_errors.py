@@ -1,6 +1,6 @@
 """What a fit's own model gets wrong, besides what residuals tell: standard deviations measured on drawn clips.
 
-They are read from `model_errors.yaml`, which `python -m evaluation.model_errors` writes. Every entry there has its
+They are read from `model_errors.yaml`, which `python -m benchmarks.model_errors` writes. Every entry there has its
 `meaning`, its `value`, its `source` (which clips, by what) and, as far as that command has measured it, what it found
 (`measured`).
 """
@@ -26,5 +26,5 @@ def read_entries(path: Path = FILE) -> dict[str, dict[str, Any]]:
     entries = yaml.safe_load(path.read_text(encoding="utf-8"))
     if not isinstance(entries, dict) or list(entries) != list(_VALUES):
         names = ", ".join(_VALUES)
-        raise ValueError(f"{path} holds other entries than {names}; write it with evaluation.model_errors.")
+        raise ValueError(f"{path} holds other entries than {names}; write it with benchmarks.model_errors.")
     return entries

@@ -2,7 +2,7 @@
 
 A point load's dent is about one grid cell (0.0027 scene units) wide and 0.01 to 0.06 deep. In a view from the side its
 near wall covers its bottom, so that the tracked contact is off by far more than the depth's noise. The motion alone
-doesn't always reveal that: softer, less deeply pressed tissue may explain it as well. `python -m evaluation.benchmark
+doesn't always reveal that: softer, less deeply pressed tissue may explain it as well. `python -m benchmarks.recovery
 --suite oblique` shows the effect on estimates.
 """
 
@@ -19,8 +19,7 @@ and in 4 of 7 below. Where tissue faces the camera, rounding to 8 bits turns the
 about one clip of 200, by up to 6 degrees; noise of 0.004 by up to 2. (Development runs that no command repeats.)"""
 HIDDEN_ERROR = 0.015
 """Root mean square error of tracked contacts that are pressed at 4 to 28 degrees to the line of sight [scene units]:
-0.0152, `sigma_rms` in details.csv of `python -m evaluation.benchmark --suite oblique --split validation --seed 4242
---clips 30 --output DIR`."""
+0.0152 by `python -m benchmarks.recovery --suite oblique --split validation --seed 4242 --clips 30 --output DIR`."""
 OBLIQUE = (
     "The tissue is pressed at {:.0f}° to the line of sight, so its dent may hide its own bottom; intervals are widened."
 )

@@ -6,7 +6,7 @@ milliseconds looks like other tissue. `direct` fits the delay (`estimators.direc
 depth-change sequences was trained with unknown delays. Other networks were trained on presses that begin at their time
 stamp; with them the contact is estimated as if it had begun at several instants, evenly spread, and the moment-matched
 mixture is the estimate. All instants have the same weight: so far apart, the misfit is no guide.
-`python -m evaluation.benchmark --suite late-onset --onset between`, or without that option, shows what it is worth.
+`python -m benchmarks.recovery --suite late-onset --onset between`, or without that option, shows what it is worth.
 """
 
 import dataclasses

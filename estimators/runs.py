@@ -201,7 +201,7 @@ class RunSession:
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
-        with self.timed("grip"):
+        with self.timed("follow"):
             if run is None or not self._follows(run):
                 self._grip = None
             elif run.index == frame.frame.index:
@@ -270,10 +270,10 @@ class RunSession:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            why = "; ".join(filter(None, (f"skill {found.skill:.2f}{elsewhere}", found.explanation)))
+            why = f"skill {found.skill:.2f}{elsewhere}"
             sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
         elif found is not None and not found.determined:
-            sentence = "A gripped sheet explains the motion, but neither foundation nor force over time is known."
+            sentence = "A gripped sheet explains the motion, but the force over time is too uncertain."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:

@@ -11,7 +11,7 @@ physics    simulators and their derivatives: simulate (numpy), rollout (torch), 
 data       from pixels to an Interaction: one run of contact, its mesh, load and observed motion
 models     networks, losses, exported files
 estimators from an Interaction to an Estimate: network, gan, direct, online
-planning   instrument paths; results: what is written; evaluation: what is measured; benchmarks: what is timed
+planning   instrument paths; results: what is written
 
 Research software. Not a medical device.
 """

@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | page | benchmark | synthetic …
+    palpate infer | live | train | export | calibrate | plan | page | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -18,11 +18,10 @@ OWN = ("infer", "live", "train", "calibrate", "plan", "page")
 """Commands that are modules of `palpate.command`."""
 COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
     "export": "palpate.command.train",
-    "benchmark": "palpate.evaluation.benchmark",
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""
-EXTRAS = dict.fromkeys(("train", "export", "benchmark"), "train")
+EXTRAS = dict.fromkeys(("train", "export"), "train")
 """What must be installed for some of them."""
 
 

@@ -9,46 +9,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
-from palpate.physics.mesh import incidence, laplacian
+from palpate.physics.mesh import laplacian
 
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A sheet at rest under a grip; N nodes, S springs, G gripped nodes, A axes."""
+    """A sheet at rest under a grip; N nodes, G gripped nodes, A axes."""
 
     displacement: np.ndarray
     """From where nothing is pulled, shape [N, A], in the unit of the grip's motion."""
-    springs: np.ndarray
-    """Node indices, shape [S, 2]."""
     matrix: csr_array
     """K, shape [N, N] [unit of stiffness]."""
     gripped: np.ndarray
     """Shape [N], bool."""
-    factors: SuperLU
-    """Of the rows and columns of K that are free."""
 
     @property
     def reaction(self) -> np.ndarray:
         """Force on every gripped node that holds it there, shape [G, A] [unit of stiffness × unit of motion]."""
         return (self.matrix @ self.displacement)[self.gripped]
-
-    def slopes(self, stiffness: np.ndarray, anchor: np.ndarray) -> np.ndarray:
-        """Derivatives of the displacement by parameters, shape [N, A, P].
-
-        Args:
-            stiffness: derivatives of the springs' stiffness by them, shape [S, P].
-            anchor: of the nodes' foundation, shape [N, P].
-        """
-        (nodes, axes), (one, two) = self.displacement.shape, self.springs.T
-        pulls = incidence(self.springs, nodes)
-        found = np.zeros((nodes, axes, anchor.shape[1]))
-        for axis in range(axes):
-            moved = self.displacement[:, axis]
-            load = anchor * moved[:, None] + pulls @ (stiffness * (moved[one] - moved[two])[:, None])
-            found[~self.gripped, axis] = -self.factors.solve(load[~self.gripped])
-        return found
 
 
 def equilibrium(
@@ -81,29 +61,4 @@ def equilibrium(
     symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     factors = splu(free[:, ~gripped].tocsc(), **symmetric)
     displacement[~gripped] = factors.solve(-(free[:, gripped] @ np.asarray(motion, np.float64)))
-    return Equilibrium(displacement, springs, matrix, gripped, factors)
-
-
-def response(anchor: float, size: int) -> np.ndarray:
-    """Displacement of every node of an endless sheet for a unit of force on node (0, 0), shape [size, size].
-
-    On a square grid without an end, homogeneous, springs of stiffness 1 to all eight neighbours: K u = f is a
-    convolution, which the discrete Fourier transform solves for all nodes. What a force anywhere does is this, shifted.
-
-    Indices count modulo `size`: the sheet is repeated beyond, which does not show while motion dies away within it,
-    over √(3/anchor) nodes. It adds up to 1/anchor, because the foundation holds all of the force.
-
-    Args:
-        anchor: stiffness of a node's foundation over a spring's, positive.
-        size: of the repeated piece [nodes].
-
-    Raises:
-        ValueError: the anchor is not positive; without any a node has no place.
-    """
-    if not anchor > 0:
-        raise ValueError(f"anchor is {anchor}; without any a node has no place.")
-    turn = 2 * np.pi / size
-    down, across = np.cos(turn * np.arange(size))[:, None], np.cos(turn * np.arange(size // 2 + 1))
-    # Two springs along each axis, and two along each diagonal.
-    springs = 2 * (1 - down) + 2 * (1 - across) + 4 * (1 - down * across)
-    return np.fft.irfft2(1 / (springs + anchor), (size, size))
+    return Equilibrium(displacement, matrix, gripped)

@@ -15,6 +15,6 @@ agreement  frames' records, no surer than their contact says when it has ended
 record    run.json: hashes, versions, settings, warnings
 verdicts  what is said first, and no number surer than it is
 plots     fit.png; panels: of grips and fields in them; surface_plot: the picture of palpate calibrate
-overlay   the video; field_overlay, stiffness_overlay: stiffness on it; spool: frames that wait for that
+overlay   the video; field_overlay: stiffness on it; spool: frames that wait for their contact's end
 field_file  stiffness in fields.npz
 """

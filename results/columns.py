@@ -34,8 +34,6 @@ def named(group: str, names: Iterable[str], **words: Mapping[str, object]) -> di
 
 ESTIMATED = named("estimated", REPORTED, symbol=SYMBOLS) | named("bounds", PARAMETERS, symbol=SYMBOLS)
 """Columns of an estimate."""
-GRIP = TEXTS["grip"]
-"""Columns of what the motion around an instrument determines, where nothing is determined by the contact's own."""
 _AGAINST = {"distance_stiffness": "stretch", "shape_stiffness": "bending"}
 FIELD = named("stiffness", _AGAINST, what=_AGAINST, unit=UNITS) | {
     column: text.format(least_skill=LEAST_SKILL) for column, text in TEXTS["field"].items()
@@ -46,7 +44,7 @@ FRAMES |= TEXTS["verdict"] | TEXTS["frame_force"] | TEXTS["frame_detail"]
 """Columns of `parameters.csv`, in order."""
 ALARM = TEXTS["alarm"]
 """What `parameters.csv` has in addition with --force-limit."""
-INTERACTIONS = TEXTS["run"] | TEXTS["run_press"] | ESTIMATED | GRIP | TEXTS["verdict"] | TEXTS["run_fit"]
+INTERACTIONS = TEXTS["run"] | TEXTS["run_press"] | ESTIMATED | TEXTS["grip"] | TEXTS["verdict"] | TEXTS["run_fit"]
 """Columns of `interactions.csv`, in order."""
 FORCES = TEXTS["forces"]
 """Columns of `forces.csv`, in order; written with --force-scale."""
@@ -83,11 +81,8 @@ def interaction_values(run: InteractionEstimate) -> dict[str, Any]:
         found |= vars(estimate) | estimate.numbers() | delays
         found |= {"explanation": estimate.explanation if output is estimate else "", "at_bound": " ".join(stuck)}
     if isinstance(output, GripEstimate):
-        # The force over a spring's stiffness leans on the foundation.
-        leaning = ("reaction_over_stiffness",) if "foundation_over_stiffness" in output.determined else ()
-        known = [name for name in GRIP if name.startswith((*output.determined, *leaning))]
-        found |= {name: getattr(output, name) for name in known}
-    if isinstance(output, GripEstimate | FieldEstimate):
+        found |= {"frames": len(output.times)}
+    if isinstance(output, FieldEstimate):
         found |= {"explanation": output.explanation, "frames": len(output.times)}
     if output is not None:
         found |= {"status": "ok", "verdict": output.verdict, "determined": ";".join(output.determined)}

@@ -42,13 +42,8 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
 
 
 def paint(
-    canvas: np.ndarray,
-    places: np.ndarray,
-    faces: np.ndarray,
-    values: np.ndarray,
-    labels: np.ndarray | None,
-    largest: float = RANGE,
-) -> np.ndarray:
+    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, labels: np.ndarray | None
+) -> None:
     """Paint triangles on an RGB canvas in place, but for what an instrument hides.
 
     Args:
@@ -56,13 +51,9 @@ def paint(
         places, faces: corners [N, 2] [px] and their triangles [F, 3].
         values: of the corners [N]; 1 is neither red nor blue.
         labels: label map of any resolution; None = nothing is hidden.
-        largest: colours end at so large a value.
-
-    Returns:
-        Where there is neither a triangle nor an instrument, bool [H, W].
     """
     found, covered = canvas.copy(), np.zeros(canvas.shape[:2], np.uint8)
-    logs = np.log(values[faces].mean(axis=1)) / np.log(largest)
+    logs = np.log(values[faces].mean(axis=1)) / np.log(RANGE)
     for corners, color in zip(np.round(places[faces]).astype(np.int32), colors(logs), strict=True):
         cv2.fillConvexPoly(found, corners, color.tolist())
         cv2.fillConvexPoly(covered, corners, 1)
@@ -71,7 +62,6 @@ def paint(
         shown = cv2.resize((labels != TOOL).astype(np.uint8), covered.shape[::-1], interpolation=cv2.INTER_NEAREST)
     mixed = cv2.addWeighted(found, OPACITY, canvas, 1 - OPACITY, 0)
     canvas[(covered & shown) > 0] = mixed[(covered & shown) > 0]
-    return shown > covered
 
 
 def colors(logs: np.ndarray) -> np.ndarray:

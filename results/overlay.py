@@ -12,7 +12,6 @@ from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
-from palpate.results.stiffness_overlay import StiffnessMap
 from palpate.results.verdicts import ALARMS, COLORS, FAR, FIELDS, MEANINGS, Color, in_words, is_far, numbers, state
 
 WHITE: Color = (255, 255, 255)
@@ -33,11 +32,7 @@ def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def draw_overlay(
-    image: np.ndarray | None,
-    size: tuple[int, int],
-    labels: np.ndarray | None,
-    estimate: FrameEstimate,
-    stiffness: StiffnessMap | None = None,
+    image: np.ndarray | None, size: tuple[int, int], labels: np.ndarray | None, estimate: FrameEstimate
 ) -> np.ndarray:
     """Draw one frame of the overlay.
 
@@ -46,7 +41,6 @@ def draw_overlay(
         size: width and height of the source frames [px].
         labels: label map of any resolution with the frame's field of view; None where there is none.
         estimate: the frame's result.
-        stiffness: map of the run of contact that the frame belongs to.
 
     Returns:
         RGB uint8, of `canvas_size(size)`.
@@ -55,14 +49,11 @@ def draw_overlay(
     canvas = np.zeros((height, width, 3), np.uint8) if image is None else cv2.resize(image, (width, height))
     if image is not None and estimate.field is not None:
         draw_field(canvas, estimate.field, width / size[0], labels)
-    mapped = stiffness is not None and stiffness.shows(estimate.time_s)
-    if image is not None and labels is not None and stiffness is not None and mapped:
-        stiffness.draw(canvas, estimate.time_s, labels)
     if image is not None and labels is not None:
         _outline(canvas, labels == TISSUE, _TISSUE_COLOR)
         _outline(canvas, labels == TOOL, _TOOL_COLOR)
     _mark_contact(canvas, estimate, width / size[0])
-    _panel(canvas, estimate, stiffness.note if stiffness is not None and mapped else "")
+    _panel(canvas, estimate)
     _footer(canvas, estimate)
     edge = ALARMS[estimate.alarm].get("edge") if estimate.alarm else None
     if edge is not None:
@@ -92,13 +83,13 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) ->
         cv2.circle(canvas, center, max(4, round(7 * scale)), WHITE, max(1, round(2 * scale)), cv2.LINE_AA)
 
 
-def _panel(canvas: np.ndarray, estimate: FrameEstimate, more: str) -> None:
-    """Verdict, numbers and remarks at the upper left, and one more remark."""
+def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
+    """Verdict, numbers and remarks at the upper left."""
     scale = min(canvas.shape[0] / 480, canvas.shape[1] / 640)
     size, step, pad = max(11.0, 15 * scale), max(15.0, 21 * scale), max(6, round(10 * scale))
     small, width = size * 0.76, min(canvas.shape[1] - 2 * pad, round(max(262 * scale, 190)))
     lines = _number_lines(estimate)
-    notes = [line for note in [*_notes(estimate), more] for line in wrap_text(note, width - 2 * pad, small)]
+    notes = [line for note in _notes(estimate) for line in wrap_text(note, width - 2 * pad, small)]
     height = round(step * (1.2 + len(lines)) + step * 0.75 * len(notes) + 1.3 * pad)
     shade(canvas, (pad, pad), (width, height), 0.66)
     baseline, right = pad + step, width

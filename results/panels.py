@@ -12,7 +12,6 @@ import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL, NINETY
 from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.results.verdicts import digits
 
@@ -27,16 +26,12 @@ FIELD_COLORS = "#2563eb", "#0d9488"
 """Of stiffness against stretch and against bending."""
 MOST_ARROWS = 300
 """About so many followed points are drawn with their motion."""
-MAP_STEP, MAP_RANGE = 4, 3.0
-"""Of maps of stiffness: side of their squares [px], and the largest ratio that has a colour of its own."""
+MAP_RANGE = 3.0
+"""Largest ratio with a colour of its own in maps of stiffness."""
 
 
 def draw_grip(axes: Axes, grip: GripEstimate) -> None:
-    """Force at the grip over time, over that of the last frame; and where the tissue is stiffer, on the picture."""
-    if grip.stiffness is not None:
-        whole, axes = axes, axes.inset_axes((0, 0, 0.52, 1))
-        whole.set_axis_off()
-        _draw_stiffness(whole.inset_axes((0.54, 0, 0.42, 1)), grip.stiffness)
+    """Force at the grip over time, over that of the last frame."""
     low, high = grip.force - NINETY * grip.force_sd, grip.force + NINETY * grip.force_sd
     axes.fill_between(grip.times, low, high, color=SIMULATED, alpha=0.25, lw=0, label="90 % interval")
     axes.plot(grip.times, grip.force, "o-", ms=4, lw=1.5, color=SIMULATED, label="force along that of the last frame")
@@ -91,27 +86,6 @@ def draw_field(axes: Axes, found: FieldEstimate) -> None:
         name_axes(course, "stiffness where it is\ndetermined [relative]", size=8.5)
     shape = not found.last.known.any() and found.last.shape_known.any()
     _draw_particles(whole.inset_axes((0.62, 0, 0.34, 1)), found, shape=bool(shape))
-
-
-def _draw_stiffness(axes: Axes, field: StiffnessField) -> None:
-    """Stiffness over that of the tissue that moves, drawn on the run's first picture where it is known."""
-    from matplotlib.colors import LogNorm
-
-    height, width = field.picture.shape[:2]
-    _picture_axes(axes, field.picture)
-    rows, columns = np.mgrid[MAP_STEP // 2 : height : MAP_STEP, MAP_STEP // 2 : width : MAP_STEP]
-    places = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
-    known = field.known(places).reshape(rows.shape)
-    ratio = np.exp(field.at(places)[0]).reshape(rows.shape)
-    place: dict[str, Any] = {"extent": (0, columns.shape[1] * MAP_STEP, rows.shape[0] * MAP_STEP, 0)}
-    axes.imshow(np.where(known, np.nan, 0.35), cmap="gray", vmin=0, vmax=1, alpha=0.6, **place)
-    shown = np.where(known, ratio, np.nan)
-    drawn = axes.imshow(shown, cmap="coolwarm", norm=LogNorm(1 / MAP_RANGE, MAP_RANGE), alpha=0.65, **place)
-    if known.any():
-        _ratio_bar(axes, drawn)
-    axes.set(xlim=(0, width), ylim=(height, 0))
-    title = "stiffness over the mean of what moves, if attached\nhomogeneously; darkened: unknown"
-    axes.set_title(title if known.any() else "stiffness: unknown everywhere", loc="left", fontsize=10, color=INK)
 
 
 def _draw_particles(axes: Axes, found: FieldEstimate, *, shape: bool) -> None:

@@ -30,7 +30,7 @@ from palpate.results.panels import (
     name_axes,
     new_figure,
 )
-from palpate.results.verdicts import COLORS, FAR, digits, in_words, numbers
+from palpate.results.verdicts import COLORS, FAR, in_words, numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def _height(run: InteractionEstimate | None, sentences: str) -> float:
     """Of a run's panel [inches]: its words, its motion, and its map."""
     found = None if run is None else run.main_estimate
     motion = isinstance(found, GripEstimate | FieldEstimate) or (run is not None and run.simulated is not None)
-    field = isinstance(found, FieldEstimate) or (isinstance(found, GripEstimate) and found.stiffness is not None)
+    field = isinstance(found, FieldEstimate)
     return 0.9 + 0.2 * len(lines_of(sentences)) + 2.8 * motion + 1.2 * field
 
 
@@ -138,12 +138,7 @@ def _described_run(run: InteractionEstimate | None) -> tuple[str, str, str]:
     place, estimate = f"contact from frame {run.onset_frame} ({run.onset_time_s:.3f} s)", run.estimate
     if isinstance(grip := run.main_estimate, GripEstimate):
         sentence = f"Skill {grip.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
-        heading = f"{in_words(grip.verdict)}: {place}"
-        if "foundation_over_stiffness" in grip.determined:
-            low, high = (digits(getattr(grip, f"foundation_over_stiffness_{end}"), 2) for end in ("low", "high"))
-            heading += f", foundation over stiffness {low} to {high}"
-        said = f"{grip.explanation[:1].upper()}{grip.explanation[1:]}." if grip.explanation else ""
-        return heading, " ".join(filter(None, (sentence, said, run.detail))), grip.verdict
+        return f"{in_words(grip.verdict)}: {place}", f"{sentence} {run.detail}".strip(), grip.verdict
     if isinstance(found := run.main_estimate, FieldEstimate):
         words = [in_words(found.verdict)]
         if not np.isnan(found.skill):

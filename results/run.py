@@ -53,8 +53,8 @@ from palpate.results.writer import ClipResults
 
 TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
-MAPPING = ("direct", "network")
-"""Estimators that may tell where gripped tissue is stiffer when a run of contact has ended."""
+WITH_FORCE = ("direct", "network")
+"""Estimators that give a force."""
 OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
 """Options that have no effect on a sequence beside a robot."""
 MOST_REASONS = 3
@@ -106,7 +106,7 @@ class Batch:
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
         wrong = {
             "scale of online": name == "online" and known is not None,
-            "limit without force": limited and name not in MAPPING,
+            "limit without force": limited and name not in WITH_FORCE,
             "limit without newtons": limited and known is not None and not known.tells,
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
@@ -144,7 +144,8 @@ class Batch:
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
-            options |= {"fields": self.fields, "maps": self.estimator.name in MAPPING, "export": self.options.export}
+            options |= {"fields": self.fields, "export": self.options.export}
+            options["waits"] = self.estimator.name in WITH_FORCE
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.force_scale)
             if isinstance(self.estimator, NetworkEstimator):

@@ -12,12 +12,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import fitted_press
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.records import InteractionEstimate
@@ -67,8 +65,6 @@ def deformation_of(run: InteractionEstimate, times: np.ndarray) -> Deformation:
     found, contact = run.estimate, run.interaction
     if run.field is not None:
         return _field(run.field)
-    if run.grip is not None and run.main_estimate is run.grip:
-        return _pull(run.grip)
     if found is None or contact is None or run.mechanics is None or not {*PARAMETERS} <= {*found.determined}:
         raise NoEstimate("Stiffness, damping and force of a sheet of springs are not all determined.")
     return _press(found, contact, run.mechanics, times)
@@ -85,16 +81,6 @@ def _press(found: Estimate, contact: Interaction, mechanics: Mechanics, times: n
     units = dict.fromkeys(PARAMETERS, "scene units (normalised), not SI") | {"displacement": SCENE}
     moved = np.concatenate([np.zeros_like(moved[:1]), moved])[steps[inside]]
     return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {}, units)
-
-
-def _pull(found: GripEstimate) -> Deformation:
-    if found.sheet is None or "foundation_over_stiffness" not in found.determined:
-        raise NoEstimate("How firmly the pulled tissue is attached is not determined.")
-    names, ends = ("foundation_over_stiffness", "reaction_over_stiffness"), ("", "_low", "_high")
-    parameters = {name: np.array([getattr(found, f"{name}{end}") for end in ends]) for name in names}
-    units = {"displacement": "px of the tracked picture", names[0]: "of a node, over a spring's", names[1]: "px"}
-    nodes, moved = np.pad(found.sheet.nodes, ((0, 0), (0, 1))), np.pad(found.sheet.moved, ((0, 0), (0, 0), (0, 1)))
-    return Deformation(nodes, Delaunay(found.sheet.nodes).simplices, moved, found.times, parameters, {}, units)
 
 
 def _field(found: FieldEstimate) -> Deformation:

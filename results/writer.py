@@ -31,7 +31,6 @@ from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
 from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
 from palpate.results.spool import FrameSpool, Waiting
-from palpate.results.stiffness_overlay import StiffnessMap, stiffness_map
 from palpate.results.store import writing
 from palpate.results.verdicts import state
 from palpate.results.vtu import deformation_of, write_series
@@ -52,7 +51,7 @@ class ClipResults:
         overlay: whether to write the overlay video.
         calibration: gives newtons.
         fields: whether the estimator gives fields of stiffness.
-        maps: whether a run of contact may have a map of stiffness or a fit at its end, for which its frames wait.
+        waits: whether pictures of a contact wait for its end, so that they agree with it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
         limit: of the force's magnitude for forces.json, and its unit.
         seconds: time after the onset of contact up to which an estimate by depth constrains the force [s].
@@ -72,7 +71,7 @@ class ClipResults:
         overlay: bool = True,
         calibration: ClipCalibration | None = None,
         fields: bool = False,
-        maps: bool = False,
+        waits: bool = False,
         alarm: ForceAlarm | None = None,
         limit: tuple[float, str] | None = None,
         seconds: float = math.inf,
@@ -123,7 +122,7 @@ class ClipResults:
                 self._drawer = keep(ThreadPoolExecutor(1, "overlay"))
                 # What `finish` needs is loaded meanwhile: it takes most of a second.
                 self._drawer.submit(importlib.import_module, "matplotlib.figure")
-                self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and maps else None
+                self._waiting = keep(closing(FrameSpool(self._partial))) if overlay and waits else None
         except BaseException:
             self.__exit__()
             raise
@@ -156,18 +155,18 @@ class ClipResults:
             if self._waiting is not None and (len(self._waiting) or estimate.contact):
                 self._waiting.add(shown)
             else:
-                self._draw(shown, None)
+                self._draw(shown)
 
-    def _draw(self, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+    def _draw(self, frame: Waiting) -> None:
         """Append a picture to the overlay, if there is one, once those before it are drawn."""
         if self._video is not None:
             while len(self._drawing) >= MOST_UNDRAWN:
                 self._drawing.popleft().result()
-            self._drawing.append(self._drawer.submit(self._drawn, self._video, frame, stiffness))
+            self._drawing.append(self._drawer.submit(self._drawn, self._video, frame))
 
-    def _drawn(self, video: Video, frame: Waiting, stiffness: StiffnessMap | None) -> None:
+    def _drawn(self, video: Video, frame: Waiting) -> None:
         start = time.perf_counter()
-        video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate, stiffness))
+        video.write(draw_overlay(frame.image, self._size, frame.labels, frame.estimate))
         self.seconds["overlay"] += time.perf_counter() - start
 
     def _agree(self, run: InteractionEstimate, contact: ContactForce) -> None:
@@ -185,14 +184,14 @@ class ClipResults:
                 for place in places if frame.estimate is before.estimate else range(len(cells)):
                     cells[place] = revised[place]
 
-    def _write_waiting(self, stiffness: StiffnessMap | None) -> None:
-        """Append the rows and pictures that wait for the end of a contact, and for its map of stiffness."""
+    def _write_waiting(self) -> None:
+        """Append the rows and pictures that wait for the end of a contact."""
         self._rows.writerows(self._cells)
         frames = self.estimates[len(self.estimates) - len(self._cells) :]
         self._cells = []
         if self._waiting is not None:
             for frame, estimate in zip(self._waiting.drain(), frames, strict=True):
-                self._draw(frame._replace(estimate=estimate), stiffness)
+                self._draw(frame._replace(estimate=estimate))
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
@@ -217,7 +216,7 @@ class ClipResults:
         shown = [*self.drawn, run]
         self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
         with writing(self.folder.parent):
-            self._write_waiting(stiffness_map(run.grip, run.onset_time_s))
+            self._write_waiting()
             self._runs.writerow(columns.row(columns.INTERACTIONS, columns.interaction_values(run)))
             if self._export:
                 times = np.array([frame.time_s for frame in self.estimates[run.onset :]]) - run.onset_time_s
@@ -237,7 +236,7 @@ class ClipResults:
     def finish(self, record: Mapping[str, Any], *, title: str) -> None:
         """Write the pictures and the record (as JSON), and move everything to its final place."""
         with writing(self.folder.parent):
-            self._write_waiting(None)
+            self._write_waiting()
             while self._drawing:
                 self._drawing.popleft().result()
             if self.calibration is not None:

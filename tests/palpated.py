@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from palpate.evaluation.palpation.synthetic import Body, press
+from benchmarks.palpation.synthetic import Body, press
 
 BODY = Body("slab", 0.09, 0.025)
 TURN = Rotation.from_euler("xyz", (20, -15, 70), degrees=True).as_matrix()

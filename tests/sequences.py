@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from palpate.evaluation.online.sequences import NOISE, SEQUENCES, SIDE, Pull
+from benchmarks.online.sequences import NOISE, SEQUENCES, SIDE, Pull
 
 TURN, SHIFT = Rotation.from_euler("xyz", (40, -25, 110), degrees=True).as_matrix(), np.array([0.4, -0.1, 0.25])
 """Of the simulated sheet in the robot's frame; the camera stands half a metre above it."""

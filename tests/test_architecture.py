@@ -27,12 +27,11 @@ FLOORS = {
     "planning": BELOW_RESULTS,
     "results": BELOW_RESULTS,
     "palpate": BELOW_RESULTS | {"results", "planning"},
-    "evaluation": BELOW_RESULTS | {"results", "palpate"},
     "command": BELOW_RESULTS | {"results", "planning", "palpate"},
-    "benchmarks": BELOW_RESULTS | {"results", "planning", "palpate", "evaluation", "command"},
+    "benchmarks": BELOW_RESULTS | {"results", "planning", "palpate", "command"},
 }
 """What of the project each room may import: downwards only, and models and data not each other. `palpate` is the
-public face alone, `command` what a user types; benchmarks are doors of their own, and time the others as well."""
+public face alone, `command` what a user types. `benchmarks` is not installed, and nothing else imports it."""
 FENCES = {
     "lightning": (
         "palpate/command/train.py",
@@ -42,25 +41,24 @@ FENCES = {
     ),
     "lightning.pytorch.loggers": ("palpate/command/tracking.py",),
     "mlflow": ("palpate/command/train.py", "palpate/command/tracking.py"),
-    "cv2": ("data/", "results/", "evaluation/"),
+    "cv2": ("data/", "results/", "benchmarks/"),
     "matplotlib": (
         "planning/pictures.py",
         "results/plots.py",
         "results/panels.py",
         "results/surface_plot.py",
         "results/paper/",
-        "evaluation/",
         "benchmarks/",
     ),
     "jinja2": ("results/page/render.py",),
-    "pandas": ("evaluation/", "results/paper/"),
+    "pandas": ("benchmarks/", "results/paper/"),
     "trimesh": (
         "planning/surface.py",
         "data/source/clouds.py",
         "estimators/palpation/",
         "physics/fem/surface.py",
     ),
-    "scipy.stats": ("estimators/direct/", "results/paper/", "evaluation/", "benchmarks/"),
+    "scipy.stats": ("estimators/direct/", "results/paper/", "benchmarks/"),
 }
 """Where a library may be imported, by whatever door."""
 LIGHT_DOORS = {
@@ -84,7 +82,8 @@ def modules() -> dict[str, Path]:
     """Files of the project by the names under which they are imported, tests left out."""
     files = [*ROOT.glob("palpate/*.py"), *ROOT.glob("palpate/command/*.py")]
     found = {path.relative_to(ROOT): path for path in files}
-    rooms = [room for room in FLOORS if room not in ("palpate", "command")]
+    found |= {path.relative_to(ROOT): path for path in (ROOT / "benchmarks").rglob("*.py")}
+    rooms = [room for room in FLOORS if room not in ("palpate", "command", "benchmarks")]
     found |= {Path("palpate", path.relative_to(ROOT)): path for room in rooms for path in (ROOT / room).rglob("*.py")}
     names = {name.with_suffix("").as_posix().replace("/", "."): path for name, path in found.items()}
     return {name.removesuffix(".__init__"): names[name] for name in sorted(names)}
@@ -92,6 +91,8 @@ def modules() -> dict[str, Path]:
 
 def room_of(module: str) -> str:
     """Which of the FLOORS a module stands on."""
+    if is_inside(module, "benchmarks"):
+        return "benchmarks"
     room = module.split(".")[1] if "." in module else "palpate"
     return room if room in FLOORS else "palpate"
 
@@ -182,7 +183,7 @@ def test_imports_go_downwards(room: str) -> None:
         if room_of(module) == room
         for name in sorted(imported(path))
         if name.split(".")[0] in ("infer", "train", "tests", *FLOORS)
-        and (not is_inside(name, "palpate") or room_of(name) not in FLOORS[room] | {room})
+        and (room_of(name) not in FLOORS[room] | {room} or not name.startswith(("palpate", "benchmarks")))
     ]
     assert upward == []
 
@@ -217,7 +218,7 @@ def test_what_loads_slowly_is_loaded_only_where_it_is_used(library: str, user: s
     at_once = [
         name_of(path)
         for module, path in modules().items()
-        if room_of(module) not in ("evaluation", "benchmarks")
+        if room_of(module) != "benchmarks"
         and not is_inside(module, "palpate.results.paper")
         and any(is_inside(name, library) for name in imported(path, within_functions=False))
     ]

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.palpation import example
+from benchmarks.palpation.example import scene_files
+from benchmarks.palpation.synthetic import BODIES, observe, press
 from palpate.command import calibrate
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import InputError
@@ -17,9 +20,6 @@ from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
 from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.material_fit import MaterialFit
-from palpate.evaluation.palpation import example
-from palpate.evaluation.palpation.example import scene_files
-from palpate.evaluation.palpation.synthetic import BODIES, observe, press
 from palpate.physics.fem import Material, find_equilibrium
 from tests.palpated import SHIFT, TURN, write_palpation
 

@@ -11,26 +11,27 @@ import pytest
 from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
+    "benchmarks.compare_with_truth",
     "benchmarks.goldens",
     "benchmarks.inference",
+    "benchmarks.model_errors",
+    "benchmarks.online",
+    "benchmarks.palpation",
+    "benchmarks.palpation.example",
+    "benchmarks.plain_video",
+    "benchmarks.real",
+    "benchmarks.recovery",
     "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
-    "evaluation.benchmark",
-    "evaluation.compare_with_truth",
-    "evaluation.model_errors",
-    "evaluation.online",
-    "evaluation.palpation",
-    "evaluation.palpation.example",
-    "evaluation.plain_video",
-    "evaluation.real",
 ]
 """Programs that `python -m` starts."""
 
 
 def named(module: str) -> str:
     """The file's name of such a program: a package is started by its `__main__`."""
-    return f"palpate.{module}.__main__" if f"palpate.{module}" in faces() else f"palpate.{module}"
+    name = module if module.startswith("benchmarks") else f"palpate.{module}"
+    return f"{name}.__main__" if name in faces() else name
 
 
 DOORS = {name: [f"{name}.py"] for name in ("infer", "train")}

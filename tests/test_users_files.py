@@ -14,6 +14,12 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
+from benchmarks.online import __main__ as online
+from benchmarks.palpation import __main__ as palpation
+from benchmarks.palpation import surfaces
+from benchmarks.real import __main__ as real
+from benchmarks.recovery.__main__ import Benchmark
+from benchmarks.recovery.__main__ import main as measure
 from palpate.command import calibrate, infer, plan, train
 from palpate.common.files import replacing
 from palpate.common.output import LIST, ForeignFile
@@ -22,18 +28,12 @@ from palpate.data.depth.photometric import write_photometric
 from palpate.data.source.layout import InputError
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.estimators.palpation.material_fit import NOTHING
-from palpate.evaluation.benchmark import Benchmark
-from palpate.evaluation.benchmark import main as measure
-from palpate.evaluation.online import __main__ as online
-from palpate.evaluation.palpation import __main__ as palpation
-from palpate.evaluation.palpation import surfaces
-from palpate.evaluation.real import __main__ as real
 from palpate.planning import cost_table
 from palpate.results.store import OutputError
+from tests.benchmarks.recovery_cases import recovery
 from tests.data.clips import SETTINGS
 from tests.data.clips import write_clip as write_tiny
 from tests.data.synthetic.test_clip import write_quickly
-from tests.evaluation.recovery_cases import recovery
 from tests.inference_inputs import write_clip, write_model
 from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED
@@ -50,7 +50,7 @@ PLACES = {
     "judge_online": ("table.csv", "table_2.csv", "results.jsonl", "run.json"),
     "calibrate_palpation": ("calibration.json", "errors.csv", "errors.png", "notes.txt"),
     "plan_way": ("plan.json", "plan.png", "presses/notes.txt"),
-    "benchmark": ("table.csv", "details.csv", "results.jsonl", "run.json"),
+    "benchmark": ("table.csv", "results.jsonl", "run.json"),
     "train_network": ("checkpoints/best.ckpt", "checkpoints/last.ckpt", "checkpoints/notes.txt"),
     "write_depth": ("depth.onnx", "notes.txt"),
     "keep_prepared": (".tmp-mine/notes.txt", ".tmp-mine/entry/0.npz", "notes.txt"),
@@ -231,7 +231,7 @@ def test_these_doors_write_where_nothing_is_in_the_way(inputs: Path) -> None:
         "judge_online": {"table.csv", "table_2.csv", "results.jsonl"},
         "calibrate_palpation": {"calibration.json", "errors.csv", "errors.png"},
         "plan_way": {"plan.json", "plan.png"},
-        "benchmark": {"table.csv", "details.csv", "results.jsonl", "run.json"},
+        "benchmark": {"table.csv", "results.jsonl", "run.json"},
         "train_network": {"last.ckpt", "best.ckpt"},
         "write_depth": {"depth.onnx", LIST},
         "keep_prepared": {"clip.npz", "0.npz"},

@@ -3,6 +3,5 @@
 following    a grid of points, from the first picture on
 linking      where the places of one picture are in another one: all others follow by it
 tissue       single tissue points, by what surrounds them, from picture to picture
-measuring    the same where a model says about where
 background   the camera's own motion taken off
 """

@@ -1,4 +1,4 @@
-"""Follows a grid of tissue points through a clip, in its pictures' plane, with the noise of every point.
+"""Follows a grid of tissue points through a clip, in its pictures' plane.
 
 Every picture is linked to the one before (`data.tracks.linking`), and every few pictures to the first one: errors don't
 add up while its tissue is in view, and a point that an instrument hid is found again where the motion of its
@@ -15,7 +15,6 @@ import numpy as np
 
 from palpate.data.labels import TOOL
 from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
-from palpate.data.tracks.measuring import Fine, Measured, fine, measure
 
 SPACING = 8
 """Of the grid of points [px]."""
@@ -23,9 +22,9 @@ MARGIN = 5.0
 """No point begins nearer to the tool [px]."""
 TOUCHED = 3
 """A point that comes nearer to the tool is lost: it may be the tool's [px]."""
-EDGED, DRAGGED = 12, 5.0
+EDGED = 12
 """One that comes nearer to the tool is followed by a window that holds the tool's edge, which drags it along or holds
-it back: so far (standard deviation by axis, on top of a link's) [px]."""
+it back [px]."""
 BORDER = 3
 """And one that comes nearer to the picture's edge [px]."""
 CHECK = 2.5
@@ -36,11 +35,6 @@ FOUND = 4.0
 """A link to the first picture counts where it ends so near to where the point is expected [px]."""
 MIN_RESEMBLANCE = 0.8
 """And where the patterns around the point resemble each other so much."""
-NOISE, RETURNED = 0.1, 0.4
-"""Standard deviation of a link by axis: √(NOISE² + (RETURNED · distance to where the way back ends)²) [px]."""
-STRAINED = 0.5
-"""And of a link to the first picture where motion changes by its own size from place to place [px]: windows turn and
-stretch, and what is bent back by a field of motion is never quite straight."""
 MAX_SIDE = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
 DARK = 20
@@ -74,8 +68,6 @@ class Shown:
 
     gray: np.ndarray
     """uint8 [H, W]."""
-    least: np.ndarray
-    """The least of a pixel's channels, by which highlights show, uint8 [H, W]."""
     lit: np.ndarray
     """Where the picture shows anything, bool [H, W]."""
     tool: np.ndarray
@@ -85,9 +77,7 @@ class Shown:
     def of(cls, picture: np.ndarray, tool: np.ndarray) -> Shown:
         """A picture of any size, uint8 [H, W, 3] RGB, with its mask of the tool, bool [H, W]."""
         picture, tool = shrunk(picture, tool)
-        red, green, blue = cv2.split(picture)
-        least = cv2.min(cv2.min(red, green), blue)
-        return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), least, lit_field(picture), tool)
+        return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), lit_field(picture), tool)
 
     @classmethod
     def of_view(cls, view: tuple[np.ndarray, np.ndarray]) -> Shown:
@@ -148,28 +138,21 @@ class PointFollower:
         self.shown = Shown.of(picture, tool)
         """The last picture."""
         gray, away = self.shown.gray, self.shown.away
-        self.everywhere = lattice(gray.shape, spacing)
-        """Places of the whole grid, of those without a point, too, shape [rows, columns, 2] (column, row) [px]."""
-        columns, rows = np.moveaxis(self.everywhere, -1, 0)
-        near = away[rows, columns] <= MARGIN
-        self._grid = ~near & self.shown.lit[rows, columns]
+        places = lattice(gray.shape, spacing)
+        columns, rows = np.moveaxis(places, -1, 0)
+        self._grid = (away[rows, columns] > MARGIN) & self.shown.lit[rows, columns]
         self.spacing = spacing
-        self.points = self.everywhere[self._grid].astype(np.float32)
+        self.points = places[self._grid].astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
         self.distance = values_at(away, self.points)
         """From the tool there, shape [N] [px]."""
-        self.hidden = self.everywhere[near].astype(np.float64)
-        """Places of the grid that the tool hides there, shape [H, 2] [px]."""
         self.place = self.points.copy()
         """Where they are now, or were followed last, shape [N, 2] [px]."""
         self.followed = np.ones(len(self.points), bool)
         """Which are followed now, shape [N]."""
-        self.noise = np.zeros(len(self.points))
-        """Standard deviation of their places by axis, or of where they were followed last, shape [N] [px]."""
         self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
-        self._rest = _fine(self.shown)
 
     @property
     def moved(self) -> np.ndarray:
@@ -185,58 +168,33 @@ class PointFollower:
         """Follow the points into the next picture, with its tool's mask."""
         apart = ~values_at(self.shown.edge, self.place)
         self.shown = Shown.of(picture, tool)
-        gray, tissue, edge = self.shown.gray, self.shown.tissue, self.shown.edge
+        gray, tissue = self.shown.gray, self.shown.tissue
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
-        self._take(place, self.followed, np.square(self.noise) + _variance(returned, values_at(edge, place)))
+        self._take(place, self.followed)
         self._count += 1
         if self._count % RELINKED == 0 and self.followed.any():
-            self._relink(gray, tissue, edge)
+            self._relink(gray, tissue)
 
-    def measured(self, shown: Shown, motion: np.ndarray, which: np.ndarray) -> Measured:
-        """Some points in a picture where a model gives their motion; none is averaged with its neighbours'.
-
-        Those at the tool's edge count as noisy all the same: a mask may be some pixels too narrow.
-
-        Args:
-            shown: the picture, as `shown` was with it.
-            motion: of the whole grid since the first picture, shape [rows, columns, 2] [px].
-            which: numbers of the points that are measured; others are not found.
-        """
-        points = self.points[which]
-        found = measure(self._rest, _fine(shown), points, self._linker.dense(motion, shown.gray.shape))
-        edge = values_at(shown.edge, points + np.nan_to_num(found.moved)) | (self.distance[which] < EDGED)
-        moved, noise = np.full(self.points.shape, np.nan), np.full(len(self.points), np.nan)
-        moved[which], noise[which] = found.moved, np.hypot(found.noise, DRAGGED * edge)
-        return Measured(moved, noise)
-
-    def _relink(self, gray: np.ndarray, tissue: np.ndarray, edge: np.ndarray) -> None:
+    def _relink(self, gray: np.ndarray, tissue: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
         motion = self._filled()
         motion[self._grid] = expected = self._expected(motion) - self.points
-        dragged = values_at(edge, self.points + expected) | (self.distance < EDGED)
+        dragged = values_at(self.shown.edge, self.points + expected) | (self.distance < EDGED)
         place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
         off = np.linalg.norm(place - self.points - expected, axis=1)
         good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
         good &= resemblance(self._patterns, patterns(gray, place)) > MIN_RESEMBLANCE
         self.followed = self.followed | good
-        strained = np.square(STRAINED * self._slopes(motion))
-        self._take(place, good, _variance(returned, values_at(edge, place) | (self.distance < EDGED)) + strained)
-
-    def _slopes(self, motion: np.ndarray) -> np.ndarray:
-        """By how much motion of the whole grid [rows, columns, 2] changes from place to place, shape [N]."""
-        wider = np.pad(motion, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        down, right = wider[2:, 1:-1] - wider[:-2, 1:-1], wider[1:-1, 2:] - wider[1:-1, :-2]
-        return np.sqrt(np.square(np.concatenate([down, right], axis=-1)[self._grid]).sum(axis=1)) / (2 * self.spacing)
+        self._take(place, good)
 
     def _expected(self, around: np.ndarray) -> np.ndarray:
         """Places from the motion of the whole grid."""
         return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
-    def _take(self, place: np.ndarray, found: np.ndarray, variance: np.ndarray) -> None:
+    def _take(self, place: np.ndarray, found: np.ndarray) -> None:
         self.place = np.where(found[:, None], place, self.place).astype(np.float32)
-        self.noise = np.where(found, np.sqrt(variance), self.noise)
 
     def _filled(self) -> np.ndarray:
         """Motion of the whole grid, of lost points by their neighbours', float32 [rows, columns, 2] [px]."""
@@ -265,17 +223,8 @@ def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
-def _fine(shown: Shown) -> Fine:
-    return fine(shown.gray, shown.least, shown.tissue)
-
-
 def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Values of a picture or mask [H, W] at places [N, 2] (column, row) [px], outside those of its edge, shape [N]."""
     height, width = picture.shape
     column, row = np.clip(place, 0, [width - 1, height - 1]).astype(int).T
     return picture[row, column]
-
-
-def _variance(returned: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Of links by axis [N] [px²], by how far their way back ends [N] [px] and which lie at the tool's edge [N]."""
-    return NOISE**2 + np.square(RETURNED * returned) + np.square(DRAGGED * edge)

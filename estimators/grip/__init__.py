@@ -1,9 +1,6 @@
-"""Tissue that an instrument holds and moves: its motion is given, what lies around it is explained.
+"""Pulls: the relative force at an instrument that holds and moves tissue, by a sheet on a foundation.
 
-recorder     a run of contact without an onset, gathered frame by frame
-sheet        one foundation and the force, with the grip's motion unknown
-lattice      the points as a sheet's nodes, and a sheet whose grip moves as it was observed to
-grip_estimate what all of that tells, and what is determined
-stiffness_fit where it is stiffer, with the grip's motion unknown, and how well that is known
-whitening    neighbours' errors made independent, and how many of them are correlated
+recorder       motion of tissue points over a run of contact, and the fit to it
+lattice        the sheet on the lattice of tracked points: one factorisation per foundation serves all frames
+grip_estimate  skill and relative force, and whether it is determined
 """

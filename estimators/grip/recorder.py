@@ -1,47 +1,41 @@
-"""Gathers the motion around an instrument over a run of contact, and says what it tells if it is a grip.
+"""Gathers the motion of tissue points around an instrument over a run of contact, and fits the sheet to it.
 
-Rest is the run's first frame: what the tissue was stretched by before is not known, and counts as none.
+Rest is the run's first frame: how the tissue was stretched before is unknown.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from palpate.common.robust import affine_terms
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
-from palpate.data.tracks.following import PointFollower, Shown, shrunk
-from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.grip.lattice import LEAST_FRAMES, LEAST_MOTION, GripFrame, SheetFit, fit_sheet, skill
-from palpate.estimators.grip.sheet import FoundationFit, Measuring, NoSheet, PointGrid, SeenFrame, fit_foundation
-from palpate.estimators.grip.stiffness_fit import StiffnessField, fit_stiffness
+from palpate.data.tracks.following import PointFollower
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.grip.grip_estimate import GripEstimate, force_error
+from palpate.estimators.grip.lattice import LEAST_GRIPPED, LEAST_MOTION, GripFrame, fit_sheets
 from palpate.estimators.model_errors import MODEL_ERRORS
 
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
 ELSEWHERE = 100.0
 """Tissue that began farther from the tool may be taken as another grip, to compare [px]."""
+LEAST_FRAMES = 3
+"""Least number of moving frames to fit, and to judge."""
 MOST_KEPT = 32
-"""Frames that are kept, evenly spread over those so far that tell anything: memory does not grow with the run."""
+"""Number of frames that are kept, evenly spread over the moving ones: memory does not grow with the run."""
+MOST_COMPARED = 8
+"""Number of these by which the grip elsewhere is judged."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept:
+class _Kept(NamedTuple):
     time_s: float
-    frame: GripFrame
-    noise: np.ndarray
-    """Of its points, shape [N] [px]."""
-    shown: Shown
-    """Its picture."""
-
-    @property
-    def seen(self) -> SeenFrame:
-        """Its points."""
-        return SeenFrame(self.frame.moved, self.noise)
+    moved: np.ndarray
+    """Displacement of the points, shape [N, 2] [px]; NaN where a point is lost."""
+    own: np.ndarray
+    """The same less the background's motion."""
 
 
 class GripRecorder:
@@ -54,12 +48,11 @@ class GripRecorder:
     def __init__(self, first: PreparedFrame) -> None:
         picture, labels = first.view
         self._follower = PointFollower(picture, labels == TOOL)
-        self._picture = shrunk(picture, labels == TOOL)[0]
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
 
     def add(self, frame: PreparedFrame) -> None:
-        """The next frame; one without picture or labels is passed over, one out of contact only followed through."""
+        """Follow the points into the next frame; one without picture or labels is passed over."""
         if not frame.visible:
             return
         picture, labels = frame.view
@@ -68,112 +61,68 @@ class GripRecorder:
         if not frame.in_contact:
             return
         self._seen += 1
-        moved, gripped = follower.moved, follower.followed & (follower.distance < DRIVEN)
-        if not GripFrame(without_background(follower.points, moved, follower.distance), gripped).tells:
+        moved = follower.moved
+        own = without_background(follower.points, moved, follower.distance)
+        if not GripFrame(own, follower.followed & (follower.distance < DRIVEN)).moves:
             return
-        grip = GripFrame(moved.astype(np.float32), gripped)
         self._count += 1
         if self._count % self._every:
             return
-        self._kept.append(_Kept(frame.frame.time_s - self._start, grip, follower.noise, follower.shown))
+        self._kept.append(_Kept(frame.frame.time_s - self._start, moved.astype(np.float32), own.astype(np.float32)))
         if len(self._kept) > MOST_KEPT:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
     def estimate(self) -> GripEstimate:
-        """A sheet's one number, judged on the second half of the motion by what the first half tells.
+        """Fit the sheet: skill on the second half of the motion by the first half's α, the force by all frames.
 
         Raises:
             NoEstimate: too little moves, or too few points are visible.
         """
-        kept, half, points = self._kept, len(self._kept) // 2, self._follower.points
+        half, points = len(self._kept) // 2, self._follower.points.astype(np.float64)
         if half < LEAST_FRAMES:
             raise NoEstimate(
                 f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than "
                 f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
             )
-        spacing, frames = self._follower.spacing, [item.frame for item in kept]
-        # Whether the tissue moves with the instrument is judged by what moves against far tissue; how, with the
-        # background's motion found together with the sheet's, because far tissue is pulled along, too.
-        distance = self._follower.distance
-        against = [replace(frame, moved=without_background(points, frame.moved, distance)) for frame in frames]
-        judged = fit_sheet(points, spacing, against[:half])
-        fit = self._determined(frames)
-        known = _interval("foundation_over_stiffness", fit.log_anchor, fit.log_anchor_sd)
-        known |= _interval("reaction_over_stiffness", fit.log_force, fit.log_force_sd)
-        known |= {"times": np.array([item.time_s for item in kept]), "force": fit.force, "force_sd": fit.force_sd}
-        rival = _rival_skill(points, spacing, distance, against)
-        found = GripEstimate(skill=_mean_skill(judged, against[half:]), rival=rival, widens=fit.widens, **known)
-        if not found.explained:
-            return found
-        moved = np.stack([frame.moved for frame in frames])
-        return replace(found, stiffness=self._stiffness(), points=points, moved=moved, sheet=fit.sheet)
+        times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
+        seen = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
+        gripped = seen & (self._follower.distance < DRIVEN)
+        if gripped.sum() < LEAST_GRIPPED:
+            raise NoEstimate(
+                f"{gripped.sum()} tissue points at the instrument are seen in all frames; {LEAST_GRIPPED} are needed."
+            )
+        terms = affine_terms(points)
+        # Known at all points that are seen, and affine.
+        background = np.linalg.lstsq(terms[seen], np.hstack([*(moved - own)[:, seen]]), rcond=None)[0]
+        background = np.moveaxis(background.reshape(3, -1, 2), 1, 0)
+        fit = fit_sheets(points, self._follower.spacing, gripped, moved, background)
+        force, spread = fit.relative_force()
+        found = fit.skill(half)
+        force_sd = np.hypot(spread, MODEL_ERRORS.pull_force * force_error(force, found))
+        force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
+        rival = self._rival_skill(seen, int(gripped.sum()), own)
+        return GripEstimate(found, rival, times, force, force_sd)
 
-    @property
-    def _grid(self) -> PointGrid:
-        follower = self._follower
-        return PointGrid(follower.points.astype(np.float64), follower.distance, follower.hidden, follower.spacing)
+    def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:
+        """Skill of a grip around the point that moves most far from the tool; -∞ where too little moves there.
 
-    def _stiffness(self) -> StiffnessField | None:
-        """Where the tissue is stiffer, by the last frame; None where no sheet can be fitted."""
-        last = self._kept[-1]
-        try:
-            seen = SeenFrame(last.frame.moved.astype(np.float64), last.noise)
-            return fit_stiffness(self._grid, seen, self._picture)
-        except NoSheet:
-            return None
-
-    def _determined(self, frames: Sequence[GripFrame]) -> FoundationFit:
-        """Foundation and force of a sheet.
-
-        Points at the tool are followed badly. Where a sheet explains the others to within their noise, the grip's own
-        motion is not taken from them; where it does not, unknown forces would explain too much, and it is.
+        Args:
+            seen: points visible in all frames, shape [N], bool.
+            count: number of points that are gripped.
+            own: displacement less the background's, shape [T, N, 2] [px].
         """
-        follower = self._follower
-
-        def measure(number: int, motion: np.ndarray, which: np.ndarray) -> SeenFrame:
-            return SeenFrame(*follower.measured(self._kept[number].shown, motion.astype(np.float32), which))
-
-        again = Measuring(follower.everywhere, measure)
-        try:
-            return fit_foundation(self._grid, [item.seen for item in self._kept], again)
-        except NoSheet:
-            held = fit_sheet(self._grid.points, follower.spacing, frames, background=True)
-            pull, pull_sd = held.log_force(frames[-1])
-            errors = MODEL_ERRORS.foundation_as_seen, MODEL_ERRORS.force_as_seen
-            sd, pull_sd = np.hypot([held.log_anchor_sd, pull_sd], errors)
-            return FoundationFit(pull, float(pull_sd), *held.relative_force(frames), held.log_anchor, float(sd))
-
-
-def _interval(name: str, log: float, sd: float) -> dict[str, Any]:
-    """A quantity of that name and its 90 % interval, by its logarithm and the standard deviation of that."""
-    return {f"{name}{end}": math.exp(log + way * NINETY * sd) for end, way in (("", 0), ("_low", -1), ("_high", 1))}
-
-
-def _mean_skill(fit: SheetFit, frames: Sequence[GripFrame]) -> float:
-    return float(np.mean([skill(fit, frame) for frame in frames]))
-
-
-def _rival_skill(points: np.ndarray, spacing: int, distance: np.ndarray, frames: Sequence[GripFrame]) -> float:
-    """Skill if as many points as are gripped were so around the one that moves most, far from the tool.
-
-    Args:
-        points, distance: places at rest [N, 2] and distances from the tool there [N] [px].
-        spacing: of the points [px].
-
-    Returns:
-        -∞ where too few points are visible there in all frames, or too little of them moves.
-    """
-    seen = np.logical_and.reduce([np.isfinite(frame.moved).all(axis=1) for frame in frames])
-    far = seen & (distance > ELSEWHERE)
-    if not far.any():
-        return -math.inf
-    moved = np.where(far, np.linalg.norm(frames[-1].moved, axis=1), -1.0)
-    away = np.where(seen, np.linalg.norm(points - points[np.argmax(moved)], axis=1), np.inf)
-    gripped = np.zeros(len(points), bool)
-    gripped[np.argsort(away)[: min(int(frames[-1].gripped.sum()), int(seen.sum()))]] = True
-    found = [replace(frame, gripped=gripped) for frame in frames]
-    found = [frame for frame in found if frame.tells]
-    half = len(found) // 2
-    if half < LEAST_FRAMES:
-        return -math.inf
-    return _mean_skill(fit_sheet(points, spacing, found[:half]), found[half:])
+        points, distance = self._follower.points.astype(np.float64), self._follower.distance
+        far = seen & (distance > ELSEWHERE)
+        if not far.any():
+            return -math.inf
+        most = np.argmax(np.where(far, np.linalg.norm(own[-1], axis=1), -1.0))
+        apart = np.where(seen, np.linalg.norm(points - points[most], axis=1), np.inf)
+        gripped = np.zeros(len(points), bool)
+        gripped[np.argsort(apart)[:count]] = True
+        moving = own[[GripFrame(frame, gripped).moves for frame in own]]
+        half = min(len(moving), MOST_COMPARED) // 2
+        if half < LEAST_FRAMES:
+            return -math.inf
+        used = moving[np.linspace(0, len(moving) - 1, min(len(moving), MOST_COMPARED)).round().astype(int)]
+        still = np.zeros((len(used), 3, 2))
+        return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)

@@ -56,7 +56,7 @@ def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
     """Widths with which the network's intervals have the right coverage, over all suites together.
 
     Args:
-        rows: results of `evaluation.benchmark`.
+        rows: results of `benchmarks.recovery`.
 
     Raises:
         ValueError: too few results.

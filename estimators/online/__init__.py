@@ -6,7 +6,7 @@ session    one clip's state and field, frame by frame: PBD, PBD-RM, PBD-RM-ON; A
 surface    particles of the tissue in a frame, and which the camera sees; driven: these under an instrument
 determined what the instrument alone explains of the motion, by one number each (time step, foundation and bending) and
            place by place, by Gauss–Newton steps, and where that tells the stiffness; knots: numbers that make a field
-forecast   motion to come, by the field or by a sheet of one number, whichever predicts better, with what it missed
+forecast   skill of predicting later frames, by the field and by a sheet of one number
 particle_field what is said of the field in a frame and over a run
 sequence   tissue of a sequence beside a robot, with its clouds, followed points and a gripper's poses, in metres
 estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them

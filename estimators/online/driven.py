@@ -11,7 +11,7 @@ from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, Fitting, uniform
-from palpate.estimators.online.forecast import FIELD, SHEET, Forecast, Lattice, forecast, telling
+from palpate.estimators.online.forecast import FIELD, SHEET, Lattice, prediction_skill, telling
 from palpate.estimators.online.objective import Chamfer, Match, Objective, Tracks
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
@@ -193,37 +193,25 @@ class DrivenTissue:
             self._moving[body.edges[strained]] = True
         return found
 
-    def ahead(self, moved: np.ndarray) -> Forecast:
-        """What the points `around` are expected to do under a path of the instrument.
+    def skills(self) -> dict[str, float]:
+        """Skill of predicting later frames from earlier ones, by model (`estimators.online.forecast`).
 
-        Besides the way of the points near the instrument, only which points are in view is looked at.
-
-        Simulations are begun at rest and led along the instrument's way so far: a state that was mapped to what was
-        observed isn't one of the model's, and would fall back.
-
-        Args:
-            moved: displacement of the followed points in T frames to come, shape [T, P, 2] [px]; of none, which model
-                predicts better is said alone.
+        Simulations begin at rest and follow the instrument's way: a state that was mapped to what was observed is none
+        of the model's, and would fall back.
         """
-        path, places = list(self.past), self._places
-        for motion in moved:
-            found = self.gripped_places(motion)
-            places = places if found is None else found
-            path.append(places)
-        rest, session, gripped = self.surface.body.rest, self.session, self.surface.gripped
-        states = session.objective.stepped(session.fields, rest, np.stack(path)).positions[0, 1:]
-        past = telling(len(self._seen))
-        used = [*past, *range(len(self._seen), len(path))]
-        models, frames = {FIELD: self.shown(states[used])}, [*(self._seen[at] for at in past), *moved]
+        path, rest, gripped = np.stack(self.past), self.surface.body.rest, self.surface.gripped
+        states = self.session.objective.stepped(self.session.fields, rest, path).positions[0, 1:]
+        past = telling(len(path))
+        frames, models = np.stack(self._seen)[past], {FIELD: self.shown(states[past])}
         lattice = self._lattice
         if lattice is not None:
             near = lattice.distance < DRIVEN
             moves = [GripFrame(each, near & np.isfinite(each).all(axis=1)) for each in frames]
             with suppress(NothingMoves):
-                ratio = lattice.ratio(moves[: len(past)])
+                ratio = lattice.ratio(moves)
                 models[SHEET] = np.stack([lattice.motion(each, ratio)[self.around] for each in moves])
-        way = np.linalg.norm(np.stack(path)[used] - rest[gripped], axis=(1, 2))
-        return forecast(models, np.stack(frames[: len(past)])[:, self.around], way)
+        way = np.linalg.norm(path[past] - rest[gripped], axis=(1, 2))
+        return {name: prediction_skill(model, frames[:, self.around], way) for name, model in models.items()}
 
     def shown(self, states: np.ndarray) -> np.ndarray:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""

@@ -118,7 +118,7 @@ class _Followed:
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
         where = self._picture, driven.surface.pixels, *points
-        skills = driven.ahead(np.empty((0, len(self._follower.points), 2))).skills if len(times) > 2 else {}
+        skills = driven.skills() if len(times) > 2 else {}
         return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), driven, skills)
 
     def frame_field(self) -> ParticleField:

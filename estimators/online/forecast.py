@@ -1,11 +1,10 @@
-"""The motion of followed points under an instrument whose way is known, by two models, each with what it has missed.
+"""How well later frames are predicted from earlier ones by the field of stiffness, and by a sheet of one number.
 
-The models are the field of stiffness place by place, and a sheet of one number (`physics.sheet`). What a linear model
-misses grows with the instrument's way. By which share of that, the frames so far say, of which later ones are predicted
-from earlier ones; they also say which model predicts better, and that one is used.
+The field counts only where it predicts better than the sheet (`physics.sheet`). What a linear model misses grows with
+the instrument's way.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -80,51 +79,30 @@ class Lattice:
         return replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 
 
-@dataclass(frozen=True, eq=False)
-class Forecast:
-    """What is expected of Q points in T frames to come."""
-
-    since: np.ndarray
-    """Their motion since the last frame, shape [T, Q, 2] [px]."""
-    model: str
-    """By which: FIELD or SHEET, whichever predicts better."""
-    skills: Mapping[str, float]
-    """1 - error / motion of each model's predictions of frames so far; not a number where there are no two of them."""
-
-
 def telling(past: int) -> np.ndarray:
     """Which of so many frames so far say how well models predict, the last one among them."""
     return np.unique(np.linspace(past - 1, 0, min(past, MOST_FRAMES)).round().astype(int))
 
 
-def forecast(models: Mapping[str, np.ndarray], seen: np.ndarray, way: np.ndarray) -> Forecast:
-    """What is to come, by the model that predicts the frames so far best.
+def prediction_skill(model: np.ndarray, seen: np.ndarray, way: np.ndarray) -> float:
+    """Skill, 1 - error / motion, of later frames predicted from earlier ones; NaN where there are no two of them.
+
+    What the model missed in the earlier frame grows with the instrument's way, by one share of that in all pairs.
 
     Args:
-        models: by name the displacement of Q points in H frames so far and T to come, [H + T, Q, 2] [px].
-        seen: what was observed in the former, shape [H, Q, 2] [px]; not observed = NaN, which counts as no miss.
-        way: how far the instrument has moved the tissue, shape [H + T], in any unit.
+        model: displacement of Q points in H frames, shape [H, Q, 2] [px].
+        seen: what was observed, shape [H, Q, 2] [px]; not observed = NaN, which counts as no miss.
+        way: how far the instrument has moved the tissue, shape [H], in any unit.
     """
-    told = {name: _carried_on(model, seen, way) for name, model in models.items()}
-    skills = {name: skill for name, (skill, _) in told.items()}
-    best = max(skills, key=lambda name: -np.inf if np.isnan(skills[name]) else skills[name])
-    return Forecast(told[best][1], best, skills)
-
-
-def _carried_on(model: np.ndarray, seen: np.ndarray, way: np.ndarray) -> tuple[float, np.ndarray]:
-    """A model's skill in the frames so far, and what it expects of those to come, with its share of what it missed."""
-    past = len(seen)
-    missed = seen - model[:past]
-    pairs = [(one, other) for one, other in combinations(range(past), 2) if way[one] > 0]
+    missed = seen - model
     grown, more, moved = [], [], []
-    for one, other in pairs:
-        both = np.isfinite(missed[one] + missed[other]).all(axis=1)
-        grown.append((way[other] / way[one] - 1) * missed[one][both])
-        more.append((missed[other] - missed[one])[both])
-        moved.append((seen[other] - seen[one])[both])
+    for one, other in combinations(range(len(seen)), 2):
+        if way[one] > 0:
+            both = np.isfinite(missed[one] + missed[other]).all(axis=1)
+            grown.append((way[other] / way[one] - 1) * missed[one][both])
+            more.append((missed[other] - missed[one])[both])
+            moved.append((seen[other] - seen[one])[both])
     growth, change, motion = (np.concatenate([np.zeros((1, 2)), *each]) for each in (grown, more, moved))
     share = float(np.clip((growth * change).sum() / max(np.square(growth).sum(), 1e-12), 0, 1))
     whole = np.square(motion).sum()
-    skill = 1 - float(np.sqrt(np.square(change - share * growth).sum() / whole)) if whole > 0 else np.nan
-    further = way[past:] / way[past - 1] - 1 if way[past - 1] > 0 else np.zeros(len(way) - past)
-    return skill, model[past:] - model[past - 1] + share * further[:, None, None] * np.nan_to_num(missed[-1])
+    return 1 - float(np.sqrt(np.square(change - share * growth).sum() / whole)) if whole > 0 else np.nan

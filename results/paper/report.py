@@ -90,7 +90,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     motions = {
         (clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in zip(clips, contacts, strict=True)
     }
-    tables: dict[str, Mapping[str, Any]] = {
+    tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
         "comparisons.csv": {
             name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED

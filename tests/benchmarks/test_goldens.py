@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.benchmarks import goldens
+from benchmarks import goldens
 
 PARTS: dict[str, Callable[[Path], goldens.Values]] = {
     "network": lambda folder: goldens.inferred(folder, "", count=1),

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from palpate.benchmarks import inference
-from palpate.benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second, one_contact
+from benchmarks import inference
+from benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second, one_contact
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.models.onnx_session import open_model

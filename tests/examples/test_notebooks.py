@@ -34,7 +34,7 @@ def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     truth = names["truth"]
     for mean, name in zip(names["press_run"].estimate.theta, ("stiffness", "damping", "force"), strict=True):
         assert mean == pytest.approx(truth[name], rel=0.1)
-    assert "relative_force" in names["pull_run"].grip.determined or names["pull_run"].verdict == "foundation"
+    assert "relative_force" in names["pull_run"].grip.determined
 
 
 @pytest.mark.slow
@@ -51,7 +51,6 @@ def test_three_examples_hold_their_truth(monkeypatch, tmp_path) -> None:
         planned, straight = (names["paths"][name]["force_high_N"].max() for name in ("planned", "straight"))
         assert planned < 0.5 < straight
         names = run(CHECKOUT / "examples" / "stereo_pull.ipynb")
-        for name, (_, low, high) in names["lengths"].items():
-            assert low < names["truth"][name] < high
+        assert names["held"].mean() > 0.7
     finally:
         plt.close("all")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.recovery.trial import observed_contacts
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.models.carried_depth import change, change_of, shifted
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics

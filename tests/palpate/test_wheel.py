@@ -14,7 +14,7 @@ from tests.conftest import CHECKOUT
 from tests.palpate.test_api import SCENE
 
 pytestmark = pytest.mark.slow
-FOLDERS = ("common", "physics", "data", "models", "estimators", "planning", "results", "evaluation", "benchmarks")
+FOLDERS = ("common", "physics", "data", "models", "estimators", "planning", "results")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """Fields of stiffness and grips, and what is found of one over a run of contact."""
 
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -31,9 +30,5 @@ PULL = FieldEstimate(
 )  # fmt: skip
 """Of two followed points, one of which is lost by the last frame."""
 _SECONDS = np.arange(1.0, 4.0)
-GRIP = GripEstimate(
-    0.02, 0.015, 0.027, 0.6, 0.1, _SECONDS, _SECONDS / 3, np.array([0.02, 0.03, 0.0]), 300.0, 270.0, 330.0
-)
-"""Whose foundation is determined."""
-WIDE = replace(GRIP, foundation_over_stiffness_high=0.2)
-"""Whose isn't."""
+GRIP = GripEstimate(0.6, 0.1, _SECONDS, _SECONDS / 3, np.array([0.02, 0.03, 0.0]))
+"""A pull whose relative force is determined."""

@@ -135,7 +135,7 @@ def test_without_newtons_the_factor_and_the_correlation_are_told(tmp_path: Path)
 
 def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
     times = np.linspace(0.1, 0.8, 8)
-    grip = GripEstimate(0.02, 0.015, 0.027, 0.6, 0.1, times, times / 0.8, np.zeros(8), 20.0, 18.0, 22.0)
+    grip = GripEstimate(0.6, 0.1, times, times / 0.8, np.zeros(8))
     write_forces(tmp_path, 3 * np.arange(60) * 0.02 / 0.8)
     told = calibrated(tmp_path, measured="forces.csv", known_s=[0.0, 0.4])
     concluded(told, dataclasses.replace(NONE, onset_time_s=0.0, grip=grip))

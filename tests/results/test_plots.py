@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.grip.stiffness_fit import StiffnessField
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.load import held
 from palpate.results.panels import NOTICE, OBSERVED
@@ -23,7 +22,7 @@ from palpate.results.plots import MOST_PANELS, draw_fits, write_figure
 from palpate.results.surface_plot import draw_surface_errors
 from palpate.results.verdicts import COLORS, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, LOAD_STEPS, MECHANICS, NONE
-from tests.results.fields import FIELD_SEEN, GRIP, PULL, TIMES, WIDE
+from tests.results.fields import FIELD_SEEN, GRIP, PULL, TIMES
 
 
 def curve(axes: Axes, label: str) -> tuple[np.ndarray, np.ndarray]:
@@ -167,42 +166,12 @@ def test_a_fit_tells_the_verdict_first_and_no_number_surer_than_it() -> None:
 
 def test_a_grip_shows_how_the_force_changes_and_names_no_other_number() -> None:
     (axes,) = fits(dataclasses.replace(NONE, grip=GRIP, detail="No onset."))
-    assert heading(axes).endswith("foundation over stiffness 0.015 to 0.027")
-    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("foundation"))
+    assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(color_of("relative_force"))
     told = "Skill 0.60 in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     assert axes.get_title("left").startswith(told)
     np.testing.assert_allclose(curve(axes, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
     assert extent(axes.collections[0]).y1 == pytest.approx(1.0)
-    (axes,) = fits(dataclasses.replace(NONE, grip=dataclasses.replace(GRIP, widens=5.0), detail="No onset."))
-    shown = " ".join(axes.get_title("left").split())
-    assert "or |F|. Stiffening, not determined: larger pulls spread farther" in shown
-    (axes,) = fits(dataclasses.replace(NONE, grip=WIDE))
-    assert heading(axes) == "relative force: contact from frame 1 (0.000 s)"
-
-
-def test_stiffness_is_drawn_on_the_picture_only_where_it_is_known() -> None:
-    # Two columns of knots, 100 px apart: the left one is known.
-    log = np.log([0.5, 0.5, 2.0, 2.0])
-    known = np.diag([0.01, 0.01, 4.0, 4.0])
-    low, extent, moving = np.array([50.0, 20.0]), np.array([100.0, 60.0]), np.array([[50.0, 20.0], [150.0, 20.0]])
-    picture = np.zeros((100, 200, 3), np.uint8)
-    field = StiffnessField((2, 2), low, extent, log, known, 9 * np.eye(4), 0.0, moving[:1], 0.0, picture)
-    grip = dataclasses.replace(GRIP, stiffness=field)
-    (axes,) = fits(dataclasses.replace(NONE, grip=grip))
-    shown, curve_axes = sorted(axes.child_axes, key=lambda item: not item.images)
-    np.testing.assert_array_equal(shown.images[0].get_array(), picture)
-    ratio = np.ma.filled(shown.images[2].get_array(), np.nan)
-    assert ratio.shape == (25, 50)
-    # The mean is that of tissue that moves, which is the left column.
-    np.testing.assert_allclose(ratio[5:20, 13], 1.0, atol=0.15)
-    assert np.isnan(ratio[:, :12]).all()  # beyond the knots
-    assert np.isnan(ratio[:, 30:]).all()
-    assert not np.isnan(shown.images[1].get_array()[:, 45]).any()
-    assert shown.get_title("left").endswith("darkened: unknown")
-    assert curve_axes.lines
-    assert "stiffness_ratios" in grip.determined
-    off = dataclasses.replace(grip, stiffness=dataclasses.replace(field, excess=0.3))
-    assert "stiffness_ratios" not in off.determined
 
 
 def test_a_contact_without_estimate_says_why_without_axes() -> None:

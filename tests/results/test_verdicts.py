@@ -17,7 +17,7 @@ NO_INTERVAL = {"stiffness": 0.5123, "damping": 0.0512, "force": 0.1024}
 
 
 def test_verdicts_have_colours_and_meanings_and_only_determined_is_green() -> None:
-    of_grips = {"foundation", "relative_force", "stiffness_ratios"}
+    of_grips = {"relative_force", "stiffness_ratios"}
     assert set(MEANINGS) == of_grips | {"determined", "ratios", "undetermined", "onset_in_view"}
     assert set(MEANINGS) <= set(COLORS)
     green = [name for name, (red, strongest, blue) in COLORS.items() if strongest > 1.2 * max(red, blue)]

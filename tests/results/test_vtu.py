@@ -15,7 +15,6 @@ from palpate.estimators.palpation import FitSettings, fit_material
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.vtu import deformation_of, palpation_deformation, write_series
 from tests.estimators.estimates import CONTACT, GOOD, MECHANICS, NONE, THETA
-from tests.estimators.grip.test_recorder import run as pulled_run
 from tests.estimators.online.test_driven import CAMERA, GEOMETRY, driven, first_frame
 from tests.estimators.palpation.test_material_fit import BODY, observed
 from tests.physics.sheets import whole_field
@@ -60,16 +59,6 @@ def test_arrays_are_text_with_units_that_sofa_reads(tmp_path):
     assert {each.attrib["format"] for each in arrays.values()} == {"ascii"}
     assert {arrays[name].attrib["type"] for name in ("Points", "connectivity", "offsets", "displacement")} <= SOFA_TYPES
     assert "not metric" in arrays["displacement"].findtext("InformationKey")
-
-
-def test_a_pull_s_frames_hold_its_sheet():
-    grip = pulled_run(12, 1.5).estimate()
-    found = deformation_of(dataclasses.replace(NONE, grip=grip), np.zeros(1))
-    np.testing.assert_array_equal(found.displacement[..., :2], grip.sheet.moved)
-    assert found.parameters["foundation_over_stiffness"][0] == grip.foundation_over_stiffness
-    assert len(found.times) == len(found.displacement)
-    with pytest.raises(NoEstimate, match="attached is not determined"):
-        deformation_of(dataclasses.replace(NONE, grip=dataclasses.replace(grip, sheet=None)), np.zeros(1))
 
 
 @pytest.mark.parametrize("thickness", [None, 0.15])

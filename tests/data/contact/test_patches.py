@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from benchmarks.recovery.trial import observed_contacts
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, footprint
@@ -15,7 +16,6 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import TrueMotion
 from palpate.estimators.contract import ClipInfo
-from palpate.evaluation.recovery.trial import observed_contacts
 from palpate.physics.mesh import Mesh, focal_length, grid_mesh
 
 WIDTH, HEIGHT = 64, 48

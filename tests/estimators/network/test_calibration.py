@@ -6,15 +6,15 @@ import os
 import numpy as np
 import pytest
 
+from benchmarks.harness import Row, Store
 from palpate.data.contact.features import KNOWN, REFERENCE_SPACING
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.calibration import check_record, main, widths_of
-from palpate.evaluation.harness import Row, Store
 from palpate.models.calibration import LOG_DAMPING
 from palpate.models.calibration_fit import conformal_scale, fit_exponents
 from palpate.models.onnx_session import PosteriorModel
 from palpate.results.record import sha256_of
-from tests.evaluation.recovery_cases import off_by, recovery
+from tests.benchmarks.recovery_cases import off_by, recovery
 
 RATIO = float(np.exp(np.log(np.abs(off_by([0.0] * 3))) @ LOG_DAMPING))
 """k_d/√k_s of the usual tissue."""

@@ -149,25 +149,10 @@ def test_nothing_is_known_by_methods_that_learn_nothing_or_where_nothing_moves(s
         np.testing.assert_allclose(tissue.session.positions, surface.body.rest, atol=1e-9)
 
 
-def test_predictions_look_at_the_grip_alone(surface: Surface) -> None:
-    tissue = driven(surface, np.linspace(0.1, 0.5, 5))
-    path = np.stack([pulled(share) for share in np.linspace(0.6, 1, 5)])
-    blind = np.where(
-        (surface.reach <= AWAY)[:, None], pulled(0.5), path
-    )  # which are in view counts, not where they are
-    ahead = tissue.ahead(path)
-    np.testing.assert_array_equal(ahead.since, tissue.ahead(blind).since)
-    moved = (path[-1] - pulled(0.5))[tissue.around]
-    assert set(ahead.skills) == {FIELD, SHEET}
-    assert np.linalg.norm(moved - ahead.since[-1]) < 0.3 * np.linalg.norm(moved)
-
-
-def test_of_a_grip_that_stays_nothing_is_expected_but_what_the_simulation_still_catches_up_with(surface) -> None:
-    stepping = dataclasses.replace(SETTINGS.stepping, time_step=30.0, iterations=200, foundation=0.1)
-    tissue = driven(surface, np.linspace(0.2, 1, 3), stepping=stepping)
-    ahead = tissue.ahead(np.stack([pulled(1.0)] * 3))
-    np.testing.assert_allclose(ahead.since, 0, atol=0.02)
-    assert tissue.ahead(np.empty((0, len(POINTS), 2))).since.shape == (0, len(tissue.around), 2)
+def test_field_and_sheet_predict_later_frames(surface: Surface) -> None:
+    skills = driven(surface, np.linspace(0.1, 0.5, 5)).skills()
+    assert set(skills) == {FIELD, SHEET}
+    assert min(skills.values()) > 0.5
 
 
 def test_what_is_fitted_to_the_first_frames_holds_from_the_first_on(surface: Surface) -> None:

@@ -13,8 +13,8 @@ from palpate.command import infer
 from palpate.data.masks.class_table import CLASSES
 from palpate.estimators.online import driven
 from palpate.estimators.online.objective import Chamfer
+from tests.benchmarks.real_clips import pull_pictures, tissue_motion, tool_mask, write
 from tests.conftest import CHECKOUT
-from tests.evaluation.real_clips import pull_pictures, tissue_motion, tool_mask, write
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_module")

@@ -1,10 +1,10 @@
-"""Motion to come: a sheet of one number, what models have missed carried on, and the choice between them."""
+"""A sheet of one number, and how well models predict later frames."""
 
 import numpy as np
 import pytest
 
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
-from palpate.estimators.online.forecast import FIELD, MOST_FRAMES, RATIOS, SHEET, Lattice, forecast, telling
+from palpate.estimators.online.forecast import MOST_FRAMES, RATIOS, Lattice, prediction_skill, telling
 
 SPACING = 8
 RNG = np.random.default_rng(5)
@@ -53,34 +53,29 @@ def grown(way: np.ndarray, share: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4, 0.0])
-def test_what_a_model_has_missed_grows_by_the_share_that_frames_so_far_say(share: float) -> None:
-    """The first frame's way is 1: of later ones the missed part is MISSED and a share of its growth since."""
-    seen, later = grown(WAY[:3], share), grown(WAY[3:], share)
+def test_what_a_model_has_missed_grows_by_a_share_of_the_way(share: float) -> None:
+    seen = grown(WAY, share)
     seen[1, 4] = np.nan  # a point that isn't seen
-    found = forecast({FIELD: WAY[:, None, None] * SHAPE}, seen, WAY)
-    if share in (0.0, 1.0):
-        np.testing.assert_allclose(found.since, later - seen[-1], atol=1e-9)
-        assert found.skills[FIELD] == pytest.approx(1)
-    else:
-        off = np.linalg.norm(found.since[-1] - (later - seen[-1])[-1])
-        assert off < 0.5 * np.linalg.norm(WAY[-1] * SHAPE - WAY[2] * SHAPE - (later - seen[-1])[-1])
+    skill = prediction_skill(WAY[:, None, None] * SHAPE, seen, WAY)
+    assert skill == pytest.approx(1) if share in (0.0, 1.0) else 0.5 < skill < 1
 
 
-def test_the_model_that_predicts_better_is_used() -> None:
-    seen = grown(WAY[:3])
+def test_the_model_of_the_motion_predicts_better() -> None:
     right, wrong = WAY[:, None, None] * SHAPE, WAY[:, None, None] ** 2 * SHAPE[::-1]
-    for models, best in (({FIELD: right, SHEET: wrong}, FIELD), ({FIELD: wrong, SHEET: right}, SHEET)):
-        found = forecast(models, seen, WAY)
-        assert found.model == best
-        assert found.skills[best] > max(value for name, value in found.skills.items() if name != best) + 0.1
-        np.testing.assert_allclose(found.since, grown(WAY[3:]) - seen[-1], atol=1e-9)
+    assert prediction_skill(right, grown(WAY), WAY) > prediction_skill(wrong, grown(WAY), WAY) + 0.1
 
 
-def test_nothing_to_come_and_nothing_to_judge_by() -> None:
-    assert forecast({FIELD: WAY[:3, None, None] * SHAPE}, grown(WAY[:3]), WAY[:3]).since.shape == (0, 40, 2)
-    still = forecast({FIELD: np.zeros((2, 40, 2))}, np.zeros((1, 40, 2)), np.zeros(2))
-    assert np.isnan(still.skills[FIELD])
-    np.testing.assert_array_equal(still.since, 0)
+def test_of_one_frame_there_is_no_skill() -> None:
+    assert np.isnan(prediction_skill(np.zeros((1, 40, 2)), np.zeros((1, 40, 2)), np.zeros(1)))
+
+
+def test_nearby_are_the_nearest_third_of_the_points_that_are_seen() -> None:
+    """Of 100 seen points, those at the grip counted, the nearest 35."""
+    distance, moved = np.arange(120.0)[::-1], np.ones((120, 2))
+    moved[distance >= 100] = np.nan
+    nearby = Lattice(np.zeros((120, 2)), 8, distance).nearby(GripFrame(moved, distance < 10))
+    np.testing.assert_array_equal(nearby.around, (distance >= 10) & (distance < 35))
+    np.testing.assert_array_equal(nearby.gripped, distance < 10)
 
 
 def test_of_a_long_run_as_many_frames_as_of_a_short_one_say_how_well_models_predict() -> None:

@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator
 from scipy.stats import spearmanr
 
+from benchmarks.online.sequences import SIDE
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import open_sequence
 from palpate.estimators.estimate import NINETY
@@ -14,7 +15,6 @@ from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.evaluation.online.sequences import SIDE
 from tests.sequences import SHIFT, TURN, pull, write_sequence
 
 NEWTON = Method(optimizer="gauss-newton")

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.palpation.synthetic import sphere
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import register
-from palpate.evaluation.palpation.synthetic import sphere
 
 
 def pose_of(turn: Rotation, shift) -> np.ndarray:

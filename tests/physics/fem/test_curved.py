@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.evaluation.palpation.synthetic import sphere
+from benchmarks.palpation.synthetic import sphere
 from palpate.physics.fem import Solid, box, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 

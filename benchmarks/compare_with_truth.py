@@ -1,0 +1,136 @@
+"""Estimates of synthetic clips compared with their truth, as a table a clip.
+
+    python -m benchmarks.compare_with_truth --results FOLDER [FOLDER …]
+
+Folders are those that `palpate infer` wrote, of frame folders that `python -m data.synthetic` drew, or of their video
+files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from benchmarks.harness import show
+from palpate.common.command_line import say
+from palpate.common.doors import plain
+from palpate.common.files import read_file
+from palpate.common.options import options
+from palpate.common.settings import LARGEST
+from palpate.data.source.table import MOST_BYTES, reason
+from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
+from palpate.physics.mechanics import PARAMETERS
+from palpate.results.store import INTERACTIONS, RECORD
+
+COLUMNS = ("quantity", "estimate", "low", "high", "truth", "90 % interval")
+IN_LENGTHS = ("force", "force_over_stiffness")
+"""Quantities that count in the clip's unit of length."""
+SAME_ONSET = 1.5
+"""A run of contact is the true one where it begins within so many frames of it."""
+
+
+class NoTruth(ValueError):
+    """Results can't be compared with the truth; the message is a sentence."""
+
+
+def true_values(theta: Mapping[str, float]) -> dict[str, float]:
+    """Every REPORTED combination of the true k_s, k_d and signed F.
+
+    Raises:
+        KeyError, TypeError: a number is missing, or there are none.
+        ValueError: one is 0, infinite or no number.
+    """
+    magnitudes = np.abs([float(theta[name]) for name in PARAMETERS])
+    if not ((magnitudes > 0) & (magnitudes <= LARGEST)).all():
+        raise ValueError("theta is to be finite numbers other than 0")
+    return {name: float(np.prod(magnitudes ** np.array(COMBINATIONS[name]))) for name in REPORTED}
+
+
+def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
+    """Return a clip's name, the row of `interactions.csv` of its true run of contact, and its true values.
+
+    Raises:
+        NoTruth: they are no results, of no synthetic clip, or have no such run.
+    """
+    try:
+        record = json.loads(read_file(folder / RECORD, MOST_BYTES))
+        clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
+        text = io.StringIO(read_file(folder / INTERACTIONS, MOST_BYTES).decode("utf-8"), newline="")
+        rows = list(csv.DictReader(text))
+        onsets = [float(row["onset_time_s"]) for row in rows]
+        found = [f"{row['verdict']}." if row["status"] == "ok" else f"no estimate. {row['detail']}" for row in rows]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
+        raise NoTruth(f"{folder} holds no results of infer.py ({reason(error)}); give a clip's folder.") from error
+    try:
+        truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
+        values, onset = true_values(truth["theta"]), float(truth["onset_s"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise NoTruth(f"{clip} has no truth ({reason(error)}); give results of a clip of data.synthetic.") from error
+    for row, begun in zip(rows, onsets, strict=True):
+        if row["status"] == "ok" and abs(begun - onset) * fps <= SAME_ONSET:
+            return clip.name, row, values
+    runs = " ".join(f"Contact from {begun:.2f} s: {outcome}" for begun, outcome in zip(onsets, found, strict=True))
+    raise NoTruth(
+        f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does. "
+        f"{runs or 'No contact was found.'}"
+    )
+
+
+def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> pd.DataFrame:
+    """Every quantity with its estimate, interval and truth; numbers of what is not determined are not shown.
+
+    A video alone gives lengths, and forces with them, in a unit of its own only: these aren't judged.
+    """
+    own_unit = () if Path(name).suffix == "" else IN_LENGTHS
+    determined, lines = row["determined"].split(";"), []
+    for quantity in REPORTED:
+        estimate, low, high = (row.get(f"{quantity}{end}", "") for end in ("", "_low", "_high"))
+        line: dict[str, object] = {"quantity": f"{quantity} {SYMBOLS[quantity]}", "truth": truth[quantity]}
+        if not estimate or quantity not in determined:
+            lines.append(line | {"estimate": "not determined"})
+            continue
+        line |= {"estimate": float(estimate)}
+        if low and high:
+            held = float(low) <= truth[quantity] <= float(high)
+            judged = "in another unit" if quantity in own_unit else "held" if held else "missed"
+            line |= {"low": float(low), "high": float(high), "90 % interval": judged}
+        lines.append(line)
+    return pd.DataFrame(lines, columns=COLUMNS)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What is compared."""
+
+    results: tuple[Path, ...]
+    """folders of palpate infer, one a clip"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables; returns the exit status."""
+    status = 0
+    for folder in options(Compared, arguments, "benchmarks.compare_with_truth", __doc__).results:
+        try:
+            name, row, truth = read_results(folder)
+        except NoTruth as error:
+            say(Console(stderr=True), str(error), "red")
+            status = 1
+            continue
+        print(plain(f"{name}: {row['verdict']}; normalised units, not N/m or N; damping over stiffness in s"))
+        show(table_of(name, row, truth))
+    return status
+
+
+if __name__ == "__main__":
+    run_door(main)

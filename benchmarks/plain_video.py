@@ -1,0 +1,263 @@
+"""Plain videos: drawn clips as MP4 alone, through the session that users open, compared with their truth.
+
+    python -m benchmarks.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
+
+Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
+to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
+instrument that passes over tissue and never touches), `video-pull`, and `video-depth` (the presses of `video` with
+depth as noisy as a network's and masks given, for --observation depth, shading or both). With
+`--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
+coarsely. `--estimator network` measures what the network makes of given depth.
+Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
+Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
+summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
+clips determine it, the median error of its logarithm there, how often its 90 % interval holds the truth, and the median
+of what the error of a step on a point would at least be if the light had the noise of still tissue and nothing else
+(Cramér–Rao bound).
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import functools
+import math
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.harness import Measurements, Report, Row, run
+from benchmarks.recovery.bounds import light_information
+from benchmarks.recovery.suites import EVERY, LARGEST_SEED
+from palpate.api import open_clip
+from palpate.common.files import file_sha256
+from palpate.common.options import require_within
+from palpate.common.settings import LARGEST
+from palpate.data.clip import ClipStream
+from palpate.data.contact.geometry import GeometryStatus, dent_geometry
+from palpate.data.contact.interaction import BOTH
+from palpate.data.source.layout import from_mapping
+from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
+from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.truth import PressedMotion, regime_of
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
+from palpate.estimators.network.estimator import FAST
+from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.open import open_estimator as open_by_options
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.session import estimates_of
+from palpate.models.onnx_session import SHIPPED
+from palpate.physics.identifiability import combination_bounds
+from palpate.physics.mechanics import damping_ratio
+from palpate.physics.mesh import contact_normal
+
+SAME_ONSET = 2
+"""A run of contact is the true one where it begins within so many frames of it."""
+SUITES: Mapping[str, Mapping[str, Any]] = {
+    "video": {},
+    "video-moving": {"turning_deg": 0.5},
+    "video-oblique": {"max_tilt_deg": 25.0},
+    "video-patch": EVERY["patch"].truth,
+    "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
+    "video-pull": {"action": "grip"},
+    "video-depth": {**EVERY["noisy"].errors},
+}
+"""Fields of SceneSettings that make each suite."""
+GIVEN = "video-depth"
+"""The one whose clips are folders with depth and masks."""
+HEIGHTS = {854: 480, 1280: 720}
+"""Of pictures by their width [px]."""
+QUALITY = {"matte": 18, "endoscope": 23}
+"""Constant rate factor of the videos."""
+
+
+DIRECT = EstimatorOptions("direct")
+
+
+def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, given: bool = False) -> Row:
+    """Measures of one drawn clip by an estimator: of its video alone, or with depth and masks given."""
+    estimator = open_by_options(options)
+    scene, truth = draw_truth(settings, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        clip = write_clip(Path(folder), 1, settings, seed)
+        stream = open_clip(clip if given else clip.with_suffix(".mp4"), estimator)
+        facing = normal_error(stream, scene)
+        found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
+    contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
+    pressed = truth.in_contact
+    # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
+    judged = np.arange(len(pressed)) != truth.onset_frame
+    row: Row = {
+        "normal_error_deg": facing,
+        "pressed_frames": int((pressed & judged).sum()),
+        "pressed_found": int((pressed & judged & contact).sum()),
+        "other_frames": int((~pressed & judged).sum()),
+        "other_found": int((~pressed & judged & contact).sum()),
+    }
+    runs = [output for output in found if isinstance(output, InteractionEstimate)]
+    if not isinstance(truth, PressedMotion):
+        pulls = [run.grip for run in runs if run.grip is not None]
+        best = max(pulls, key=lambda grip: grip.skill, default=None)
+        verdicts = [run.verdict for run in runs if run.verdict not in ("", "undetermined")]
+        skill = math.nan if best is None else best.skill
+        return row | {"verdict": ";".join(verdicts) or "undetermined", "skill": skill}
+    row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
+    right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
+    if not right:
+        return row | {"verdict": "no_estimate"}
+    distance = float(scene.mesh.vertices[scene.vertex, 2])
+    estimate = right[0].estimate
+    assert estimate is not None
+    return row | {"left": estimate.left} | compared(right[0], truth.theta, distance, 1 / settings.fps)
+
+
+def normal_error(stream: ClipStream, scene: Scene) -> float:
+    """Angle between the normal at the contact by the first picture's depth and the true one [degrees]."""
+    first = stream.prepared(next(iter(stream.source)))
+    row, column = (scene.mesh.pixels[scene.vertex] * first.depth.shape / scene.mesh.grid_shape).round().astype(int)
+    geometry = stream.settings.geometry
+    try:
+        found = dent_geometry(first.depth, first.labels, (column, row), stream.camera, geometry)
+    except GeometryStatus:
+        return math.nan
+    cosine = found.normal @ contact_normal(scene.mesh, scene.vertex)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, frame_seconds: float) -> Row:
+    """Errors of the logarithm of every quantity, with their standard deviations and bounds, and which are determined.
+
+    Args:
+        found: the press.
+        theta: true k_s, k_d and F, shape [3], of tissue at a true
+        distance: [scene units].
+        frame_seconds: time from frame to frame [s].
+    """
+    estimate, contact = found.estimate, found.interaction
+    assert estimate is not None
+    assert contact is not None
+    true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
+    information = None if contact.shading is None else light_information(contact, true, frame_seconds)
+    row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
+    for name in REPORTED:
+        powers = np.array(COMBINATIONS[name])
+        off = powers @ np.log(np.abs(estimate.theta / true))
+        row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
+        row[f"{name}_log_true"] = float(powers @ np.log(np.abs(true)))
+        row[f"{name}_bound"] = math.nan if information is None else float(combination_bounds(information, [powers])[0])
+        for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
+            if covariance is None:
+                continue
+            row[f"{name}_{end}"] = float(math.sqrt(max(powers @ covariance @ powers, 0.0)))
+    return row
+
+
+@dataclass(frozen=True)
+class PlainVideo(Measurements):
+    """What is drawn."""
+
+    suite: Literal[tuple(SUITES)] = "video"  # ty: ignore[invalid-type-form]
+    """what the clips show"""
+    look: Literal["matte", "endoscope"] = "matte"
+    """by which law pictures are drawn"""
+    width: Literal[854, 1280] = 854
+    """of the pictures, 480 or 720 pixels high"""
+    seed: int = 77
+    """of the clips"""
+    clips: int = 8
+    """how many"""
+    frames: int = 32
+    """of each clip"""
+    estimator: Literal["direct", "network"] = "direct"
+    """which"""
+    model: Path | None = None
+    """network's file (default: the one that comes along)"""
+    observation: Literal["depth", "shading", "both"] | None = None
+    """what is fitted (default: what there is); both with direct alone"""
+    rate: Literal["full", "fast"] = "full"
+    """what is done of a clip, as of palpate infer; fast with network alone"""
+
+    writes = ("table.csv", "summary.csv")
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used."""
+        if self.model is not None and self.estimator != "network":
+            raise ValueError("--model is for --estimator network; leave it out.")
+        if self.observation == BOTH and self.estimator == "network":
+            raise ValueError("--observation both is for --estimator direct; leave it out.")
+        if self.rate == FAST and self.estimator != "network":
+            raise ValueError("--rate fast is for --estimator network; leave it out.")
+        require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
+
+    @property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Every clip by its number."""
+        return {
+            str(index): functools.partial(
+                measured_video, self.settings, clip_seed(self.seed, index), self.options, given=self.suite == GIVEN
+            )
+            for index in range(self.clips)
+        }
+
+    @property
+    def settings(self) -> SceneSettings:
+        """What the clips are drawn from."""
+        size: dict[str, Any] = {"width": self.width, "height": HEIGHTS[self.width], "frames": self.frames}
+        drawn = {"look": self.look, "video_quality": QUALITY[self.look], **SUITES[self.suite]}
+        return from_mapping(SceneSettings, size | drawn, f"The suite {self.suite}")
+
+    @property
+    def options(self) -> EstimatorOptions:
+        """What opens the estimator."""
+        return EstimatorOptions(self.estimator, self.model, observation=self.observation, rate=self.rate)
+
+    def record(self) -> Mapping[str, Any]:
+        """What the clips are drawn from, and the estimator."""
+        asked = {name: getattr(self, name) for name in ("seed", "estimator", "observation", "rate")}
+        network = {"model_sha256": file_sha256(self.model or SHIPPED)} if self.estimator == "network" else {}
+        return asdict(self.settings) | asked | network
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """The measures of every clip, and those of all."""
+        report = super().report(rows)
+        summary = summarised([rows[name,] for name in self.wanted if (name,) in rows and "status" not in rows[name,]])
+        return Report({**report.tables, "summary.csv": summary}, [summary], report.lines, failed=report.failed)
+
+
+def summarised(rows: Sequence[Row]) -> pd.DataFrame:
+    """Frames found and quantities determined over all clips, a line each."""
+    lines = []
+    for name in ("pressed", "other"):
+        found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
+        lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
+    angles = [row["normal_error_deg"] for row in rows]
+    lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": float(np.nanmedian(angles))})
+    pressed = [row for row in rows if "regime" in row]
+    for name in REPORTED if pressed else ():
+        known = [row for row in pressed if row.get(f"{name}_determined")]
+        ends = "error", "sd", "bound", "log_true"
+        errors, sds, bounds, logs = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
+        line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
+        if known:
+            line |= {"median error": float(np.median(np.abs(errors)))}
+            line |= {"of the best constant": float(np.median(np.abs(logs - np.median(logs))))}
+            line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds)), "bound": float(np.median(bounds))}
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure the clips; returns the exit status."""
+    return run(PlainVideo, arguments, "benchmarks.plain_video", __doc__)
+
+
+if __name__ == "__main__":
+    run_door(main)

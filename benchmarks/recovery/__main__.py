@@ -1,0 +1,212 @@
+"""How well θ is recovered on synthetic clips with known truth, against the best that is possible.
+
+    python -m benchmarks.recovery --suite clean --estimator direct --clips 60 --seed 0 --output runs/benchmark
+
+Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
+continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv. A clip that can't
+be estimated is counted and shown. In table.csv constant_rmse_log is the error of the best constant for exactly the
+clips of a row; the estimator constant, whose θ is the mean over another split, can't reach it.
+
+Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
+grips.csv has the answer (see `benchmarks.recovery.grips`).
+
+suites:
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from rich.progress import Progress
+
+from benchmarks.harness import OK, Experiment, Report, Row, run
+from benchmarks.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
+from benchmarks.recovery.grips import grip_table
+from benchmarks.recovery.scores import Scores, score_all, table
+from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
+from benchmarks.recovery.trial import Trial, run_trial
+from palpate.common.command_line import size_of
+from palpate.common.options import require_within
+from palpate.common.settings import LARGEST
+from palpate.data.depth.normalise import MOST_THREADS
+from palpate.estimators.open import EstimatorOptions
+
+LARGEST_SIZE = 4096
+"""Of pictures [px]."""
+LEAST_SEEN = 3
+"""Fewer frames after the onset are refused by `direct`."""
+SHOWN_FAILURES = 8
+KINDS = ("press", "grip")
+"""Of suites, in the order of tables."""
+DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+Name = Literal["direct", "gan", "network", "constant"]
+
+
+@dataclass(frozen=True)
+class Benchmark(Experiment):
+    """What is measured."""
+
+    suite: tuple[str, ...] = ("clean",)
+    """suites, or all of presses"""
+    estimator: tuple[Name, ...] = (DIRECT,)
+    """direct, gan, network or constant, one or more"""
+    model: Path | None = None
+    """ONNX file of the estimator network"""
+    gan_model: Path | None = None
+    """ONNX file of the estimator gan: one estimate a frame"""
+    clips: int = 60
+    """clips of each suite, a third a regime"""
+    seed: int = 0
+    """another seed gives other clips"""
+    split: Literal["training", "validation", "test"] = "test"
+    """stream of seeds"""
+    seen: int | Literal["press"] | None = None
+    """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
+    onset: Literal["stamp", "between"] = "stamp"
+    """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
+    observation: Literal["depth", "contact"] | None = None
+    """what direct and network look at: the whole dent (depth, default), or the point that was touched (contact)"""
+    bound: Literal["depth", "contact"] = "depth"
+    """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
+    with
+    --onset between, of somebody who doesn't know the instants either"""
+    size: str = "214x120"
+    """width and height of the pictures; 854x480 is CholecSeg8k's"""
+    workers: int = 2
+    """processes; 0 = in this one"""
+
+    keys: ClassVar = ("suite", "index", "estimator")
+    work: ClassVar = staticmethod(run_trial)
+    writes: ClassVar = ("table.csv", "grips.csv")
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where an option can't be used, or options don't belong together."""
+        require_within(self, clips=(1, LARGEST), seed=(0, LARGEST_SEED), workers=(0, MOST_THREADS))
+        strange = [name for name in self.suite if name not in (*EVERY, "all")]
+        if strange:
+            raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
+        if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
+            raise ValueError(f"--seen {self.seen} is too little; give at least {LEAST_SEEN} frames, or press.")
+        if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
+            raise ValueError(
+                f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
+                f"up, {LARGEST_SIZE} px a side at most."
+            )
+        if self.seen is not None and "gan" in self.estimator:
+            raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
+        for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
+            if name in self.estimator and given is None:
+                raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")
+            if name not in self.estimator and given is not None:
+                raise ValueError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
+
+    @property
+    def suites(self) -> list[str]:
+        """Each once, in the order of tables."""
+        return [name for name in EVERY if name in self.suite or ("all" in self.suite and name in SUITES)]
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the pictures; 0 for what is no size."""
+        return size_of(self.size) or (0, 0)
+
+    @property
+    def estimators(self) -> dict[str, EstimatorOptions]:
+        """What is compared but the constant, by name, in the order of tables."""
+        models = {"network": self.model, "gan": self.gan_model, DIRECT: None}
+        found = {}
+        for name in NAMES:
+            if name in self.estimator and name != CONSTANT:
+                contact = (None, None) if name == "gan" else (self.onset, self.observation)
+                found[name] = EstimatorOptions(name, models[name], *contact, horizon=self.seen, threads=1)
+        return found
+
+    def record(self) -> Mapping[str, Any]:
+        """What the results depend on."""
+        found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
+        found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
+        return found | {f"estimator {name}": describe(estimator) for name, estimator in self.estimators.items()}
+
+    def asked(self, suite: str, index: int) -> list[str]:
+        """The estimators that a clip is for: of a grip, the one that fits grips."""
+        if EVERY[suite].of == "grip":
+            return [DIRECT]
+        return [name for name in NAMES if name in self.estimator]
+
+    @property
+    def wanted(self) -> list[tuple[str, int, str]]:
+        """Suite, clip and estimator of every result that is asked for."""
+        clips = itertools.product(range(self.clips), self.suites)
+        return [(suite, index, name) for index, suite in clips for name in self.asked(suite, index)]
+
+    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Trial], int]:
+        """Presses of one clip together, since most suites show the same motion; all others one by one."""
+        left = [key for key in self.wanted if key not in done]
+        known: dict[str, Candidate] = {DIRECT: EstimatorOptions(DIRECT, threads=1), **self.estimators}
+        if any(name == CONSTANT for _, _, name in left):
+            known[CONSTANT] = constant_estimate(self.split, self.seed, self.workers, progress)
+
+        def group(key: tuple[str, int, str]) -> tuple[int, str]:
+            return key[1], "" if EVERY[key[0]].of == "press" else key[0]
+
+        trials: dict[tuple[int, str], dict[str, dict[str, Candidate]]] = {}
+        for key in left:
+            trials.setdefault(group(key), {}).setdefault(key[0], {})[key[2]] = known[key[2]]
+        seeds = {index: suite_clip_seed(self.split, self.seed, index) for index, _ in trials}
+        rest = self.seen, self.pixels
+        cases = [Trial(index, seeds[index], wanted, *rest) for (index, _), wanted in trials.items()]
+        return cases, len({group(key) for key in self.wanted})
+
+    def report(self, rows: Mapping[tuple, Row]) -> Report:
+        """Tables of presses and of grips."""
+        order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
+        found = [rows[key] for key in order if key in rows]
+        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
+        judged = score_all(presses, self.bound, self.onset)
+        tables = {"table.csv": table(judged)} if judged else {}
+        shown = [frame[frame["n"] > 0] for frame in tables.values()]
+        if grips:
+            tables["grips.csv"] = grip_table(grips)
+            shown.append(tables["grips.csv"])
+        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips)
+        failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
+        if failed:
+            lines.append(("No clip could be estimated.", "red"))
+        return Report(tables, shown, lines, failed=failed)
+
+
+def _estimated(scores: Scores) -> list[tuple[str, str]]:
+    """How many clips of a suite were estimated, and why others weren't."""
+    count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
+    text = (
+        f"{scores.estimator} on {scores.suite}: {count}, tracking noise {scores.noise[0]:.3g} ({scores.noise[1]:.3g})"
+    )
+    return [(text, ""), *_failures(scores.failed)]
+
+
+def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    failed = [row for row in rows if row["status"] != OK]
+    lines = []
+    for row in failed[:SHOWN_FAILURES]:
+        clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
+        lines.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
+    if len(failed) > SHOWN_FAILURES:
+        lines.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
+    return lines
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark that the command line asks for; returns the exit status."""
+    return run(Benchmark, arguments, "benchmarks.recovery", DOCUMENTATION)
+
+
+if __name__ == "__main__":
+    run_door(main)

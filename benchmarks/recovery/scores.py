@@ -1,0 +1,172 @@
+"""From results to numbers: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
+
+Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the sequence of its dent with
+the sequence's own noise (`field`), or that of its contact's true trajectory under the suite's measured tracking noise,
+which is pooled over all its clips (`contact`). `constant_rmse_log` is the error of the
+best constant for exactly the clips of a row, their own mean: nothing that ignores its input can do better. The
+estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.harness import OK, Row
+from benchmarks.recovery.bounds import known
+from palpate.data.contact.interaction import FIELD
+from palpate.data.synthetic.truth import REGIMES
+from palpate.estimators.estimate import NINETY
+from palpate.estimators.onset import STAMP
+from palpate.physics.identifiability import LIMIT, RATIOS, covariance
+from palpate.physics.mechanics import PARAMETERS
+
+QUANTITIES = (*PARAMETERS, "stiffness/damping", "force/damping")
+COLUMNS = (
+    "estimator", "suite", "regime", "parameter", "n",
+    "rmse_log", "bound_log", "ratio", "constant_rmse_log", "coverage90",
+)  # fmt: skip
+NON_IDENTIFIABLE = "non-identifiable"
+"""In the column of regimes: clips of any regime with a parameter whose bound is not below the limit."""
+EVERY = "every clip"
+"""In the column of regimes, of a parameter: identifiable or not. Intervals are calibrated to hold over these."""
+CENTRAL = 0.6826894921370859
+"""Probability within one standard deviation."""
+ASTRAY = 4.0
+"""Tracking errors of more than this many standard deviations count as lost tracks, not as noise."""
+TO_QUANTITIES = np.vstack((np.eye(3), RATIOS))
+"""From log θ to the logarithms of QUANTITIES, shape [5, 3]."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Estimated clips of one suite by one estimator, everything in logarithms; n clips, 5 QUANTITIES."""
+
+    estimator: str
+    suite: str
+    rows: list[Row]
+    """Results with an estimate, shape [n]."""
+    failed: list[Row]
+    """Results without one."""
+    noise: tuple[float, float]
+    """Of the suite, as `measure_noise` gives it."""
+    regimes: np.ndarray
+    """Shape [n]."""
+    truth: np.ndarray
+    """Shape [n, 5]."""
+    estimate: np.ndarray
+    """Shape [n, 5]."""
+    bounds: np.ndarray
+    """Cramér–Rao bounds, shape [n, 5]."""
+    sd: np.ndarray
+    """Estimated standard deviations, shape [n, 5]; not a number where the estimator gives none."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Estimate minus truth, shape [n, 5]."""
+        return self.estimate - self.truth
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """Whether each parameter's bound lies below the limit, shape [n, 3]."""
+        return self.bounds[:, :3] < LIMIT
+
+    def groups(self, quantity: int) -> dict[str, np.ndarray]:
+        """Clips [n] bool that a quantity's rows of the table are about, by the name in the column of regimes.
+
+        Parameters: the clips whose own bound lies below the limit, and every clip. Ratios: all clips, and the
+        non-identifiable ones.
+        """
+        every = np.ones(len(self.rows), bool)
+        if quantity < len(PARAMETERS):
+            used, extra, clips = self.identifiable[:, quantity], EVERY, every
+        else:
+            used, extra, clips = every, NON_IDENTIFIABLE, (~self.identifiable).any(axis=1)
+        found: dict[str, np.ndarray] = {regime: used & (self.regimes == regime) for regime in REGIMES}
+        return found | {"all": used, extra: np.asarray(clips)}
+
+
+def measure_noise(rows: Sequence[Row]) -> tuple[float, float]:
+    """Measured error of the tracked contact of a suite [scene units], every clip once.
+
+    Returns:
+        Root mean square without the errors beyond ASTRAY times the width that holds the central 68 % (tracks that went
+        astray would raise the bound and so excuse the estimators), and the root mean square of all.
+    """
+    tracks = {row["index"]: row["tracking"] for row in rows if "tracking" in row}
+    if not tracks:
+        return math.nan, math.nan
+    sizes = np.abs(np.concatenate(list(tracks.values())))
+    return rms(sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]), rms(sizes)
+
+
+def score(rows: Sequence[Row], noise: tuple[float, float], observation: str = FIELD, onset: str = STAMP) -> Scores:
+    """Scores of one suite and estimator.
+
+    Args:
+        rows: its results, one at least.
+        noise: of the suite.
+        observation: of what the Cramér–Rao bound is with which errors are compared: of the sequence (`FIELD`; nothing
+            where there is none) or of the tracked contact.
+        onset: whether the instants of the press are known to that bound: one of `estimators.onset.ONSETS`.
+    """
+    kept = [row for row in rows if row["status"] == OK]
+    truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))
+    name, unit = ("field_information", 1.0) if observation == FIELD else ("information", noise[0] ** 2)
+    information = np.array([row.get(name, np.zeros((5, 5))) / unit for row in kept]).reshape(-1, 5, 5)
+    unknown = np.full((3, 3), np.nan)
+    given = np.array([row.get("covariance", unknown) for row in kept]).reshape(-1, 3, 3)
+    return Scores(
+        estimator=rows[0]["estimator"],
+        suite=rows[0]["suite"],
+        rows=kept,
+        failed=[row for row in rows if row["status"] != OK],
+        noise=noise,
+        regimes=np.array([row["regime"] for row in kept]),
+        truth=truth @ TO_QUANTITIES.T,
+        estimate=estimate @ TO_QUANTITIES.T,
+        bounds=deviations(covariance(known(information, onset))),
+        sd=deviations(given),
+    )
+
+
+def deviations(covariances: np.ndarray) -> np.ndarray:
+    """Standard deviations of all quantities, shape [..., 5], from covariances of log θ, shape [..., 3, 3]."""
+    return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
+
+
+def score_all(rows: Sequence[Row], observation: str = FIELD, onset: str = STAMP) -> list[Scores]:
+    """Scores of every estimator and suite, in the order in which they first appear; arguments as of `score`."""
+    found = []
+    for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
+        observed = [row for row in rows if row["suite"] == suite]
+        own = [row for row in observed if row["estimator"] == estimator]
+        found.append(score(own, measure_noise(observed), observation, onset))
+    return found
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.square(values).mean())) if len(values) else math.nan
+
+
+def coverage(errors: np.ndarray, sd: np.ndarray) -> float:
+    """Share of errors [n] within the 90 % intervals of standard deviations [n], of those whose deviations are given."""
+    known = np.isfinite(sd)
+    return float((np.abs(errors[known]) <= NINETY * sd[known]).mean()) if known.any() else math.nan
+
+
+def table(judged: Sequence[Scores]) -> pd.DataFrame:
+    """`table.csv`."""
+    found = []
+    for scores in judged:
+        for column, parameter in enumerate(QUANTITIES):
+            for regime, used in scores.groups(column).items():
+                error, bound = rms(scores.errors[used, column]), rms(scores.bounds[used, column])
+                constant = float(np.std(scores.truth[used, column])) if used.any() else math.nan
+                held = coverage(scores.errors[used, column], scores.sd[used, column])
+                named = scores.estimator, scores.suite, regime, parameter
+                found.append((*named, int(used.sum()), error, bound, error / bound, constant, held))
+    return pd.DataFrame(found, columns=COLUMNS)

@@ -1,0 +1,228 @@
+"""One synthetic clip against its truth: made in memory, observed as each suite says, estimated as users estimate.
+
+A trial is one clip in all wanted suites, because the true motion costs most and is the same in most of them. Its result
+is a row a suite and estimator; what doesn't exist is left out. θ = [k_s, k_d, F], lengths in scene units:
+
+suite, index, estimator, seed   the clip, and who was asked
+action, regime                  `press` or `grip`; of a press, how it is damped
+status, reason                  `ok`, or why there is no estimate: its draw failed (`no scene`), no run of contact was
+                                found (`no contact`), one was found but in another frame (`other onset`), the estimator
+                                declined (`no estimate`), or something broke (`error`)
+seconds                         time that the estimate took
+verdict, warned                 as estimated; whether the estimate says that its model doesn't explain the motion, or
+                                that a dent may hide its bottom
+
+of a press:
+
+theta, estimate, covariance     true and estimated θ, shape [3], and the estimated covariance of log θ, shape [3, 3]
+information                     Fisher information of log θ and both delays from the contact's motion for σ = 1
+                                (`benchmarks.recovery.bounds`), shape [5, 5]
+field_information               the same from the sequence of its dent with the sequence's noise
+tracking                        tracked minus true displacement along the true direction, shape [M]
+onset_off, release_off          frames from the true onset, or release, to the one that was found
+place_off                       how far the contact was found from the true one [grid px]
+noise, misfit, at_bound         σ that the estimator believed in; its misfit; whether θ lies at its range's end, [3]
+
+of a grip:
+
+contact_right                   share of the frames in which something moves whose contact is the true one
+skill                           as estimated
+curve                           force over that of the last frame: true, estimated, its standard deviation, shape [3, T]
+"""
+
+import functools
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import OK, Row, attempted
+from benchmarks.recovery.bounds import MECHANICS, contact_information, field_information
+from benchmarks.recovery.estimators import Candidate, opened
+from benchmarks.recovery.grip_truth import gripped
+from benchmarks.recovery.suites import EVERY, GRID_SIZE
+from palpate.common.doors import interruptible
+from palpate.data.contact.interaction import Horizon, Interaction
+from palpate.data.prepared import PreparedFrame
+from palpate.data.synthetic.clip import Truth, draw_truth, synthetic_clip
+from palpate.data.synthetic.grip import GrippedMotion
+from palpate.data.synthetic.scene import Scene, SceneError
+from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import PressedMotion
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.oblique import is_oblique
+from palpate.estimators.records import InteractionEstimate
+from palpate.estimators.runs import RunTracker
+from palpate.estimators.session import estimates_of
+
+Compare = Callable[[Any], Row]
+"""From what a session says of a clip, or a constant, to what is known then."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one worker does in one go."""
+
+    index: int
+    seed: int
+    """Seed of the clip."""
+    wanted: Mapping[str, Mapping[str, Candidate]]
+    """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
+    horizon: Horizon = None
+    """Frames after the onset that estimators and bound observe; None = one second."""
+    size: tuple[int, int] = GRID_SIZE
+    """Width and height of pictures of presses [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueClip:
+    """A clip as estimators observe it, and its truth."""
+
+    scene: Scene
+    motion: Truth
+    frames: list[PreparedFrame]
+    info: ClipInfo
+
+
+def run_trial(trial: Trial) -> list[Row]:
+    """Rows of one clip for every wanted suite and estimator; what goes wrong becomes a row that says so."""
+    wanted = [(suite, candidates) for suite, candidates in trial.wanted.items() if candidates]
+    return [row for suite, candidates in wanted for row in _suite_rows(trial, suite, candidates)]
+
+
+@functools.lru_cache(maxsize=1)
+def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
+    """Drawn once for all suites that only observe otherwise; these follow each other."""
+    return draw_truth(settings, seed)
+
+
+def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -> list[Row]:
+    settings = EVERY[suite].settings(trial.index, trial.size)
+    known: Row = {"suite": suite, "index": trial.index, "seed": trial.seed, "action": settings.action}
+    if EVERY[suite].of == "press":
+        known["regime"] = settings.regime
+
+    def failed(status: str, reason: str) -> list[Row]:
+        return [known | {"estimator": name, "status": status, "reason": reason} for name in candidates]
+
+    try:
+        scene, motion = _truth(EVERY[suite].truth_settings(trial.index, trial.size), trial.seed)
+    except SceneError as error:
+        return failed("no scene", str(error))
+    scene = replace(scene, settings=settings)
+    if isinstance(motion, PressedMotion):
+        known["theta"] = motion.theta
+    try:
+        with interruptible():
+            prepared = open_synthetic(synthetic_clip(scene, motion, trial.seed), PREPARE)
+            clip = TrueClip(scene, motion, list(prepared), ClipInfo.of(prepared))
+            found, compare = _judged(trial, clip)
+    except Exception as error:  # a clip that breaks the preparation is a result, and the others go on
+        return failed("error", f"{type(error).__name__}: {error}")
+    known |= found
+    if compare is None:
+        return failed(known["status"], known["reason"])
+    rows = []
+    for name, candidate in candidates.items():
+        rows.append(known | {"estimator": name} | estimated(candidate, clip, compare))
+    return rows
+
+
+def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
+    """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
+    motion = clip.motion
+    if isinstance(motion, GrippedMotion):
+        return {}, functools.partial(gripped, clip.scene, motion)
+    contacts = observed_contacts(clip.frames, clip.info, trial.horizon)
+    if not contacts:
+        return {"status": "no contact", "reason": "no onset of contact was found."}, None
+    onset = min(contacts, key=lambda found: abs(found - motion.onset_frame))
+    if onset != motion.onset_frame:
+        begun = ", ".join(map(str, contacts))
+        reason = f"contact began in frame {begun} instead of {motion.onset_frame}."
+        return {"status": "other onset", "reason": reason}, None
+    contact, scene = contacts[onset], clip.scene
+    known = _off(contact, clip.frames[onset], scene, motion)
+    known["tracking"] = tracking_errors(contact, scene, motion)
+    known["information"] = contact_information(contact, scene, motion)
+    known["field_information"] = field_information(contact, scene, motion)
+    return known, functools.partial(_pressed, onset)
+
+
+def estimated(candidate: Candidate, clip: TrueClip, compare: Compare) -> Row:
+    """What becomes of an estimator's answer, or why there is none."""
+    start = time.perf_counter()
+
+    def answered() -> Row:
+        answer = candidate
+        if not isinstance(candidate, Estimate):
+            answer = list(estimates_of(opened(candidate).start(clip.info), clip.frames))
+        seconds = time.perf_counter() - start
+        return {"status": OK, "seconds": seconds, **compare(answer)}
+
+    return attempted(answered)  # an estimator that breaks on a clip is a result, and the others go on
+
+
+def _pressed(onset: int, answer: Estimate | list) -> Row:
+    """What is estimated of the press whose contact begins in a frame."""
+    found = answer
+    if not isinstance(found, Estimate):
+        runs = [item for item in found if isinstance(item, InteractionEstimate)]
+        run = next((item for item in runs if item.onset == onset), None)
+        if run is None or run.estimate is None:
+            return {"status": "no estimate", "reason": "it doesn't see this contact." if run is None else run.detail}
+        found = run.estimate
+    if not np.isfinite(found.theta).all():
+        return {"status": "no estimate", "reason": "its θ is not finite."}
+    return {
+        "estimate": np.asarray(found.theta, np.float64),
+        "covariance": found.covariance,
+        "verdict": "" if found.given_verdict else found.verdict,
+        "noise": found.noise,
+        "misfit": found.misfit,
+        "at_bound": found.at_bound,
+        "warned": None if found.given_verdict else not found.explained or is_oblique(found),
+    }
+
+
+def _off(contact: Interaction, onset: PreparedFrame, scene: Scene, motion: PressedMotion) -> Row:
+    """How far a contact was found from the true one."""
+    seconds = (motion.release_frame - onset.frame.index) / scene.settings.fps
+    released = contact.load_seconds - seconds if contact.released else math.nan
+    place = contact.mesh.pixels[contact.vertex] - scene.mesh.pixels[scene.vertex]
+    return {
+        "onset_off": float(onset.frame.index - motion.onset_frame),
+        "release_off": round(released * scene.settings.fps, 2),
+        "place_off": float(np.linalg.norm(place)),
+    }
+
+
+def observed_contacts(
+    frames: Sequence[PreparedFrame], clip: ClipInfo, horizon: Horizon = None
+) -> dict[int, Interaction]:
+    """Every run of contact whose onset was observed and whose tissue was followed, by the frame of its onset.
+
+    Args:
+        frames: of the whole clip.
+        horizon: how much of each counts.
+    """
+    runs = RunTracker(clip, MECHANICS.seconds)
+    ended = [*(runs.push(frame) for frame in frames), runs.finish()]
+    known = [(run.index, run.builder) for run in ended if run is not None]
+    found = {index: builder.build(MECHANICS, horizon) for index, builder in known if builder is not None}
+    return {onset: contact for onset, contact in found.items() if len(contact.observation)}
+
+
+def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray:
+    """Errors of a tracked contact along the true direction, shape [M] [scene units].
+
+    Args:
+        contact: as observed; it must begin in the true onset's frame.
+    """
+    frames = motion.onset_frame + np.rint(contact.observation.times * scene.settings.fps).astype(int)
+    return (contact.moved - motion.contact[frames]) @ scene.direction

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 SAMPLES = 400
 """Of a way, in addition to the places where a simulated force is known."""
-ROUNDING = 1e-9
-"""Of places on a way [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +51,7 @@ def force_along(presses: Sequence[Pressed], way: float) -> tuple[np.ndarray, np.
     force = np.zeros(len(gone))
     for each in presses:
         pressed = gone - each.begin
-        let_by = min(each.length, each.curve.lengths[-1]) + ROUNDING
+        let_by = min(each.length, each.curve.lengths[-1]) + 1e-9
         force += np.where(pressed <= let_by, np.interp(pressed, each.curve.lengths, each.curve.force), 0)
     return gone, force
 

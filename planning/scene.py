@@ -113,7 +113,7 @@ class Placed:
         ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
         gone, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
         open_lines = np.arange(len(starts))
-        for _ in range(MOST_STEPS):
+        for _ in range(400):
             left = self.clearance(starts[open_lines] + gone[open_lines, None] * ways[open_lines]) - radius
             there = left < TOUCH
             touched[open_lines[there]] = gone[open_lines[there]]
@@ -131,7 +131,6 @@ class Placed:
 
 TOUCH = 1e-5
 """Distance that counts as contact [m]."""
-MOST_STEPS = 400
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from palpate.data.source.layout import InputError
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SIZES = (2e-3, 2.0)
 """Longest side of a body [m]."""
-MOST_VOXELS = 2_000_000
 NO_WAY = -1e3
 """Distance of places that no instrument gets to [m]."""
 
@@ -57,7 +56,7 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         likely = " or ".join(each for each, length in metres.items() if SIZES[0] <= length <= SIZES[1])
         raise InputError(f"{printable(path)} is {size:.3g} m long in unit {unit}; give `unit: {likely or 'm'}`.")
     low, high = mesh.bounds[0] - 2 * radius, mesh.bounds[1] + 2 * radius
-    step = max(radius / 3, float((np.prod(high - low) / MOST_VOXELS) ** (1 / 3)))
+    step = max(radius / 3, float((np.prod(high - low) / 2_000_000) ** (1 / 3)))
     if step > 1.5 * radius:
         said = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
         raise InputError(f"{printable(path)} {said}")

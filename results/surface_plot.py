@@ -36,8 +36,7 @@ def draw_surface_errors(places: np.ndarray, distance: np.ndarray, hole: float, t
     circles = "Dashed: what the tool hides, left out. Dotted: next to the tool."
     figure = new_figure(5.6, 6.2, title, f"Means over cells; > 0: measured outside the simulated surface. {circles}")
     axes = figure.subplots()
-    cells = {"gridsize": CELLS, "cmap": "RdBu_r", "linewidths": 0.2}
-    drawn = axes.hexbin(*places[visible].T, C=distance[visible], **cells)
+    drawn = axes.hexbin(*places[visible].T, C=distance[visible], gridsize=CELLS, cmap="RdBu_r", linewidths=0.2)
     axes.add_patch(Circle((0, 0), hole, fill=False, linestyle="--", color=MUTED))
     axes.add_patch(Circle((0, 0), HOLE_MARGIN * hole, fill=False, linestyle=":", color=MUTED))
     mean = float(np.mean(distance[visible & near])) if (visible & near).any() else np.nan

@@ -21,8 +21,6 @@ Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
-NEIGHBOURS = 6
-"""Followed points that tell how a gripped particle moves."""
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
@@ -126,7 +124,7 @@ class DrivenTissue:
         if len(seen) < LEAST_GRIPPED:
             return None
         pixels = self.surface.pixels[self.surface.gripped]
-        count = min(NEIGHBOURS, len(seen))
+        count = min(6, len(seen))
         away, near = KDTree(self._points[seen]).query(pixels, k=count)
         weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
         motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]

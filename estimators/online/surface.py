@@ -20,11 +20,6 @@ from palpate.physics.fem.solid import outer_faces
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, holding
 from palpate.physics.pbd.body import Body, layered, make_body
 
-NEAREST = 8
-"""Triangles around a point that are looked at for the one that holds it."""
-LEAST_SEEN = 30
-"""Particles that the surface of a volume has at least, before it gets more than one layer below."""
-
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -70,7 +65,7 @@ class Surface:
         """
         corners = self.pixels[self.faces]
         sized = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > 0
-        which, shares = holding(corners[sized], points, NEAREST)
+        which, shares = holding(corners[sized], points, 8)
         members = self.faces[sized][which]
         inside = np.flatnonzero(shares.min(axis=1) > -1e-9)
         starts = 3 * np.arange(len(inside) + 1)
@@ -147,7 +142,8 @@ def layers_below(area: float, thickness: float, particles: int) -> int:
         thickness: of all [scene units].
         particles: in all layers.
     """
-    layers = np.arange(2, max(3, particles // LEAST_SEEN + 1))
+    # Particles that the surface of a volume has at least, before it gets more than one layer below.
+    layers = np.arange(2, max(3, particles // 30 + 1))
     return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
 
 

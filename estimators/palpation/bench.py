@@ -13,8 +13,6 @@ from palpate.physics.fem.linear_system import LinearSystem
 
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
-SHOWN = 0.02
-"""As in `registration`: motions that a body's facets alone show are the tool's to tell."""
 GRAZING = 0.2
 """Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
 
@@ -56,8 +54,9 @@ class Bench:
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
         # A pose whose place is known better isn't registered: a flat surface would slide under the tool [m].
+        # As in `registration`: motions that a body's facets alone show are the tool's to tell.
         self.poses = [
-            each.pose if each.pose_shift < 5e-4 else register(thinned(each.points), surface, each.pose, shown=SHOWN)
+            each.pose if each.pose_shift < 5e-4 else register(thinned(each.points), surface, each.pose, shown=0.02)
             for each in palpations
         ]
         self.eyes, self.sights = [], []

@@ -36,8 +36,6 @@ BELOW = 1e-3
 """How far under the support the closed surface ends, so that the support is where the mesh is cut off [m]."""
 RIM = 1.0
 """Width of the surface's rim, over that distance, that tells nothing: heights are known from one side only there."""
-MOST_POINTS = 5000
-"""Of a press."""
 LAYERS, CELLS = 5.0, (6, 24)
 """Cells of the mesh in the thickness, and along the longest side."""
 
@@ -95,7 +93,7 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
         eye, felt = sequence.eye(peak), sequence.forces[same].mean(axis=0)
         if felt @ view[2, :3] > -UPRIGHT * np.linalg.norm(felt):
             raise InputError(f"{where}: a force is over 45° off the tissue's normal; check its frame, and qx to qw.")
-        seen = moved(points[:: len(points) // MOST_POINTS + 1], np.linalg.inv(eye))
+        seen = moved(points[:: len(points) // 5000 + 1], np.linalg.inv(eye))
         palpations.append(Palpation(-felt, contact, seen, eye, radius, HIDDEN * radius, *repeated))
     # Points of one patch share what noise has made of it at rest.
     widened = float(np.sqrt(1 + max(len(each.points) for each in palpations) / len(rest)))

@@ -13,13 +13,10 @@ from palpate.estimators.palpation.skin import Match
 
 KEPT = 0.7
 """Share of the pairs, those closest, that align."""
-ROUNDS = 50
 MOST_ALIGNED = 2000
 """Points that a pose needs at most."""
 SHOWN = 1e-3
 """Singular value over the largest, from which on the surface shows a motion."""
-STILL = 1e-7
-"""Step of a point over the cloud's size, below which nothing changes any more."""
 Triangles = tuple[np.ndarray, np.ndarray]
 """A surface: vertices [V, 3] [m], and triangles [F, 3]."""
 
@@ -51,7 +48,7 @@ def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: fl
     """
     found = np.asarray(pose, np.float64)
     size = float(np.ptp(points, axis=0).max())
-    for _ in range(ROUNDS):
+    for _ in range(50):
         seen = moved(points, found)
         match = Match.of(seen, *surface)
         near = match.apart <= np.quantile(match.apart, KEPT)
@@ -63,6 +60,6 @@ def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: fl
         there, back = np.eye(4), np.eye(4)
         there[:3, 3], back[:3, 3] = -centre, centre
         found = back @ turned(there @ found, step / [size, size, size, 1, 1, 1])
-        if np.abs(step).max() < STILL * size:
+        if np.abs(step).max() < 1e-7 * size:
             break
     return found

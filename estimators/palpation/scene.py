@@ -31,9 +31,6 @@ MOST_CELLS = 24
 """Along the longest side; unknowns grow with their cube."""
 FORCES = 1e-6, 1e4
 """Of what a hand or an instrument presses with [N]."""
-PRESSED = 0.6
-"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then
-(docs/reports/palpation.md)."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 BODY, REACH = 2.0, 10.0
@@ -157,7 +154,8 @@ def _meshed(
     standing = moved(vertices, np.linalg.inv(upright))
     contacts = moved(np.array([each.contact for each in palpations]), np.linalg.inv(upright))
     radius = min(each.tool_radius for each in palpations)
-    crowded = around(contacts, radius, PRESSED * radius)
+    # With edges of 0.6 radii under the tool a slab's E was off by 1.5 % (docs/reports/palpation.md).
+    crowded = around(contacts, radius, 0.6 * radius)
     try:
         meshed = mesh_surface(standing, triangles, cells=cells, floor=floor, longest=crowded)
     except NoBody as error:

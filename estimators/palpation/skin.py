@@ -21,12 +21,8 @@ from palpate.physics.mesh import holding
 
 SAMPLES = 8
 """Places on a sharp edge to which distances are measured."""
-ROWS = 4
-"""Of places on a triangle, over which a force is spread."""
 FLAT = 0.1
 """Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
-CANDIDATES = 24
-"""Elements with the closest centres, among which a vertex finds its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +80,7 @@ class Skin:
                 "give a contact on the surface, a wider tool or a finer surface."
             )
         # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
-        shares = even_shares(ROWS)
+        shares = even_shares(4)
         corners = self.vertices[self.triangles]
         apart = np.linalg.norm(np.einsum("sk,fkx->fsx", shares, corners) - place, axis=2) / radius
         pressure = (areas(corners)[:, None] * np.maximum(1 - apart**2, 0.0)) @ shares
@@ -101,7 +97,7 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
         triangles: shape [F, 3]; turned over where they face inwards as a whole.
         held: vertices that stand still, as those below a floor where the body is cut off, shape [V], bool.
     """
-    element, _ = holding(body.rest[body.elements[:, :4]], vertices, CANDIDATES)
+    element, _ = holding(body.rest[body.elements[:, :4]], vertices, 24)
     matrix = shapes_at(body, element, vertices)
     if held is not None:
         matrix = diags_array(np.where(held, 0.0, 1.0)) @ matrix

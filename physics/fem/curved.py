@@ -11,9 +11,6 @@ import numpy as np
 from palpate.physics.fem.solid import EDGES, Solid
 from palpate.physics.fem.surface import areas, nearest, rows_needed
 
-LEAST = 0.3
-"""Of det F, below which a middle goes back half of its way."""
-
 
 def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     """A body with its outer middles on a surface.
@@ -35,7 +32,8 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     step = np.zeros_like(solid.rest)
     step[middles] = np.einsum("pk,pkx->px", shares, triangles[face]) - solid.rest[middles]
     for _ in range(6):
-        crushed = (np.linalg.det(solid.deformation(step)) < LEAST).any(axis=1)
+        # Where det F is smaller, a middle goes back half of its way.
+        crushed = (np.linalg.det(solid.deformation(step)) < 0.3).any(axis=1)
         if not crushed.any():
             break
         step[np.unique(solid.elements[crushed])] /= 2

@@ -126,11 +126,6 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
-FLAT = 0.1
-"""Quality of an outer element with all corners on the surface, below which it is left out."""
-ROUNDS = 30
-SHARE = 0.5
-"""Of the way to the surface that a node goes in a round."""
 _OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
 """Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
 
@@ -298,7 +293,7 @@ def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     bare = (count[which.ravel()] == 1).reshape(-1, 4)
     outer = np.zeros(len(nodes), bool)
     outer[tetrahedra[:, FACES][bare]] = True
-    return outer[tetrahedra].all(axis=1) & bare.any(axis=1) & (qualities(nodes, tetrahedra) < FLAT)
+    return outer[tetrahedra].all(axis=1) & bare.any(axis=1) & (qualities(nodes, tetrahedra) < 0.1)
 
 
 def _drawn(nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, floor: Floor) -> np.ndarray:
@@ -312,13 +307,13 @@ def _drawn(nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, sampl
     neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
 
     least = np.minimum(qualities(nodes, tetrahedra) / 2, WORST)
-    for _ in range(ROUNDS):
+    for _ in range(30):
         sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], one], minlength=len(nodes)) for one in range(3)]
         aim = np.stack(sums, axis=1) / neighbours[:, None]
         face, share = nearest(nodes[outer], corners, samples)
         aim[outer] = np.einsum("pk,pkx->px", share, corners[face])
         aim[grounded, axis] = nodes[grounded, axis]
-        step = SHARE * (aim - nodes)
+        step = 0.5 * (aim - nodes)
         for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
             bad = qualities(nodes + step, tetrahedra) < least
             if not bad.any():

@@ -3,9 +3,6 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-CANDIDATES = 16
-"""Samples of the surface closest to a point, on whose triangles the closest place is looked for."""
-
 
 def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
@@ -55,7 +52,7 @@ def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tupl
     """
     rows = even_shares(samples)
     seeds = np.einsum("sk,fkx->fsx", rows, triangles).reshape(-1, 3)
-    count = min(CANDIDATES, len(seeds))
+    count = min(16, len(seeds))
     _, near = KDTree(seeds).query(points, k=count)
     near = near.reshape(len(points), count) // len(rows)
     shares = closest(points[:, None], triangles[near])

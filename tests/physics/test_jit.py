@@ -107,12 +107,3 @@ def test_processes_that_start_together_and_find_no_code_compute_the_same(copied)
     again = shown(*(start(copied, kind) for kind in kinds[:2]))
     assert results == again + again
     assert [value for _, value in again] == [expected(kind) for kind in kinds[:2]]
-
-
-@pytest.mark.slow
-def test_a_checkout_that_cannot_be_written_keeps_its_code_elsewhere(copied, tmp_path):
-    (copied / "physics" / "__pycache__").write_text("a file where the folder would be: nothing can be kept here")
-    (copied / "physics" / "msd" / "__pycache__").write_text("likewise")
-    (folder, value), *_ = shown(start(copied, XDG_CACHE_HOME=str(tmp_path / "home")))
-    assert Path(folder).is_relative_to(tmp_path / "home")
-    assert value == expected("float32")

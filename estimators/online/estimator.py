@@ -19,7 +19,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import back_project
 from palpate.data.tracks.background import without_background
-from palpate.data.tracks.following import PointFollower, shrunk
+from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
@@ -79,7 +79,7 @@ class _Followed:
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
-        self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
+        self._times = [first.frame.time_s]
         self._numbers: dict[str, list[float]] = {name: [] for name in NUMBERS}
 
     def step(self, frame: PreparedFrame) -> None:
@@ -116,10 +116,8 @@ class _Followed:
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
-        points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
-        where = self._picture, driven.surface.pixels, *points
         skills = driven.skills() if len(times) > 2 else {}
-        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), driven, skills)
+        return FieldEstimate(self.field(), times, course, numbers, bool(stretched), driven, skills)
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""

@@ -128,25 +128,6 @@ def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.
 
     Frank 2010, equation 3.
     """
-    match, away = _closest(skin, rest, palpation, pose)
-    return np.where(away, np.square(match.apart), np.nan)
-
-
-def surface_distance(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
-    """The same with its sign, along the closest place's normal, positive outside, shape [P] [m]."""
-    match, away = _closest(skin, rest, palpation, pose)
-    return np.where(away, match.distance, np.nan)
-
-
-def _closest(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> tuple[Match, np.ndarray]:
     match = Match.of(moved(palpation.points, pose), skin.moved(rest.displacement), skin.triangles)
-    return match, beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
-
-
-def across(palpation: Palpation, pose: np.ndarray) -> np.ndarray:
-    """Points in the plane across the force, from the contact, shape [P, 2] [m]: x and y of a force along -z."""
-    normal = -palpation.force / np.linalg.norm(palpation.force)
-    first = np.eye(3)[int(np.abs(normal[0]) > 0.9)]
-    first = first - (first @ normal) * normal
-    first /= np.linalg.norm(first)
-    return (moved(palpation.points, pose) - palpation.contact) @ np.stack([first, np.cross(normal, first)], axis=1)
+    away = beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
+    return np.where(away, np.square(match.apart), np.nan)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.palpation.bench import Bench, Palpation
 from palpate.estimators.palpation.gauss_newton import POISSON, System, ends, iterated, states_of
 from palpate.estimators.palpation.skin import Match, Skin
@@ -42,7 +41,7 @@ class FitSettings:
     widened: float = 1.0
     """Standard deviation of a point's distance from the surface at rest over the point's own: more than 1 where that
     surface is made of points as noisy."""
-    model_error: float = MODEL_ERRORS.palpated_motion
+    model_error: float = 0.02
     """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
 

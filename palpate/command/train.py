@@ -14,10 +14,8 @@ import argparse
 import contextlib
 import hashlib
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -59,21 +57,13 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
 so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
-MIN_PROCESSES = 2
-"""Processes that may train together however few cores there are."""
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
-BASELINE_CONTACTS = 8
-"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
-PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
-    "contact": (ContactSettings, train_contact, WEIGHTS),
-}
-"""Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
+REFUSED: dict[str, dict[str, Any]] = read_beside(__file__)
+"""Trainer options that can't be used freely."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
-OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)
-"""What of Lightning's command line is not as usual."""
 
 
 class UsageError(ValueError):
@@ -98,16 +88,12 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            remedy = OTHERWISE["instead"].get(unknown[0], "correct or remove it")
-            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; {remedy}.")
+            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
-        missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
-        remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
-        raise UsageError(f"{sentence}; {remedy}.") from ex
+        raise UsageError(f"{sentence}; {program()} {{fit,validate,test,export}} --help lists all options.") from ex
 
 
 class RunRecord(SaveConfigCallback):
@@ -187,7 +173,7 @@ class TrainCLI(LightningCLI):
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.add_argument("--run_name", type=str | None, help="Name of the run in MLflow; null = the run folder's.")
         parser.link_arguments("data.samples.window", "model.window")
-        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.sequence")
+        inputs = ("data.samples.observation", "data.geometry.smoothing")
         parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
         for source, target, settings in (
             ("model.mechanics", "data.samples.mechanics", Mechanics),
@@ -234,12 +220,7 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
-        for name, remedy in OTHERWISE["empty"].items():
-            if str(config[name]) == "":
-                raise UsageError(f"{name} is empty; {remedy}.")
-        if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
-            raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
-        for name, refused in OTHERWISE["refused"].items():
+        for name, refused in REFUSED.items():
             if trainer[name] not in refused["work"]:
                 raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
@@ -248,7 +229,7 @@ class TrainCLI(LightningCLI):
                 "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
                 "warn, which makes the rest deterministic, or trainer.accelerator cpu."
             )
-        allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
+        allowed, devices = max(os.cpu_count() or 1, 2), str(trainer.devices)
         count = int(devices) if devices.removeprefix("-").isdecimal() else 1
         if not 1 <= count <= allowed and on_cpu:
             raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
@@ -296,7 +277,7 @@ class TrainCLI(LightningCLI):
         if not self.trainer.is_global_zero:
             return
         folder = folder_of(self.trainer.default_root_dir, "evaluation")
-        contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
+        contacts = self.datamodule.interactions("train", 8)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, path, "evaluation")
@@ -318,11 +299,9 @@ CHOSEN: dict[str, Any] = {
 """How Lightning's command line is made."""
 
 
-def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
+def contact_features(observation: str, smoothing: float) -> int:
     """Length of the contact's vector in the batches; 0 without the motion or its noise."""
-    if observation != "trajectory" or not smoothing > 0:
-        return 0
-    return FEATURES + SEQUENCE_FEATURES if sequence else FEATURES
+    return FEATURES + SEQUENCE_FEATURES if observation == "trajectory" and smoothing > 0 else 0
 
 
 def folder_of(run_folder: str | os.PathLike[str] | None, part: Literal["checkpoints", "evaluation"]) -> Path:
@@ -335,8 +314,8 @@ def resumes(checkpoint: str | None, folder: Path) -> bool:
     return checkpoint is not None and Path(checkpoint).resolve().parent == folder.resolve()
 
 
-def trained_part(arguments: list[str]) -> str | None:
-    """Which of PARTS `fit` is to train: a configuration or an option holds its settings; None = the generator."""
+def trains_contact(arguments: list[str]) -> bool:
+    """Whether `fit` is to train the contact posterior: a configuration or an option holds its settings."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-c", "--config", action="append", default=[])
     given, others = parser.parse_known_args(arguments)
@@ -344,32 +323,26 @@ def trained_part(arguments: list[str]) -> str | None:
     with contextlib.suppress(InputError):  # the parser of the settings says what is wrong with the file
         for path in given.config:
             sections |= set(read_mapping(Path(path), "a configuration"))
-    return next((name for name in PARTS if name in sections), None)
+    return "contact" in sections
 
 
-def fit_part(name: str, arguments: list[str]) -> None:
-    """Train one of PARTS.
-
-    Args:
-        name: of the part.
-        arguments: command line after `fit`.
-    """
-    settings_class, train, weights = PARTS[name]
-    parser = SentenceParser(prog=f"{program()} fit", description=f"Train the {name} posterior.", allow_abbrev=False)
+def fit_contact(arguments: list[str]) -> None:
+    """Train the contact posterior by the command line after `fit`."""
+    parser = SentenceParser(prog=f"{program()} fit", description="Train the contact posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
-    parser.add_class_arguments(settings_class, name)
+    parser.add_class_arguments(ContactSettings, "contact")
     chosen = parser.parse_args(arguments)
     try:
-        settings = settings_class(**chosen[name].as_dict())
+        settings = ContactSettings(**chosen["contact"].as_dict())
     except ValueError as error:  # from the check of a setting
         raise UsageError(str(error)) from error
-    if (settings.output / weights).exists():
+    if (settings.output / WEIGHTS).exists():
         raise UsageError(f"{settings.output} holds a finished training; give another output, or remove that folder.")
     try:
         with interruptible():
-            train(settings)
+            train_contact(settings)
     except KeyboardInterrupt:
-        text = f"Interrupted; {settings.output} holds no {weights}. The same command goes on after what it has kept."
+        text = f"Interrupted; {settings.output} holds no {WEIGHTS}; start the same command anew."
         print(plain(text), file=sys.stderr)
         raise
 
@@ -380,9 +353,8 @@ def main(arguments: list[str] | None = None) -> int:
     disable_possible_user_warnings()  # guesses about worker counts
     command = sys.argv[1:] if arguments is None else arguments
     try:
-        part = trained_part(command[1:]) if command[:1] == ["fit"] else None
-        if part is not None:
-            fit_part(part, command[1:])
+        if command[:1] == ["fit"] and trains_contact(command[1:]):
+            fit_contact(command[1:])
         else:
             with interruptible():
                 TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)

@@ -98,10 +98,8 @@ class Batch:
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
-        online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
         wrong = {
-            "scale of online": online and known is not None and not known.every_clip,
-            "half of a sheet": online and (known is None) != (online.settings.sheet_m is None),
+            "scale of online": name == "online" and known is not None,
             "limit without force": limited and name not in WITH_FORCE,
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),

@@ -616,7 +616,7 @@ def test_a_known_force_of_one_clip_tells_newtons_in_all(synthetic, tmp_path):
         (
             "stiffness: 2.0",
             ("--estimator", "online"),
-            "is neither; for a palpation give palpation and palpated_at",
+            "gives relative stiffness alone; leave --force-scale out",
         ),
     ],
 )

@@ -3,9 +3,9 @@
     python -m benchmarks.goldens [--group recovery online …] [--write]
 
 Computes each group and compares it with tests/goldens.json, to a relative tolerance of 1e-4; `--write` replaces the
-groups computed. Groups: network and direct (six synthetic clips with depth), rgb (their video files), recovery (one
-clip of each suite), online (Liang 2024, one sequence), palpation and plan (Frank 2010), real (two real clips; left out
-where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status: 0 equal or written; 1 different; 2 wrong usage.
+groups computed. Groups: network and direct (six synthetic clips with depth), rgb (their video files), recovery, grips
+(one clip of each suite), online (Liang 2024, one sequence), palpation and plan (Frank 2010), real (two real clips;
+left out where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status: 0 equal or written; 1 different; 2 wrong usage.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -51,7 +51,7 @@ COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misf
 ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "curve")
 """Fields of a row of the recovery benchmark."""
 REAL = ("frames in contact", "verdict", "skill in frames kept back")
-Group = Literal["network", "direct", "rgb", "recovery", "online", "palpation", "plan", "real"]
+Group = Literal["network", "direct", "rgb", "recovery", "grips", "online", "palpation", "plan", "real"]
 Values = dict[str, float | str]
 
 
@@ -79,9 +79,9 @@ def inferred(folder: Path, ending: str, *arguments: str, count: int = 6) -> Valu
     return found
 
 
-def recovered(folder: Path, suites: Sequence[str] = ()) -> Values:
-    """Estimates of the first clip of suites; of every suite of presses and grips by default."""
-    asked = suites or [name for name, suite in EVERY.items() if suite.of != "slab"]
+def recovered(folder: Path, kind: str, suites: Sequence[str] = ()) -> Values:
+    """Estimates of the first clip of suites; by default of all of a kind, press or grip."""
+    asked = suites or [name for name, suite in EVERY.items() if suite.of == kind]
     model = str(ROOT / "models" / "weights" / "contact.onnx")
     recover(["--output", str(folder), "--suite", *asked, "--estimator", "direct", "network", "--model", model,
              "--clips", "1", "--workers", "0"])  # fmt: skip
@@ -134,7 +134,8 @@ GROUPS: dict[str, Callable[[Path], Values]] = {
     "network": lambda folder: inferred(folder, ""),
     "direct": lambda folder: inferred(folder, "", "--estimator", "direct"),
     "rgb": lambda folder: inferred(folder, ".mp4"),
-    "recovery": recovered,
+    "recovery": lambda folder: recovered(folder, "press"),
+    "grips": lambda folder: recovered(folder, "grip"),
     "online": followed,
     "palpation": palpated,
     "plan": planned,

@@ -26,7 +26,7 @@ from palpate.results.store import BAGS
 
 
 def shard(text: str) -> tuple[int, int]:
-    """Type of --shard: (i, n) of `i/n`.
+    """Convert `i/n` to (i, n), the type of --shard.
 
     Raises:
         ArgumentTypeError: there is no such share.

@@ -10,7 +10,7 @@ from benchmarks import goldens
 
 PARTS: dict[str, Callable[[Path], goldens.Values]] = {
     "network": lambda folder: goldens.inferred(folder, "", count=1),
-    "recovery": lambda folder: goldens.recovered(folder, ["clean"]),
+    "recovery": lambda folder: goldens.recovered(folder, "press", ["clean"]),
     "online": goldens.followed,
 }
 

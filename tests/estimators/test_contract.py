@@ -50,7 +50,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     """How every estimator is opened; those that take depth look at three frames."""
     folder = tmp_path_factory.mktemp("models")
     common = {"geometry": dataclasses.asdict(clip_info().geometry), "observation": "trajectory"}
-    write_model(folder / "gan.onnx", metadata(3, **common))
+    write_model(folder / "gan.onnx", metadata(3, **common | {"observation": "final"}))
     coarse = folder / "online.yaml"
     coarse.write_text("particles: 60\nstrain: 0.002\n")  # a press across the line of sight moves little
     thick = folder / "thick.yaml"

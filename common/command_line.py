@@ -3,7 +3,6 @@
 import argparse
 import math
 import re
-import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ from rich.text import Text
 from palpate.common.doors import plain
 from palpate.common.settings import LARGEST
 
-PROGRESS_SECONDS = 30.0
-"""Time between two lines of progress where the output is no terminal [s]."""
 LARGEST_NUMBER = 2**63 - 1
 """Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
 
@@ -108,52 +105,13 @@ def say(console: Console, sentence: str, style: str = "") -> None:
     console.print(Text(plain(sentence), style=style), soft_wrap=True)
 
 
-class Rate(progress.ProgressColumn):
-    """Speed of a task, in steps a second."""
-
-    def render(self, task: progress.Task) -> Text:
-        """Text of the column."""
-        return progress.TaskProgressColumn.render_speed(task.finished_speed or task.speed)
-
-
-class LineProgress(progress.Progress):
-    """Progress for an output that is no terminal and shows no bars: one line every `PROGRESS_SECONDS`."""
-
-    def __init__(self, *columns: progress.ProgressColumn, **options: Any) -> None:
-        super().__init__(*columns, **options)
-        self._printed = time.monotonic()
-
-    def update(self, task_id: progress.TaskID, **fields: Any) -> None:
-        """Update a task as rich does, and print a line where one is due."""
-        super().update(task_id, **fields)
-        self._print_line(task_id)
-
-    def advance(self, task_id: progress.TaskID, advance: float = 1) -> None:
-        """Advance a task as rich does, and print a line where one is due."""
-        super().advance(task_id, advance)
-        self._print_line(task_id)
-
-    def _print_line(self, task_id: progress.TaskID) -> None:
-        if self.disable or time.monotonic() - self._printed < PROGRESS_SECONDS:
-            return
-        self._printed = time.monotonic()
-        task = next(task for task in self.tasks if task.id == task_id)
-        total = "?" if task.total is None else f"{task.total:g}"
-        parts = [f"{task.description}: {task.completed:g} of {total}", str(Rate().render(task))]
-        if task.time_remaining is not None:
-            parts.append(f"{progress.TimeRemainingColumn().render(task)} left")
-        # Speed and time left are unknown after one step.
-        self.console.print(", ".join(filter(None, parts)), markup=False)
-
-
 def progress_bars(console: Console, *, disable: bool = False) -> progress.Progress:
-    """Bars with progress, speed and time left; without a terminal, a line every half minute.
+    """Bars with progress and time left.
 
     Args:
         console: console on which they appear.
         disable: whether to draw nothing.
     """
     name = progress.TextColumn("{task.description}", markup=False)
-    columns = name, progress.BarColumn(), progress.MofNCompleteColumn(), Rate(), progress.TimeRemainingColumn()
-    kind = progress.Progress if console.is_terminal else LineProgress
-    return kind(*columns, console=console, disable=disable)
+    columns = name, progress.BarColumn(), progress.MofNCompleteColumn(), progress.TimeRemainingColumn()
+    return progress.Progress(*columns, console=console, disable=disable)

@@ -14,8 +14,6 @@ from palpate.common.files import all_below, as_json, file_sha256, read_file, rep
 
 LIST = ".written-by-palpate.json"
 """Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
-MAX_HASHED_BYTES = 2**28
-"""Larger files of a folder that is written as a whole are recognised by size and time of change."""
 
 
 class ForeignFile(FileExistsError):
@@ -35,7 +33,7 @@ def require_own(*paths: Path) -> None:
         ForeignFile: something is there that is not as this program wrote it.
     """
     for path in paths:
-        if os.path.lexists(path) and (path.is_symlink() or not _is_listed(path)):
+        if os.path.lexists(path) and (path.is_symlink() or not is_own(path)):
             raise ForeignFile(path)
 
 
@@ -52,14 +50,14 @@ def replacing_own(path: Path) -> Generator[Path]:
         require_own(path)  # writing may have taken long
         files = _list_of(path.parent)
         # Both are noted before the files change places: an interruption in between leaves one of them.
-        files[path.name] = [*_digests(path), *_digests(partial)]
+        files[path.name] = [*dict.fromkeys([*_digests(path), *_digests(partial)])]
         _write_list(path.parent, files)
 
 
 def write_own(path: Path, content: str | bytes) -> None:
     """Write a file, text as UTF-8, as `replacing_own` does; raises its ForeignFile."""
     with replacing_own(path) as partial:
-        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        partial.write_bytes(content.encode("utf-8", "replace") if isinstance(content, str) else content)
 
 
 def list_folder(folder: Path) -> None:
@@ -90,14 +88,15 @@ def _content(folder: Path) -> dict[str, str]:
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not path.is_symlink():
             state = path.stat()
-            huge = state.st_size > MAX_HASHED_BYTES
+            # Larger files are recognised by size and time of change.
+            huge = state.st_size > 2**28
             content[name] = f"{state.st_size} bytes, {state.st_mtime_ns}" if huge else file_sha256(path)
         elif path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
             content[name] = ""
     return content
 
 
-def _is_listed(path: Path) -> bool:
+def is_own(path: Path) -> bool:
     """Whether a file is as its folder's list has it; one that has no entry, whatever its size, is not read."""
     return is_unchanged(path, _list_of(path.parent).get(path.name))
 

@@ -14,7 +14,6 @@ NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
 PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "physics/mesh.py")
 """What it depends on outside data/."""
-KINDS = (".py", ".yaml", ".onnx")
 Part = Literal["all", "preparation", "kernels"]
 
 
@@ -39,7 +38,7 @@ def code_digest(part: Part = "all") -> str:
     """
     digest = hashlib.sha256()
     for package in PACKAGES:
-        for path in sorted(path for path in (ROOT / package).rglob("*") if path.suffix in KINDS):
+        for path in sorted(path for path in (ROOT / package).rglob("*") if path.suffix in (".py", ".yaml", ".onnx")):
             name = path.relative_to(ROOT).as_posix()
             if _belongs(name, part):
                 digest.update(name.encode() + b"\0" + path.read_bytes())

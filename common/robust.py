@@ -2,14 +2,12 @@
 
 import numpy as np
 
-NORMAL_MEDIAN = 1.4826
-"""Standard deviation of a normal variable over the median of its absolute value."""
-
 
 def median_sd(values: np.ndarray) -> float:
     """Standard deviation of most values, of those that are numbers, by the median of their sizes; 0 of none."""
     found = values[np.isfinite(values)]
-    return NORMAL_MEDIAN * float(np.median(np.abs(found))) if found.size else 0.0
+    # Standard deviation of a normal variable over the median of its absolute value.
+    return 1.4826 * float(np.median(np.abs(found))) if found.size else 0.0
 
 
 def affine_terms(points: np.ndarray) -> np.ndarray:

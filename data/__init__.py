@@ -12,7 +12,7 @@ prepared   what a prepared frame holds; labels: what a pixel shows; windows: the
 gaussian   means over wide areas of an image
 cache      prepared clips on disk
 synthetic  clips with known truth
-training   samples, splits and batches; cholecseg8k: the door that prepares a data set
+training   samples, splits and batches
 """
 
 import os

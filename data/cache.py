@@ -32,8 +32,6 @@ from palpate.data.source.layout import InputError, right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.physics.mesh import Mesh
 
-HASHED_BYTES = 64 * 2**20
-"""Largest model that enters a key by its content [bytes]; larger ones enter by size and time of change."""
 ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
 AS_PREPARED = (
@@ -85,9 +83,8 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
         InputError: a file or preset does not exist.
     """
     models: list[tuple[Path, str]] = []
-    if settings.depth.source not in BUILT_IN:
-        kind = "photometric" if settings.depth.source == "auto" else settings.depth.source
-        model, preset = resolve_model(kind, settings.depth.model, settings.depth.preset)
+    if settings.depth.source not in ("auto", *BUILT_IN):
+        model, preset = resolve_model(settings.depth.source, settings.depth.model, settings.depth.preset)
         models.append((model, preset.identity))
     segmentation = mask_source_file(settings.masks)
     if segmentation is not None:
@@ -99,10 +96,7 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
 def _model_state(model: Path, reading: str) -> list[Any]:
     """State of a model's file; opening the model would cost seconds even where the cache has the clip."""
     state = model.stat()
-    if state.st_size > HASHED_BYTES:
-        return [reading, state.st_size, state.st_mtime_ns]
-    # A fresh checkout changes the time of the models that come with it, so small ones enter by their content.
-    return [reading, file_sha256(model)]
+    return [reading, state.st_size, state.st_mtime_ns]
 
 
 @dataclass(eq=False)

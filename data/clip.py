@@ -36,8 +36,6 @@ from palpate.data.source.repeats import mark_repeats
 
 STAGES = 4
 """That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
-CROPPED = 0.1
-"""As a logarithm, by how much more oblong a camera's pixels are at the size of pictures that were cropped or turned."""
 AHEAD, WHILE_FITTING = 4, 32
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
@@ -88,7 +86,8 @@ class ClipStream:
         picture = None if camera is None else camera.scaled(width, height)
         if camera and picture and not settings.layout.halved:  # halves of one picture may be squeezed
             oblong = [abs(math.log(each.fx / each.fy)) for each in (camera, picture)]
-            if oblong[1] > oblong[0] + CROPPED:
+            # Pictures that were cropped or turned have pixels more oblong by this, as a logarithm.
+            if oblong[1] > oblong[0] + 0.1:
                 own = f"{camera.width}x{camera.height}, another shape; give the camera of these pictures"
                 raise InputError(f"{source.path} has pictures of {width}x{height}, and its camera is of {own}.")
         self._scale_error = ""

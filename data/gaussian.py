@@ -3,9 +3,6 @@
 import cv2
 import numpy as np
 
-WIDE = 12.0
-"""A sum that is so wide has no detail: a quarter of the pixels along each axis tell it [grid pixels]."""
-
 
 def gaussian_sum(values: np.ndarray, scale: float) -> np.ndarray:
     """Sum weighted by a Gaussian of an image that is 0 around, shape [h, w] float32.
@@ -14,7 +11,8 @@ def gaussian_sum(values: np.ndarray, scale: float) -> np.ndarray:
         values: shape [h, w] float32.
         scale: standard deviation of the weights [grid pixels].
     """
-    if scale < WIDE:
+    # A sum that is so wide has no detail: a quarter of the pixels along each axis tell it.
+    if scale < 12.0:
         return cv2.GaussianBlur(values, (0, 0), scale, borderType=cv2.BORDER_CONSTANT)
     height, width = values.shape
     small = cv2.resize(values, (-(-width // 4), -(-height // 4)), interpolation=cv2.INTER_AREA)

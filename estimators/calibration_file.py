@@ -1,4 +1,4 @@
-"""The force scale of `palpate infer --force-scale`: what is known in newtons, and what was measured to compare with.
+"""The force scale of `palpate infer --force-scale`: what is known in newtons.
 
 A YAML file (fields of `CalibrationFile`), calibration.json of `palpate calibrate palpation` with a sheet's thickness in
 it, a table of forces (columns time_s, force_N) for every clip, or the topic of forces in every bag.
@@ -54,7 +54,7 @@ class CalibrationFile:
     measured: str | None = None
     """Measured forces, a CSV file next to this one with the columns time_s (in the clip's time) and force_N."""
     known_s: tuple[float, float] | None = None
-    """The part of `measured` that tells the scale [s]; the rest is compared. None = all of it is compared only."""
+    """The part of `measured` that tells the scale [s]."""
     stiffness: float | None = None
     """Stiffness k_s of the tissue's sheet of springs, at all contacts."""
     stiffness_sd: float = 0.0
@@ -81,15 +81,15 @@ class CalibrationFile:
         given = [name for name in REFERENCES if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} each tell newtons; give one.")
-        if not given and self.measured is None:
-            raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}, or measured.")
+        if (self.known_s is None) != (self.measured is None):
+            raise ValueError("measured and known_s belong together; give both.")
+        if not given:
+            raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}.")
         if (self.force_N is None) != (self.force_time_s is None):
             raise ValueError("force_N and force_time_s belong together; give both.")
-        if self.known_s is not None and self.measured is None:
-            raise ValueError("known_s is a part of measured; give that.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        otherwise = bool(given) and given[0] not in ("force_N", "known_s")
+        otherwise = given[0] not in ("force_N", "known_s")
         if self.homogeneous == STIFFNESS and otherwise:
             raise ValueError(f"homogeneous is for a known force; leave it out next to {given[0]}.")
         if self.clip is not None and otherwise:
@@ -119,16 +119,6 @@ class Calibration:
     def of_one_clip(self) -> bool:
         """Whether the scale follows from a force that acted in one clip."""
         return not self.every_clip and (self.fields.force_N is not None or self.fields.known_s is not None)
-
-    @property
-    def leans_on_a_clip(self) -> bool:
-        """Whether some of it belongs to one clip alone."""
-        return not self.every_clip and (self.of_one_clip or self.measured is not None)
-
-    @property
-    def tells(self) -> bool:
-        """Whether anything tells newtons."""
-        return self.every_clip or self.of_one_clip or self.fields.stiffness is not None or self.young is not None
 
     @property
     def known(self) -> KnownForce | None:

@@ -32,18 +32,6 @@ class KnownForce:
         return np.interp(times, self.times, self.force, left=np.nan, right=np.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class ForceCurve:
-    """A force over time; T frames."""
-
-    force: np.ndarray
-    """Estimated force, shape [T] [N]."""
-    sd: np.ndarray
-    """Standard deviation of the force, shape [T] [N]."""
-    known: np.ndarray
-    """Measured force, shape [T] [N]; not a number where nothing was measured."""
-
-
 def read_forces(path: Path) -> KnownForce:
     """Read a table of forces with the columns COLUMNS.
 
@@ -71,8 +59,8 @@ def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, flo
     return factor, 2 * variance / square, math.sqrt(variance)
 
 
-def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) -> ForceCurve:
-    """Force in all frames from its measurement in some.
+def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force in all frames and its standard deviation, shape [T] each [N], from its measurement in some.
 
     Args:
         known: measured force, shape [T] [N]; not a number where nothing was measured.
@@ -89,4 +77,4 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
         )
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
-    return ForceCurve(factor * signal, sd, known)
+    return factor * signal, sd

@@ -3,7 +3,7 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,8 +19,6 @@ NO_CONTACT = "no_contact"
 """What run.json calls frames without any; their state is empty."""
 STATES = (NO_CONTACT, BELOW, ABOVE, UNKNOWN)
 """What run.json counts."""
-RELEASE = 0.9
-"""Share of the limit under which the upper end must fall before an alarm ends."""
 
 
 @dataclass
@@ -31,22 +29,17 @@ class ForceAlarm:
         limit: of the force's magnitude [`unit`].
         unit: N, or the unit of the column `force`.
         seconds: an estimate is of so much after the onset of contact; what the force is later is unknown [s].
-        frame_s: how long the last frame lasts; all others last until the next one's time stamp [s].
     """
 
     limit: float
     unit: str
     seconds: float
-    frame_s: float
     alarms: int = 0
     """How often the upper end has reached the limit."""
     frames: Counter[str] = field(default_factory=Counter)
     """Of each of STATES."""
 
     def __post_init__(self) -> None:
-        self._seconds: dict[str, float] = defaultdict(float)
-        self._last: tuple[str, float] | None = None
-        """State and time stamp of the frame before, which lasts until the next one [s]."""
         self.end_run()
 
     def end_run(self) -> None:
@@ -72,30 +65,24 @@ class ForceAlarm:
             self._onset = time_s
         state = "" if contact is False else UNKNOWN
         if contact and upper is not None and time_s - self._onset <= self.seconds + 1e-6:
-            above = upper >= self.limit * (RELEASE if self._above else 1)
+            # An alarm ends when the upper end falls under nine tenths of the limit.
+            above = upper >= self.limit * (0.9 if self._above else 1)
             self.alarms += above and not self._above
             self._above, state = above, ABOVE if above else BELOW
-        if self._last is not None:
-            self._seconds[self._last[0]] += time_s - self._last[1]
-        self._last = state or NO_CONTACT, time_s
-        self.frames[self._last[0]] += 1
+        self.frames[state or NO_CONTACT] += 1
         return state
 
     def record(self) -> dict[str, Any]:
-        """What run.json keeps: the limit, how many alarms there were, and frames and seconds [s] of each state."""
-        last = "" if self._last is None else self._last[0]
+        """What run.json keeps: the limit, the number of alarms, and the number of frames of each state."""
         frames = {state: self.frames[state] for state in STATES}
-        seconds = {state: round(self._seconds[state] + (state == last) * self.frame_s, 6) for state in STATES}
-        asked = {"limit": self.limit, "unit": self.unit, "release_share": RELEASE, "alarms": self.alarms}
-        return asked | {"frames": frames, "seconds": seconds}
+        return {"limit": self.limit, "unit": self.unit, "alarms": self.alarms, "frames": frames}
 
     def sentence(self) -> str:
         """The same in words."""
-        frames, seconds = (self.record()[name][UNKNOWN] for name in ("frames", "seconds"))
         return (
             f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
-            f"safe nor unsafe, in {frames} of {self.frames.total()} frames ({seconds:.2f} s); research "
-            "software, not a medical device"
+            f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "
+            "medical device"
         )
 
 

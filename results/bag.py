@@ -15,8 +15,6 @@ from palpate.data.source.frames import FrameSource
 from palpate.results.forces import ENDS, RELATIVE
 from palpate.results.store import BAGS
 
-PULLED = "palpate_pull"
-"""ROS's name of axes whose x is the direction of a pull; nobody knows how they lie in the camera's."""
 WRENCH = WRENCHES[0]
 
 
@@ -54,7 +52,7 @@ def write_bag(
         for run in contacts:
             name = f"/palpate/{'relative_force' if run['unit'] == RELATIVE else 'force'}"
             along = run["direction"]
-            frame_id, axis = (PULLED, np.eye(3)[0]) if along is None else (source.frame_id, along)
+            frame_id, axis = ("palpate_pull", np.eye(3)[0]) if along is None else (source.frame_id, along)
             times = source.begin_ns + np.rint(np.array([run["onset_time_s"], *run["time_s"]]) * 1e9).astype(int)
             onset, *stamps = np.maximum(times, 1).tolist()  # 0 is no time to ROS
             yield onset, "/palpate/verdict", types["std_msgs/msg/String"](run["verdict"])

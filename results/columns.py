@@ -46,12 +46,8 @@ ALARM = TEXTS["alarm"]
 """What `parameters.csv` has in addition with --force-limit."""
 INTERACTIONS = TEXTS["run"] | TEXTS["run_press"] | ESTIMATED | TEXTS["grip"] | TEXTS["verdict"] | TEXTS["run_fit"]
 """Columns of `interactions.csv`, in order."""
-FORCES = TEXTS["forces"]
-"""Columns of `forces.csv`, in order; written with --force-scale."""
 CALIBRATED = TEXTS["run"] | named("calibrated", PARAMETERS, symbol=SYMBOLS) | TEXTS["calibrated_detail"]
 """Columns of `calibrated.csv`, in order; written with --force-scale."""
-COMPARED = TEXTS["compared"]
-"""Columns of `compared.csv`, in order; written where forces were measured."""
 
 
 def row(columns: Mapping[str, str], values: Mapping[str, Any]) -> list[str]:

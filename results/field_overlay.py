@@ -9,37 +9,24 @@ from palpate.estimators.online.particle_field import ParticleField
 OPACITY = 0.55
 RANGE = 4.0
 """Colours end at this many times the median, and at one over it."""
-INSET = 0.3
-"""Width of the picture of shapes, as a share of the canvas'."""
 STIFF, MIDDLE, SOFT = (np.array(color, float) for color in ((214, 40, 40), (245, 240, 235), (37, 99, 235)))
 
 
 def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: np.ndarray | None = None) -> None:
-    """Paint stiffness against stretch on an RGB canvas in place, and that of shapes on a small copy at its right.
+    """Paint stiffness against stretch over its median where it is known on an RGB canvas in place.
 
-    Each over its median where it is known, on a logarithmic scale from 1/RANGE to RANGE; nothing where neither is.
+    Colours are on a logarithmic scale from 1/RANGE to RANGE.
 
     Args:
         canvas: uint8, shape [H, W, 3].
         factor: pixels of the canvas a pixel of the source frame.
         labels: label map of any resolution: what an instrument hides isn't painted; None = all is.
     """
-    if field.verdict == "undetermined":
+    if field.verdict == "undetermined" or not field.known.any():
         return
-    height, width = canvas.shape[:2]
-    inset = cv2.resize(canvas, (round(INSET * width), round(INSET * height)), interpolation=cv2.INTER_AREA)
-    places = (field.pixels + 0.5) * factor
     stretch = field.distance if field.young is None else field.young[0]
-    against = (canvas, 1.0, stretch, field.known), (inset, INSET, field.shape, field.shape_known)
-    for picture, share, values, known in against:
-        if not known.any():
-            continue
-        faces = field.faces[known[field.faces].all(axis=1)]
-        paint(picture, share * places, faces, values / float(np.median(values[known])), labels)
-    margin = max(6, round(0.02 * width))
-    rows, columns = slice(margin, margin + inset.shape[0]), slice(width - margin - inset.shape[1], width - margin)
-    canvas[rows, columns] = inset
-    cv2.rectangle(canvas, (columns.start, rows.start), (columns.stop, rows.stop), (203, 213, 225), 1)
+    faces = field.faces[field.known[field.faces].all(axis=1)]
+    paint(canvas, (field.pixels + 0.5) * factor, faces, stretch / float(np.median(stretch[field.known])), labels)
 
 
 def paint(

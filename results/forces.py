@@ -19,17 +19,16 @@ from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
 from palpate.results.calibrated import NEWTONS
-from palpate.results.columns import TEXTS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
-MEASURED = "N, by the force that was measured for a while"
-"""Units; that of a press in newtons says what it was calibrated by, as in calibrated.csv."""
 ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
+OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "above_s", "force_over_stiffness_mm") for end in ENDS]
+OPTIONAL += ["peak_time_s", "above_unknown_s", "metric_by"]
+"""What not every contact has; null where it lacks."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
-NO_FORCE = "Nothing is determined of the force."
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
 STILL = "Frames without a picture, or in which too little moves, tell no force."
 
@@ -66,7 +65,7 @@ class ContactForce:
         cls,
         run: InteractionEstimate,
         estimates: Sequence[FrameEstimate],
-        newtons: Sequence[Mapping[str, float]] = (),
+        newtons: np.ndarray | None = None,
         seconds: float = math.inf,
     ) -> "ContactForce":
         """The force of a run that has ended.
@@ -74,7 +73,7 @@ class ContactForce:
         Args:
             run: the run.
             estimates: of all frames so far, by index in the clip.
-            newtons: rows of forces.csv where a pull's force is known in newtons.
+            newtons: force of a pull where its fit has it, and the ends of its 90 % interval, shape [3, K] [N].
             seconds: time after the onset up to which an estimate by depth constrains the force [s].
         """
         begun = bisect_left(estimates, run.onset_time_s - SAME_INSTANT, key=lambda estimate: estimate.time_s)
@@ -83,7 +82,7 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why, scene, direction = "", run.detail or NO_FORCE, {}, None
+        unit, why, scene, direction = "", run.detail or "Nothing is determined of the force.", {}, None
         if isinstance(found, Estimate):
             direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
@@ -98,11 +97,10 @@ class ContactForce:
         elif isinstance(found, FieldEstimate):
             why = "--estimator online tells no force."
         elif found is not None and "relative_force" in found.determined:
-            half, unit, why = NINETY * found.force_sd, MEASURED if newtons else RELATIVE, STILL
+            unit, why = RELATIVE if newtons is None else "N, by the force that was measured for a while", STILL
+            half = NINETY * found.force_sd
             kept = np.stack([found.force, found.force - half, found.force + half])
-            if newtons:
-                kept = np.array([[row[f"force_N{end}"] for row in newtons] for end in ENDS])
-            force, low, high = _between(run.onset_time_s + found.times, kept, times)
+            force, low, high = _between(run.onset_time_s + found.times, kept if newtons is None else newtons, times)
         place = run.onset_frame, run.onset_time_s, state(run)
         return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
 
@@ -136,7 +134,7 @@ class ContactForce:
         """
         seconds, known = lasts[self.frames], np.isfinite(self.force)
         curves = np.stack([self.force, self.low, self.high])
-        found: dict[str, Any] = dict.fromkeys(TEXTS["contact_forces"])
+        found: dict[str, Any] = dict.fromkeys(OPTIONAL)
         if limit is not None:
             found |= self._above(limit, seconds)
         if known.any():
@@ -206,7 +204,7 @@ def forces_record(
     records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
     limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
     notice = "Research software, not a medical device."
-    return {"notice": notice, "force_limit": limited, "fields": TEXTS["contact_forces"], "contacts": records}
+    return {"notice": notice, "force_limit": limited, "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:

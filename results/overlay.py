@@ -1,6 +1,5 @@
 """The clip with what was found drawn on it: outlines, contact point, force arrow, numbers."""
 
-import math
 import textwrap
 from typing import Literal
 
@@ -12,7 +11,7 @@ from palpate.estimators.online.particle_field import YOUNG, ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
-from palpate.results.verdicts import ALARMS, COLORS, FAR, FIELDS, MEANINGS, Color, in_words, is_far, numbers, state
+from palpate.results.verdicts import ALARMS, COLORS, MEANINGS, Color, in_words, numbers, state
 
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
@@ -20,14 +19,11 @@ _TOOL_COLOR: Color = (56, 189, 248)
 _FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
 _FONT = cv2.FontFace("sans")
-_SMALLEST_WIDTH = 480
-"""Narrower clips are enlarged, or the numbers would not fit [px]."""
-_NOTICE = "Research software, not a medical device"
 
 
 def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
     """Width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for text."""
-    factor = max(1, -(-_SMALLEST_WIDTH // size[0]))
+    factor = max(1, -(-480 // size[0]))
     return (size[0] * factor + 1) // 2 * 2, (size[1] * factor + 1) // 2 * 2
 
 
@@ -123,9 +119,8 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
     notes = [ALARMS[estimate.alarm]["say"]] if estimate.alarm else []
     notes += [MEANINGS[estimate.verdict]] if estimate.verdict else []
-    notes += [f"The simulated displacement is {FAR}."] if is_far(estimate) else []
     notes += [estimate.detail] if estimate.detail else []
-    if estimate.field is not None:
+    if estimate.field is not None and estimate.field.verdict != "undetermined":
         notes.append(_described_field(estimate.field))
     if estimate.estimate is None:
         return notes
@@ -134,13 +129,11 @@ def _notes(estimate: FrameEstimate) -> list[str]:
 
 
 def _described_field(field: ParticleField) -> str:
-    if math.isnan(field.skill):
-        return FIELDS["still"]
-    name = "undetermined" if field.verdict == "undetermined" else "coloured"
-    unit = FIELDS["relative"]
-    if "young_kPa" in (found := field.numbers()):
-        unit = FIELDS["young"].format(*(found[name] for name in YOUNG))
-    return FIELDS[name if field.explained else "unexplained"].format(left=1 - field.skill, range=RANGE, unit=unit)
+    """What colours mean, and the median of Young's modulus where it is known."""
+    numbers = field.numbers()
+    young = "; the median is {:.3g} kPa ({:.3g} to {:.3g})" if "young_kPa" in numbers else ", relative units"
+    unit = young.format(*(numbers.get(name) for name in YOUNG))
+    return f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th{unit}."
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
@@ -151,7 +144,7 @@ def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     shade(canvas, (0, height - bar), (width, bar), 0.55)
     baseline = height - bar * 0.32
     text(canvas, f"frame {estimate.frame}   {estimate.time_s:.2f} s", (size, baseline), size, WHITE)
-    text(canvas, _NOTICE, (width - size, baseline), size, _SOFT, align="right")
+    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, align="right")
 
 
 def text(

@@ -6,13 +6,14 @@ import hashlib
 import math
 import platform
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import distributions
 from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 from palpate.common.files import all_below, digest_of, file_sha256, read_beside
+from palpate.common.output import is_own
 from palpate.common.provenance import __version__, code_digest
 from palpate.data.clip import ClipStream
 from palpate.data.settings import PREPROCESSING_VERSION, PrepareSettings
@@ -25,8 +26,7 @@ from palpate.estimators.network.estimator import FAST, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
-from palpate.results.page.own import is_own
-from palpate.results.store import INTERACTIONS, PROGRAM, SCENE, TABLE, WRITTEN, own_files
+from palpate.results.store import INTERACTIONS, PAGES, PROGRAM, SCENE, TABLE, WRITTEN, own_files
 from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
@@ -122,7 +122,7 @@ def build_record(
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
-            *_untold(results),
+            *([_unexported(results)] if results.unexported else []),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
@@ -132,13 +132,8 @@ def build_record(
     }
 
 
-def _untold(results: ClipResults) -> Iterator[str]:
-    """What isn't known of runs of contact, in sentences."""
-    if results.unexported:
-        yield WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
-    yield from results.doubts[:1]
-    if results.doubts[1:]:
-        yield WARNINGS["doubts"].format(count=len(results.doubts) - 1)
+def _unexported(results: ClipResults) -> str:
+    return WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
 
 
 def _left_out(clip: ClipStream) -> list[str]:
@@ -197,7 +192,7 @@ def sha256_of(path: Path) -> str:
     for file in all_below(path):
         relative = file.relative_to(path)
         written = file.name in WRITTEN or SCENE.fullmatch(file.name)
-        own = (written and file.name in own_files(file.parent)) or is_own(file)
+        own = (written and file.name in own_files(file.parent)) or (file.name in PAGES and is_own(file))
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
             state = file.stat()
             content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)

@@ -44,7 +44,7 @@ from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.bag import write_bag
-from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from, comparison_sentence
+from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, model_of
@@ -55,10 +55,6 @@ TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
 WITH_FORCE = ("direct", "network")
 """Estimators that give a force."""
-OF_VIDEO = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
-"""Options that have no effect on a sequence beside a robot."""
-MOST_REASONS = 3
-"""Why runs of contact have no estimate: as many reasons are said; interactions.csv has all."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
@@ -74,8 +70,6 @@ class Outcome:
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
-    given: str = ""
-    """Name of the clip's file or folder."""
 
 
 class Batch:
@@ -109,11 +103,9 @@ class Batch:
             "scale of online": online and known is not None and not known.every_clip,
             "half of a sheet": online and (known is None) != (online.settings.sheet_m is None),
             "limit without force": limited and name not in WITH_FORCE,
-            "limit without newtons": limited and known is not None and not known.tells,
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
-            "shard of a scale": options.shard and known is not None and known.of_one_clip,
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
@@ -142,7 +134,7 @@ class Batch:
             newtons = None if self.fields else self._newtons(given, path, causes)
             known = given.known if newtons is None else newtons.known
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
-            return self._kept_results(source.name, folder, path.name)
+            return self._kept_results(source.name, folder)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
@@ -153,7 +145,7 @@ class Batch:
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"], 1 / source.fps)
+                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"])
             written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
             with written as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
@@ -186,22 +178,20 @@ class Batch:
         if new:
             self.providers |= new
             say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
-        warnings = record["warnings"]
-        if newtons is not None and newtons.measured is not None:
-            warnings = [*warnings, comparison_sentence(newtons.record()["comparison"])]
-        for warning in warnings:
+        for warning in record["warnings"]:
             say(self.console, f"{source.name}: {warning}")
-        for reason, count in results.unexplained.most_common(MOST_REASONS):
+        for reason, count in results.unexplained.most_common(3):
             total = results.counts.total()
             said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
             say(self.console, f"{source.name}: {said}")
-        return Outcome(source.name, DONE, str(folder), counts_of(record), path.name)
+        return Outcome(source.name, DONE, str(folder), counts_of(record))
 
     def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
         """The same of a sequence beside a robot."""
         if not isinstance(self.estimator, OnlineEstimator):
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        for name in (name for name in OF_VIDEO if getattr(self.options, name) is not None):
+        of_video = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
+        for name in (name for name in of_video if getattr(self.options, name) is not None):
             said = f"is for videos, and {printable(path)} is a sequence; leave it out"
             raise ValueError(f"--{name.replace('_', '-')} {said}.")
         name, sequence = name_of(path), open_sequence(path)
@@ -210,7 +200,7 @@ class Batch:
         causes = causes_of(sequence, self.estimator.described)
         files = (store.TABLE, PARTICLES, store.RECORD)
         if store.is_up_to_date(folder, digest_of(causes), files, overwrite=self.options.overwrite):
-            return self._kept_results(name, folder, name)
+            return self._kept_results(name, folder)
         task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
         try:
             done = functools.partial(progress.advance, task)
@@ -221,12 +211,12 @@ class Batch:
                 store.settle(folder)
         for warning in record["warnings"]:
             say(self.console, f"{name}: {warning}")
-        return Outcome(name, DONE, str(folder), counts_of(record), name)
+        return Outcome(name, DONE, str(folder), counts_of(record))
 
-    def _kept_results(self, name: str, folder: Path, given: str) -> Outcome:
+    def _kept_results(self, name: str, folder: Path) -> Outcome:
         """Say that a clip's results are up to date, which is its outcome."""
         say(self.console, f"{name}: up to date in {folder}; --overwrite computes it again")
-        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)), given)
+        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -240,15 +230,9 @@ class Batch:
         if self.options.topic is not None and not any(map(is_bag, found)):
             raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
         paths = self._ordered(list(found))
-        if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
-            number, count = self.options.shard or (1, 1)
-            if count > len(paths):
-                raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
-            mine = set(paths[number - 1 :: count])
-            for path in paths:  # those of the others too, so that all agree which folder is whose
-                with suppress(ValueError):  # said when it is the clip's turn
-                    self.folders[path] = self.store.folder(name_of(path), path, settled=path in mine)
-            paths = [path for path in paths if path in mine]
+        for path in paths if self.options.jobs > 1 or self.options.scheduler else ():
+            with suppress(ValueError):  # said when it is the clip's turn
+                self.folders[path] = self.store.folder(name_of(path), path)
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
@@ -294,7 +278,7 @@ class Batch:
         Raises:
             ValueError: it is not among them, or nobody says which it is.
         """
-        if self.calibration is None or not self.calibration.leans_on_a_clip:
+        if self.calibration is None or not self.calibration.of_one_clip:
             return paths
         name = self.calibration.fields.clip
         if name is None and len(paths) > 1:
@@ -323,11 +307,9 @@ class Batch:
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
-        compared = newtons is not None and newtons.measured is not None
-        known = newtons is not None and newtons.known is not None
-        wanted = {store.OVERLAY: self.options.overlay, store.FORCES: known, store.FIELDS: self.fields}
+        wanted = {store.OVERLAY: self.options.overlay, store.FIELDS: self.fields}
         wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
-        wanted |= {store.CALIBRATED: newtons is not None, store.COMPARED: compared, store.COMPARISON: compared}
+        wanted |= {store.CALIBRATED: newtons is not None}
         return [name for name in store.WRITTEN if wanted.get(name, True)]
 
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:
@@ -354,7 +336,7 @@ class Batch:
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
         say(self.console, f"failed: {sentence}")
         name = name_of(path) if is_sequence(path) else path.name  # many are a sequence.yaml
-        return Outcome(name, FAILED, sentence, given=name)
+        return Outcome(name, FAILED, sentence)
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
@@ -452,10 +434,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _write_pages(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Write the batch's page and its clips', and say where; one that can't be written is no clip's failure."""
-    failed = [(outcome.given, outcome.where) for outcome in outcomes if outcome.state == FAILED]
+    failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:
-        page = write_pages(output, failed, {outcome.given for outcome in outcomes}, anew=False)
-        say(console, f"Look at {page}")
+        say(console, f"Look at {write_pages(output, failed, anew=False)}")
     except store.OutputError as error:
         say(console, f"no page: {error}")
 

@@ -10,9 +10,6 @@ import numpy as np
 
 from palpate.estimators.records import FrameEstimate
 
-QUALITY = 95
-"""Of the waiting pictures' JPEG."""
-
 
 class Waiting(NamedTuple):
     """A frame that is to be drawn."""
@@ -44,7 +41,7 @@ class FrameSpool:
     def add(self, frame: Waiting) -> None:
         """Append a frame."""
         image = None if frame.image is None else cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
-        picture = self._write(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        picture = self._write(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
         labels = self._write(".png", frame.labels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         self._entries.append((frame.estimate, picture, labels))
 

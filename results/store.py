@@ -17,26 +17,22 @@ from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
 
 TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
-INTERACTIONS, FIT, FORCES, FIELDS = "interactions.csv", "fit.png", "forces.csv", "fields.npz"
-CALIBRATED, COMPARED, COMPARISON = "calibrated.csv", "compared.csv", "compared.png"
-REPORT = "forces.json"
+INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
+CALIBRATED, REPORT = "calibrated.csv", "forces.json"
 """Files of a clip's folder. The record is written last: with it a folder is complete."""
+PAGES = "index.html", "page.html"
+"""Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `common.output`."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 SCENE = re.compile(r"scene_\d+(\.pvd|\.ply|_\d+\.vtu)|particles_\d+\.(vtk|ply)|particles\.csv")
 """Names of the files that --export writes there, and of a sequence's particles."""
-WRITTEN = (
-    TABLE, INTERACTIONS, FORCES, REPORT, *BAGS.values(), FIELDS, CALIBRATED, COMPARED, OVERLAY, FIT,
-    COMPARISON, RECORD,
-)  # fmt: skip
+WRITTEN = (TABLE, INTERACTIONS, REPORT, *BAGS.values(), FIELDS, CALIBRATED, OVERLAY, FIT, RECORD)
 """All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
 a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
 """Value of `program` in run.json; another program's results are never replaced."""
-RECORD_KINDS = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
-"""Types of the record's fields that are read again."""
 _NAME_BYTES = 120
 
 
@@ -112,13 +108,10 @@ class ResultStore:
         with writing(output):
             tempfile.TemporaryFile(dir=output).close()
 
-    def folder(self, name: str, origin: Path, *, settled: bool = True) -> Path:
+    def folder(self, name: str, origin: Path) -> Path:
         """Folder of the clip `name` that comes from `origin`.
 
         Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
-
-        Args:
-            settled: whether what a killed run left next to it is settled; not where another process works on it.
 
         Raises:
             OutputError: both are taken, or a killed run's results can't be moved to their place.
@@ -128,7 +121,7 @@ class ResultStore:
         names = (plain, f"{plain}-{_mark(source)}")
         with writing(self.output):
             for name in names:
-                if settled and name.casefold() not in self._taken:
+                if name.casefold() not in self._taken:
                     settle(self.output / name)
         owners = {name: self._owner(name) for name in names}
         for wanted in (source, ""):
@@ -182,7 +175,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         return {}
     if not isinstance(record, dict) or record.get("program") != PROGRAM:
         return {}
-    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in RECORD_KINDS.items()) else {}
+    kinds = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
+    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in kinds.items()) else {}
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:

@@ -17,9 +17,6 @@ MEANINGS: dict[str, str] = _TEXTS["meanings"]
 """What the verdicts say, a sentence each."""
 ALARMS: dict[str, dict[str, Any]] = _TEXTS["alarms"]
 """What is said of the alarm, and the colour of the picture's edge where it has one."""
-FIELDS: dict[str, str] = _TEXTS["fields"]
-"""What is said of a field of stiffness."""
-FAR = "more than twice or less than half the observed one"
 
 
 def state(said: FrameEstimate | InteractionEstimate) -> str:
@@ -32,12 +29,6 @@ def state(said: FrameEstimate | InteractionEstimate) -> str:
 def in_words(name: str) -> str:
     """A state as pictures show it; `ok` would say more than that the frame is in contact."""
     return "in contact" if name == "ok" else name.replace("_", " ")
-
-
-def is_far(estimate: FrameEstimate) -> bool:
-    """Whether a frame's simulated displacement is more than twice or less than half the observed one."""
-    simulated, observed = estimate.simulated_displacement, estimate.observed_displacement
-    return simulated is not None and observed is not None and not observed / 2 <= simulated <= 2 * observed
 
 
 def digits(value: float, count: int) -> str:

@@ -23,8 +23,6 @@ from palpate.physics.fem.solid import EIGHTHS, outer_faces
 from palpate.physics.mechanics import PARAMETERS, Mechanics
 from palpate.physics.msd.simulation import simulate
 
-UNKNOWN_LOG_SD = 50.0
-"""Largest standard deviation of a logarithm that is written: VTK reads no infinite numbers."""
 ENDS = np.array([0.0, -1.0, 1.0])
 """Value and both ends of its 90 % interval, in standard deviations over `NINETY`."""
 SCENE = "scene units: depth over the clip's scale, not metric"
@@ -94,7 +92,8 @@ def _field(found: FieldEstimate) -> Deformation:
         ("stiffness", session.fields.distance, last.distance_log_sd, last.known),
         ("shape_stiffness", session.fields.shape, last.shape_log_sd, last.shape_known),
     ):
-        spread = np.minimum(log_sd, UNKNOWN_LOG_SD)[:, None] * NINETY * ENDS
+        # VTK reads no infinite numbers.
+        spread = np.minimum(log_sd, 50.0)[:, None] * NINETY * ENDS
         fields |= {name: np.asarray(values)[:, None] * np.exp(spread), f"{name}_known": known}
     units = dict.fromkeys(fields, "m/Δt²: mass over the square of a frame's time, relative")
     units |= {"displacement": SCENE} | {f"{name}_known": "1: determined" for name in ("stiffness", "shape_stiffness")}

@@ -29,14 +29,11 @@ from palpate.results.calibrated import ClipCalibration
 from palpate.results.field_file import FieldFile
 from palpate.results.forces import ContactForce, forces_record
 from palpate.results.overlay import canvas_size, draw_overlay
-from palpate.results.plots import MOST_PANELS, draw_comparison, draw_fits, write_figure
+from palpate.results.plots import MOST_PANELS, draw_fits, write_figure
 from palpate.results.spool import FrameSpool, Waiting
 from palpate.results.store import writing
 from palpate.results.verdicts import state
 from palpate.results.vtu import deformation_of, write_series
-
-MOST_UNDRAWN = 4
-"""Pictures that wait to be drawn."""
 
 
 class ClipResults:
@@ -103,8 +100,6 @@ class ClipResults:
         """Those for the picture, with a motion first."""
         self.stretched = False
         """Whether tissue has anywhere stretched with an instrument."""
-        self.doubts: list[str] = []
-        """Sentences on runs of contact that have a field of stiffness of which nothing is determined."""
         self._open = ExitStack()
         self._drawing: deque[Future[None]] = deque()
         """Pictures that are drawn and coded in a thread of their own, in order."""
@@ -113,8 +108,6 @@ class ClipResults:
                 self._partial = store.partial_folder(folder)
                 self._rows = self._open_table(store.TABLE, self.columns)
                 self._runs = self._open_table(store.INTERACTIONS, columns.INTERACTIONS)
-                known = None if calibration is None else calibration.known
-                self._forces = None if known is None else self._open_table(store.FORCES, columns.FORCES)
                 keep = self._open.enter_context
                 self._fields = keep(closing(FieldFile(self._partial / store.FIELDS))) if fields else None
                 video = self._partial / store.OVERLAY
@@ -160,7 +153,7 @@ class ClipResults:
     def _draw(self, frame: Waiting) -> None:
         """Append a picture to the overlay, if there is one, once those before it are drawn."""
         if self._video is not None:
-            while len(self._drawing) >= MOST_UNDRAWN:
+            while len(self._drawing) >= 4:
                 self._drawing.popleft().result()
             self._drawing.append(self._drawer.submit(self._drawn, self._video, frame))
 
@@ -195,7 +188,7 @@ class ClipResults:
 
     def add(self, run: InteractionEstimate) -> None:
         """Append a run of contact, and its force in newtons where some of it is known."""
-        forces: list[dict[str, Any]] = []
+        forces = None
         if self.calibration is not None:
             try:
                 forces = self.calibration.add(run)
@@ -205,8 +198,6 @@ class ClipResults:
             self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
-            if run.field.explanation and not run.field.determined:
-                self.doubts.append(f"contact from frame {run.onset_frame}: {run.field.explanation}")
         contact = ContactForce.of(run, self.estimates, forces, self._seconds)
         self._contacts.append(contact)
         self._agree(run, contact)
@@ -224,8 +215,6 @@ class ClipResults:
                     write_series(self._partial, f"scene_{run.onset_frame}", deformation_of(run, times))
                 except NoEstimate:
                     self.unexported += 1
-            if self._forces is not None:
-                self._forces.writerows(columns.row(columns.FORCES, values) for values in forces)
 
     def calibrate(self, length: ClipLength) -> None:
         """Say in millimetres and newtons what was added, once all of it has been."""
@@ -239,27 +228,18 @@ class ClipResults:
             self._write_waiting()
             while self._drawing:
                 self._drawing.popleft().result()
+            rows = () if self.calibration is None else self.calibration.rows
             if self.calibration is not None:
-                self._write_newtons(self.calibration, title)
+                table = self._open_table(store.CALIBRATED, columns.CALIBRATED)
+                table.writerows(columns.row(columns.CALIBRATED, values) for values in rows)
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
-            newtons = self.calibration
-            rows = () if newtons is None else newtons.rows
             report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])
             store.write_record(self._partial, record)
             store.publish(self._partial, self.folder)
-
-    def _write_newtons(self, calibration: ClipCalibration, title: str) -> None:
-        tables = [(store.CALIBRATED, columns.CALIBRATED, calibration.rows)]
-        if calibration.measured is not None:
-            tables.append((store.COMPARED, columns.COMPARED, calibration.compared_rows()))
-            figure = draw_comparison(calibration.measured, calibration.curves, calibration.known, title)
-            write_figure(self._partial / store.COMPARISON, figure)
-        for name, header, rows in tables:
-            self._open_table(name, header).writerows(columns.row(header, values) for values in rows)
 
     def _open_table(self, name: str, header: Mapping[str, str]) -> Any:
         """A CSV file with its head written, open as long as all of the clip's."""

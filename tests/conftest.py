@@ -60,7 +60,7 @@ def blank_module() -> Iterator[None]:
 
 
 def draw_nothing(patch: pytest.MonkeyPatch) -> None:
-    for draw in ("draw_fits", "draw_comparison"):
+    for draw in ("draw_fits",):
         patch.setattr(f"palpate.results.writer.{draw}", lambda *_, **__: None)
     patch.setattr("palpate.results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
 

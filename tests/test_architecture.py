@@ -45,8 +45,6 @@ FENCES = {
     "matplotlib": (
         "planning/pictures.py",
         "results/plots.py",
-        "results/panels.py",
-        "results/surface_plot.py",
         "results/paper/",
         "benchmarks/",
     ),
@@ -65,10 +63,9 @@ LIGHT_DOORS = {
     "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
     "palpate.command.infer": "palpate.estimators.direct.sampling",
     "palpate.command.live": "palpate.estimators.direct.sampling",
-    "palpate.command.page": "palpate.results.page.own",
+    "palpate.command.page": "palpate.results.page.render",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
-    "palpate.data.cholecseg8k": "palpate.data.tracks.linking",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
 HEAVY = ("torch", "lightning", "pytorch_lightning", "kornia", "mlflow", "jsonargparse", "torchmetrics", "onnx")
@@ -208,7 +205,7 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 @pytest.mark.parametrize(
     ("library", "user"),
     [
-        ("matplotlib", "palpate.results.panels"),
+        ("matplotlib", "palpate.results.plots"),
         ("scipy.stats", "palpate.estimators.direct.sampling"),
         ("jinja2", "palpate.results.page.render"),
     ],

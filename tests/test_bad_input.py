@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from palpate.command import infer
+from palpate.common.output import LIST
 from palpate.data.contact.geometry import GeometrySettings
 from tests import inference_inputs as inputs
 from tests.tables import read_rows
@@ -124,7 +125,7 @@ def test_unusable_clips_are_named_and_the_rest_goes_on(clips, model, capsys):
     assert is_plain(said.err + said.out)
     assert "unexpected" not in said.err
     assert statuses(clips, "good") == ["no_contact"] * 2 + ["ok"] * 4
-    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["good", "index.html"]
+    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == [LIST, "good", "index.html"]
 
 
 # --- frames that can't be used: their rows say why, the clip's other frames are estimated ---
@@ -296,7 +297,7 @@ def test_name_that_is_not_utf8(clips, model, capsys):
     assert is_plain(capsys.readouterr().err)
     # A second run knows whose folder it is.
     assert call(clips) == 0
-    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == ["clip_", "good", "index.html"]
+    assert sorted(path.name for path in (clips.parent / "out").iterdir()) == [LIST, "clip_", "good", "index.html"]
 
 
 def test_names_do_nothing_to_the_terminal(clips, model, capsys):

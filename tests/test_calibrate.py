@@ -14,7 +14,6 @@ from benchmarks.palpation import example
 from benchmarks.palpation.example import scene_files
 from benchmarks.palpation.synthetic import BODIES, observe, press
 from palpate.command import calibrate
-from palpate.data.source.images import read_image
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
@@ -47,7 +46,7 @@ def strict(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_example_s_stiffness_is_found_and_drawn(tmp_path, capsys, monkeypatch):
+def test_the_example_s_stiffness_is_found(tmp_path, capsys, monkeypatch):
     """From half the points and triangles."""
     monkeypatch.setattr(example, "POINTS", 2000)
     monkeypatch.setattr(example, "SPACING", 0.004)
@@ -63,9 +62,6 @@ def test_the_example_s_stiffness_is_found_and_drawn(tmp_path, capsys, monkeypatc
     errors = np.genfromtxt(tmp_path / "errors.csv", delimiter=",", names=True)["error_mm"]
     assert 0.1 < np.sqrt(np.nanmean(errors**2)) < 0.4
     assert np.isnan(errors).any()
-    picture = read_image(tmp_path / "errors.png")
-    assert picture.shape == (620, 1480, 3)
-    assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 200
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ MODULES = [
     "benchmarks.plain_video",
     "benchmarks.real",
     "benchmarks.recovery",
-    "data.cholecseg8k",
     "data.synthetic",
     "estimators.network.calibration",
 ]

@@ -24,14 +24,10 @@ CORRELATION_LENGTH = 50.0
 """Distance below which points share what the models leave unexplained [px]."""
 MIN_POINTS = 15
 """Fewer points next to the tool decide nothing."""
-MAX_POINTS = 120
-"""At most so many of them are used, evenly spread; each then counts for more."""
 TOOL_SPREAD = 0.15
 """Standard deviation of a leaked tool pixel's motion about u, as a share of |u|: tools turn, jaws close."""
 HELD_SPREAD = 0.25
 """Standard deviation of held tissue's motion about what its distance implies, as a share of that."""
-MIN_DENSITY = 1e-300
-"""Least density, whose logarithm is finite."""
 _AXIS = np.array([-1.8, -0.9, 0.0, 0.9, 1.8])
 _OFFSETS = np.column_stack([np.repeat(_AXIS, len(_AXIS)), np.tile(_AXIS, len(_AXIS))])
 """Errors of the background's motion that are tried, and by axis of the tool's [standard deviations]."""
@@ -66,7 +62,8 @@ def log_ratio(observed: TipMotion) -> float:
     """
     if len(observed.moved) < MIN_POINTS:
         return 0.0
-    every = max(1, len(observed.moved) // MAX_POINTS)
+    # Evenly spread; each then counts for more.
+    every = max(1, len(observed.moved) // 120)
     moved, distance = observed.moved[::every], observed.distance[::every]
     # Correlated points count as one.
     weight = min(1.0, (observed.spacing / CORRELATION_LENGTH) ** 2) * len(observed.moved) / len(moved)
@@ -95,4 +92,5 @@ def log_ratio(observed: TipMotion) -> float:
 
 def _density(square: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
     """Of a normal distribution in the plane, at squared distances from its mean [px²]; never 0."""
-    return np.exp(-square / (2 * variance)) / (2 * np.pi * variance) + MIN_DENSITY
+    # The least density has a finite logarithm.
+    return np.exp(-square / (2 * variance)) / (2 * np.pi * variance) + 1e-300

@@ -20,18 +20,10 @@ from palpate.data.shading.registration import scaled
 from palpate.data.tracks.background import Background
 from palpate.data.tracks.following import Shown
 
-MIN_PIXELS = 200
-"""Fewer pixels of tissue determine neither the camera's motion nor the noise."""
 SCALES = (0.0, 1.0, 2.0)
 """Changes are looked at over these widths: standard deviations of a blur [grid px]."""
 WIDE = 12.0
 """What changes over this width around, too, is no dent but the camera or the depth's bias [grid px]."""
-ROUGH = 2.0
-"""A frame's own noise at a scale is what differs from a blur so much wider [grid px]."""
-COVERED = 0.5
-"""Least share of a blur's weight that must lie on tissue."""
-MAX_CHANGE = 0.1
-"""A larger change of depth is the sensor's error [scene units]."""
 ITERATIONS, OUTLIER = 3, 3.0
 """Rounds of the fit of what the camera changes, and standard deviations beyond which a pixel doesn't belong to it."""
 
@@ -62,8 +54,9 @@ def change_since(before: PreparedFrame, after: PreparedFrame, motion: np.ndarray
     rest, visible = (
         cv2.warpAffine(part, motion[:2], size) for part in (before.depth, _tissue(before).astype(np.float32))
     )
-    known = inside(_tissue(after) & (visible > 0.999)) & (np.abs(after.depth - rest) < MAX_CHANGE)
-    return depth_change(after.depth, rest, known) if known.sum() >= MIN_PIXELS else None
+    # A larger change of depth is the sensor's error.
+    known = inside(_tissue(after) & (visible > 0.999)) & (np.abs(after.depth - rest) < 0.1)
+    return depth_change(after.depth, rest, known) if known.sum() >= 200 else None
 
 
 def _tissue(prepared: PreparedFrame) -> np.ndarray:
@@ -85,7 +78,8 @@ def depth_change(depth: np.ndarray, rest: np.ndarray, known: np.ndarray) -> Dept
         deeper = _blurred(change, known, scale)
         # Next to a bump tissue hasn't sunk.
         contrast.append(deeper - np.maximum(around, 0))
-        rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + ROUGH)
+        # A frame's own noise at a scale is what differs from a blur so much wider.
+        rough = _blurred(depth, known, scale) - _blurred(depth, known, scale + 2.0)
         rough -= _blurred(np.nan_to_num(rough), known & np.isfinite(rough), WIDE)
         noise.append(max(median_sd(deeper - around), median_sd(rough), LEAST_NOISE / (1 + 4 * scale)))
     return DepthChange(np.stack(contrast), np.array(noise))
@@ -96,7 +90,8 @@ def _blurred(values: np.ndarray, known: np.ndarray, scale: float) -> np.ndarray:
     if scale == 0:
         return np.where(known, values, np.nan)
     weight, total = (gaussian_sum(part.astype(np.float32), scale) for part in (known, np.where(known, values, 0)))
-    least = COVERED if scale < WIDE else 0.0
+    # Least share of a blur's weight that must lie on tissue.
+    least = 0.5 if scale < WIDE else 0.0
     return np.where(known & (weight > least), total / np.maximum(weight, 1e-6), np.nan)
 
 

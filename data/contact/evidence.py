@@ -32,8 +32,6 @@ THRESHOLD = 0.5
 MAX_WAY, MAX_AGE = 5.0, 10
 """Frames are compared with one and the same until the tool has gone so far [px], or for so many frames: what parallax
 adds goes to and fro with the camera."""
-CHANGE = 0.03
-"""Share by which the probability returns to PRIOR in a frame: contacts begin and end."""
 MAX_LOG_ODDS = 5.0
 """Largest change of the logarithm of the odds by one frame."""
 STANDS = 0.25
@@ -56,14 +54,8 @@ RING = 100.0
 """Points nearer than this beyond the guard band are next to the tool, others are the background [px]."""
 TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
-MIN_TOOL_PIXELS = 60
-"""Parts of a mask with fewer pixels are no tool."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
-MIN_TOOL_POINTS = 8
-"""Fewer say nothing of its motion."""
-NARROW = 11
-"""Width of the windows that are compared in the tool, so small that they don't mix tool and tissue [px]."""
 SPREAD = 0.35
 """A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
 
@@ -152,7 +144,8 @@ class ContactEvidence:
     def _push(self, shown: Shown, prepared: PreparedFrame) -> float:
         """Probability of contact in the next frame, whose tool is at tissue in the picture."""
         share = 1 / (1 + math.exp(-self._odds))
-        self._odds = _log_odds(share + CHANGE * (PRIOR - share))
+        # Contacts begin and end: by this share the probability returns to PRIOR in a frame.
+        self._odds = _log_odds(share + 0.03 * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
         tips, background = ([], None) if before is None else observed_motion(before[0], shown)
         self._age += 1
@@ -209,7 +202,8 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     Returns:
         One a tool whose motion is known, and the background's motion; none where that isn't known.
     """
-    tips = tool_tips(before.tool, before.lit, TIP, MIN_TOOL_PIXELS)
+    # Parts of a mask with fewer pixels are no tool.
+    tips = tool_tips(before.tool, before.lit, TIP, 60)
     if not tips:
         return [], None
     places = spread((before.away > GUARD) & before.lit, SPACING)
@@ -230,7 +224,8 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     motions = []
     for index, tip in enumerate(tips):
         places = tip[:: max(1, len(tip) // TOOL_POINTS)]
-        step, found = followed(before.gray, after.gray, places, NARROW)
+        # Windows so small don't mix tool and tissue.
+        step, found = followed(before.gray, after.gray, places, 11)
         motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
             around, errors = known & (owner == index), (background.noise, background.error)
@@ -252,7 +247,7 @@ def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndar
 
 def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Common displacement [2] of a tip's points [N, 2] less the background's, and its spread [px]; None if unknown."""
-    if len(moved) < MIN_TOOL_POINTS:
+    if len(moved) < 8:
         return None
     middle = np.median(moved, axis=0)
     for _ in range(ITERATIONS):

@@ -26,8 +26,6 @@ LEAST_NOISE = 3e-4
 """Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
 LEAST_MOTION = 1e-4
 """Shorter observed motions have no direction [scene units]."""
-DEPTH_HOLE_REACH = 5.0
-"""How many times `contact_pixels` the nearest valid tissue depth may lie from a touching outline."""
 
 
 class GeometryStatus(Exception):
@@ -299,7 +297,7 @@ def _outline_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, sett
     to_tool, nearest_tool = distance_transform_edt(~tool, return_indices=True)
     with_depth = tissue & (points[..., 2] > 0)
     closest = float(to_tool[with_depth].min())
-    if closest > DEPTH_HOLE_REACH * reach:
+    if closest > 5.0 * reach:
         raise GeometryStatus("bad_depth", f"No tissue within {closest:.0f} pixels of the tool has a depth.")
     # Stereo depth has holes along outlines: then the nearest pixels with a depth stand in for the touching ones.
     near_tissue = np.argwhere(with_depth & (to_tool <= max(reach, closest)))

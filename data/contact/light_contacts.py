@@ -25,19 +25,13 @@ from palpate.data.source.camera import Camera
 
 WIDTH = 1.0
 """Standard deviation of the weights with which changes are averaged [grid pixels]."""
-LEAST_KNOWN = 0.3
-"""Share of those weights that must lie on tissue."""
 SHADOW, SHADOWS = 1.5, 8
 """What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
 last so many frames in which one moved."""
-FAR = 12.0
-"""Farther from an instrument the change's noise is measured [grid pixels]."""
 DARKER, CLEAR = 0.04, 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
 FIRST, FEWEST_REST = 6, 3
 """So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
-NOISIEST = 0.03
-"""Where the light changes by more, tissue moves all over or the light flickers: nothing can be said."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
 EARLIER, EARLIEST, HIDDEN_FOR = 1, 3, 8
@@ -49,10 +43,6 @@ LEFT = 0.35
 """A press has ended where less than this share of the darkness is left, or the instrument has gone."""
 RECOVERY_SECONDS = 1.0
 """After this time what is left of a dent counts as the tissue at rest [s]."""
-RECOVERED = 0.03
-"""Tissue is at rest again where it is darker by less than this."""
-PRESSED = 0.95
-"""Probability of contact under a press that shows in the light."""
 UNCHANGED = "The tissue at the instrument is as bright as at rest, so nothing presses on it."
 NO_DENT = "What is darker next to the instrument is its shadow or tissue that moves along, so nothing presses on it."
 LET_GO = "The instrument has let go of the tissue, whose light returns to that at rest."
@@ -222,10 +212,13 @@ class LightContacts:
         weights, sums = (
             cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))
         )
-        mean = np.where(weights >= LEAST_KNOWN, sums / np.maximum(weights, 1e-6), np.nan)
-        far = mean[(lit.away > FAR) & np.isfinite(mean)]
+        # This share of the weights must lie on tissue.
+        mean = np.where(weights >= 0.3, sums / np.maximum(weights, 1e-6), np.nan)
+        # Far from an instrument the change's noise is measured.
+        far = mean[(lit.away > 12.0) & np.isfinite(mean)]
         noise = median_sd(far) if far.size else math.inf
-        if noise > NOISIEST:
+        # Tissue moves all over, or the light flickers: nothing can be said.
+        if noise > 0.03:
             return
         lit.change = mean
         least = max(DARKER, CLEAR * noise)
@@ -254,7 +247,7 @@ class LightContacts:
         change, self._pressed_s = lit.change_around(place), prepared.frame.time_s
         if change is not None:
             self._deepest = change if self._deepest is None else np.fmin(self._deepest, change)
-        prepared.contact_probability, prepared.undecided = PRESSED, False
+        prepared.contact_probability, prepared.undecided = 0.95, False
         if prepared.press_at(pixel, self._camera, self._settings):
             prepared.press = pixel
 
@@ -269,7 +262,7 @@ class LightContacts:
             return
         self._pressing = False
         _out_of_contact(lit.prepared, LET_GO)
-        if darkness < RECOVERED:
+        if darkness < 0.03:
             self._place = None
         elif lit.prepared.frame.time_s - self._pressed_s > RECOVERY_SECONDS:
             # Something else has darkened the tissue: what it is like at rest isn't known any more.

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from palpate.data.contact.geometry import LEAST_NOISE, TISSUE, GeometryStatus, dent_geometry, frame_geometry
-from palpate.data.contact.outlines import frayed_share, inside, uncover
+from palpate.data.contact.outlines import inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
@@ -23,15 +23,7 @@ from palpate.data.source.camera import Camera
 from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
-FRAYED = (
-    "The masks' outlines disagree with the depth: {share:.0%} of the tissue next to the tool lies in front of it at "
-    "rest; where and when contact began is less certain."
-)
-FRAYED_SHARE = 0.05
-"""More of the tissue next to the tool in front of the tissue at rest is worth a sentence."""
 DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
-REST_SECONDS = 1.0
-"""Tissue that isn't followed counts as being at rest again so long after it was touched last [s]."""
 REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
 SHADING_NOISE = 0.02
@@ -164,7 +156,8 @@ class ContactMotion:
         if followed and np.isfinite(self._left).all():
             # Not over the root of REST_FRAMES: rounding errors and the camera's drift are the same in all of them.
             return abs(float(np.mean(self._left))) > REST_SIGMA * self._run.onset.contact.noise
-        return onset.frame.time_s - self._last_time < REST_SECONDS
+        # Tissue that isn't followed counts as being at rest again after a second.
+        return onset.frame.time_s - self._last_time < 1.0
 
     def _begin(self, onset: PreparedFrame) -> ContactRun:
         if self.settings.smoothing > 0:
@@ -178,9 +171,6 @@ class ContactMotion:
                 else:
                     resting = frame_geometry(*seen, *given)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
-                share = frayed_share(onset.depth, onset.labels, np.where(rest.known, rest.depth, 0), noise)
-                if share > FRAYED_SHARE:
-                    onset.detail = FRAYED.format(share=share)
         pixel = picture_pixel(onset, self.size)
         template = self._tracker.template(onset.view, pixel)
         young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None

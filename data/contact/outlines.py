@@ -13,8 +13,6 @@ FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
 OUTLINE_REACH = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
-MAX_BEHIND = 0.25
-"""A larger share of the tool's outline isn't the bottom of a dent."""
 CLEARLY = 3.0
 """A depth lies clearly behind others from this many standard deviations of its noise."""
 
@@ -46,7 +44,8 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
     outline = (labels == TOOL) & (around > 0) & (depth > 0)
     behind = outline & (depth > around + CLEARLY * noise)
-    if behind.sum() > MAX_BEHIND * outline.sum():
+    # A larger share of the tool's outline isn't the bottom of a dent.
+    if behind.sum() > 0.25 * outline.sum():
         return labels
     return np.where(behind, np.uint8(TISSUE), labels)
 
@@ -72,21 +71,3 @@ def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
     cleaned = depth.copy()
     cleaned[rows, columns] = np.minimum(depth[rows, columns], values[np.arange(len(rows)), quarter])
     return cleaned
-
-
-def frayed_share(depth: np.ndarray, labels: np.ndarray, rest: np.ndarray, noise: float) -> float:
-    """Share of the tissue's pixels at the tool's outline that lie clearly in front of the tissue at rest.
-
-    Args:
-        depth: z, shape [h, w] [scene units], 0 = invalid.
-        labels: label map, shape [h, w].
-        rest: z of the tissue at rest, shape [h, w] [scene units]; 0 where it isn't known.
-        noise: standard deviation of the depth [scene units].
-
-    Returns:
-        0 to 1; 0 where no tissue is near the tool.
-    """
-    outline = (labels == TISSUE) & (depth > 0) & (rest > 0) & near(labels == TOOL)
-    if not outline.any():
-        return 0.0
-    return float((depth < rest - 2 * CLEARLY * noise)[outline].mean())

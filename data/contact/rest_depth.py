@@ -12,8 +12,6 @@ from palpate.data.prepared import PreparedFrame
 
 FRAMES = 8
 """Frames before a contact whose depths are averaged."""
-MAX_SHIFT = 3.0
-"""Frames in which the picture lay farther from where it lies at the contact are left out [grid pixels]."""
 
 
 class RestDepth:
@@ -47,7 +45,8 @@ class RestDepth:
         grey, outline, beyond = _grey(onset), tissue & near(tool), np.zeros_like(tissue)
         for before, depth, valid, other in self._frames:
             shift, _ = cv2.phaseCorrelate(before, grey)
-            if max(abs(shift[0]), abs(shift[1])) > MAX_SHIFT:
+            # The picture lay elsewhere.
+            if max(abs(shift[0]), abs(shift[1])) > 3.0:
                 continue
             move = np.array([[1, 0, round(shift[0])], [0, 1, round(shift[1])]], np.float64)
             moved, visible, ended = (

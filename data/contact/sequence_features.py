@@ -25,8 +25,6 @@ MARGIN = 13
 """The sheet that the shapes are computed on ends so far beyond the depth-change sequence [grid pixels]."""
 RIDGE = 1e-3
 """Keeps shapes that hidden pixels leave undetermined small."""
-MIN_VISIBLE = 0.4
-"""Of a depth-change sequence's pixels, in a frame that counts."""
 ROUNDED = 1.4
 """Factor by which the noise is larger that a network with sequences is given where depth was rounded: errors of still
 tissue are then the same in all frames and in neighbouring pixels, and inform as little as fewer, larger ones."""
@@ -121,7 +119,8 @@ def sequence_features(sequence: DepthSequence | None, spacing: float, noise: flo
     amounts, present = np.zeros((SLOTS, SHAPES)), False
     if sequence is not None:
         change = sequence.change.reshape(len(sequence.times), (2 * REACH + 1) ** 2)
-        kept = np.isfinite(change).mean(axis=1) >= MIN_VISIBLE
+        # Share of the pixels that must be visible in a frame that counts.
+        kept = np.isfinite(change).mean(axis=1) >= 0.4
         present = bool(kept.any())
         if present:
             found, times = shape_amounts(change[kept])[0], sequence.times[kept]

@@ -7,11 +7,6 @@ have lengths and directions of noise. At rest tissue is smooth, so a plane fitte
 import cv2
 import numpy as np
 
-REACH = 3.0
-"""The weights end at this many standard deviations."""
-LEAST_WEIGHT = 1e-6
-"""Squared spread of a neighbourhood, relative to the weights', below which it holds no plane and its mean is taken."""
-
 
 def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> tuple[np.ndarray, float]:
     """Depth of the tissue by a plane fitted around every pixel with Gaussian weights (local linear regression).
@@ -34,7 +29,8 @@ def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> t
     columns, rows = np.meshgrid(np.arange(width) - width / 2, np.arange(height) - height / 2)
     weight = tissue.astype(np.float64)
     z = np.where(tissue, depth, 0).astype(np.float64)
-    size = 2 * int(np.ceil(REACH * smoothing)) + 1
+    # The weights end at three standard deviations.
+    size = 2 * int(np.ceil(3.0 * smoothing)) + 1
 
     def around(values: np.ndarray) -> np.ndarray:
         return cv2.GaussianBlur(values * weight, (size, size), smoothing, borderType=cv2.BORDER_CONSTANT)[tissue]
@@ -44,7 +40,8 @@ def smooth_surface(depth: np.ndarray, tissue: np.ndarray, smoothing: float) -> t
     xx, xy, yy = (around(values) / total for values in (columns * columns, columns * rows, rows * rows))
     xx, xy, yy = xx - mean_x**2, xy - mean_x * mean_y, yy - mean_y**2
     determinant = xx * yy - xy * xy
-    flat = determinant > LEAST_WEIGHT * smoothing**4
+    # A neighbourhood without this spread holds no plane: its mean is taken.
+    flat = determinant > 1e-6 * smoothing**4
     safe = np.where(flat, determinant, 1.0)
 
     def fit(values: np.ndarray) -> np.ndarray:

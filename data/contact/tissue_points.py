@@ -10,12 +10,6 @@ from palpate.data.source.camera import Camera
 
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""
-REFERENCE_POINTS = 64
-"""Largest number of tissue points that show the common (camera) motion."""
-REFERENCE_DISTANCE = 25
-"""Reference points are at least this far from the contact [grid pixels]."""
-REFERENCE_MINIMUM = 6
-"""Fewer reference points show no common motion."""
 
 
 def grid_to_picture(pixels: np.ndarray, grid_shape: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
@@ -78,7 +72,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     before, after = before[finite], after[finite]
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(3):
-        if len(before) < REFERENCE_MINIMUM:
+        if len(before) < 6:
             return np.full(3, math.nan)
         centre, target = before.mean(0), after.mean(0)
         rotation = Rotation.align_vectors(after - target, before - centre)[0].as_matrix()
@@ -92,7 +86,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
 def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray) -> np.ndarray:
     """Evenly spaced tissue pixels (u, v) far from the contact, shape [P, 2], P at most 64."""
     rows, columns = np.nonzero((labels == TISSUE) & (depth > 0))
-    far = np.hypot(columns - contact[0], rows - contact[1]) >= REFERENCE_DISTANCE
+    far = np.hypot(columns - contact[0], rows - contact[1]) >= 25
     pixels = np.stack((columns[far], rows[far]), 1)
-    chosen = np.linspace(0, len(pixels) - 1, min(REFERENCE_POINTS, len(pixels))).round().astype(int)
+    chosen = np.linspace(0, len(pixels) - 1, min(64, len(pixels))).round().astype(int)
     return pixels[chosen].astype(np.float64)

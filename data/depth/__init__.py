@@ -6,5 +6,5 @@ model        any depth network as an ONNX file: input, session, meaning of its o
 stereo       depth of a stereo pair: rectified, matched, in metres
 preset       input and output conventions of a network, as YAML files in presets/
 shading      the shape of tissue that brightness tells, without what is texture
-photometric  builds the network that needs no training: brightness under a light at the camera
+photometric  depth from brightness, without training
 """

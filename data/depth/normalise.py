@@ -14,6 +14,7 @@ import numpy as np
 
 from palpate.common.settings import require_between, require_choices, require_numbers
 from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.depth.photometric import PhotometricDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
 from palpate.data.depth.stereo import StereoDepth
@@ -22,16 +23,8 @@ from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
 
-BUILT_IN = ("stored", "stereo")
+BUILT_IN = ("stored", "stereo", "photometric")
 """Sources of depth that need no model."""
-FAR_QUANTILE = 0.999
-"""Quantile of a frame's valid depth that is its largest depth, so that single outliers have no effect."""
-FAR_MULTIPLE = 3.0
-"""Largest depth of a frame as a multiple of its median; larger depth is background or a mismatch."""
-CLIP_QUANTILE = 0.9
-"""Quantile of the sampled frames' largest depths that is the clip's, so that a few bad frames have no effect."""
-OUTSIDE_LABEL = 255
-"""Label of pixels outside the camera's picture, after the removal of lens distortion."""
 MOST_THREADS = 1024
 """Largest number of threads of one program."""
 
@@ -41,9 +34,10 @@ class DepthSettings:
     """Source of depth, and the constants that are fixed for a clip."""
 
     source: str = "auto"
-    """auto (stored where the clip has it, else photometric), stored, stereo, a preset's name, or an .onnx file."""
+    """auto (stored where the clip has it, else photometric), stored, stereo, photometric, a preset's name, or an .onnx
+    file."""
     model: str | None = None
-    """ONNX file for a preset that ships none; with any other source it is refused."""
+    """ONNX file of a preset; with any other source it is refused."""
     preset: str | None = None
     """Preset (name or .yaml file) with the conventions of an .onnx path; by default the .yaml file of its name in its
     folder. With any other source it is refused."""
@@ -104,6 +98,8 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
         return StoredDepth(layout, source.path)
     if kind == "stereo":
         return StereoDepth(layout, source)
+    if kind == "photometric":
+        return PhotometricDepth()
     path, preset = resolve_model(kind, settings.model, settings.preset)
     model = DepthModel(path, preset, threads=settings.threads, device=settings.device)
     if preset.kind == "disparity":
@@ -143,7 +139,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."
         raise InputError(f"{source.path} has no frame with usable depth; {reason}")
-    scale = float(np.quantile(extents, CLIP_QUANTILE, method="lower")) if known is None else known
+    scale = float(np.quantile(extents, 0.9, method="lower")) if known is None else known
     return scale, None if depth.focal is None else depth.focal * source.size[0]
 
 
@@ -182,7 +178,8 @@ def _samples(
 def _largest_depth(depth: np.ndarray) -> float:
     """A frame's largest depth that is not an outlier [unit of the source]."""
     valid = depth[depth > 0]
-    return float(min(np.quantile(valid, FAR_QUANTILE), FAR_MULTIPLE * np.median(valid)))
+    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
+    return float(min(np.quantile(valid, 0.999), 3.0 * np.median(valid)))
 
 
 def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
@@ -238,7 +235,8 @@ def resize_depth(
     complete = bool(valid.all())
     result = np.zeros(size, np.float32)
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
-        if value == OUTSIDE_LABEL:
+        # Outside the camera's picture, after the removal of lens distortion.
+        if value == 255:
             continue
         usable = member if complete else member * valid
         weight = shares[index] if complete else _resized(usable, size)

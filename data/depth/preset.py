@@ -32,8 +32,6 @@ class DepthPreset:
     disparity: of a stereo network, which takes the left and the right picture: |D̂| is in pixels of its input."""
     obtain: str = ""
     """How to obtain the ONNX file, printed when it is missing."""
-    model: str | None = None
-    """ONNX file that comes with this project, used when the settings name none."""
     output: str | tuple[str, ...] = ()
     """Accepted names of the depth output; none = the model's only output."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
@@ -59,8 +57,6 @@ class DepthPreset:
     """Divides RGB after the mean [value_scale]."""
     factor: float = 1.0
     """Multiplies the output, e.g. 0.001 where it is in millimetres."""
-    shading: bool = False
-    """Whether depth is brightness read as distance, so that only its shape over a whole organ counts."""
     focal_output: str | tuple[str, ...] = ()
     """Accepted names of an output that estimates the focal length; none = the model gives none."""
     focal_kind: Literal["px", "fov_deg"] = "px"
@@ -110,7 +106,7 @@ def fitting_presets(outputs: Collection[str]) -> list[str]:
     for name in preset_names():
         preset = load_preset(name)
         wanted = [(each,) if isinstance(each, str) else each for each in (preset.output, preset.focal_output) if each]
-        if preset.model is None and wanted and all(set(each) & set(outputs) for each in wanted):
+        if wanted and all(set(each) & set(outputs) for each in wanted):
             found[name] = len(wanted)
     return [name for name, count in found.items() if count == max(found.values())]
 
@@ -145,11 +141,10 @@ def resolve_model(source: str, model: str | None, preset: str | None) -> tuple[P
     """
     if Path(source).suffix.lower() != ".onnx":
         chosen = load_preset(source)
-        shipped = None if chosen.model is None else PRESET_FOLDER.parent / chosen.model
-        path = shipped if model is None else Path(model)
-        if path is None:
+        if model is None:
             remedy = chosen.obtain or "export it to ONNX"
             raise InputError(f"Depth preset {chosen.name} needs a model file; {remedy}, and give it as depth.model.")
+        path = Path(model)
         if not isfile(path):
             remedy = f", or {chosen.obtain}" if chosen.obtain else ""
             raise InputError(f"{path} (for depth preset {chosen.name}) does not exist; check depth.model{remedy}.")

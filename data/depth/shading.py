@@ -17,20 +17,14 @@ EDGE = 6
 """Width of what is left out at the border of tissue, where shadows and other colours lie [grid px]."""
 FEWEST = 200
 """With fewer pixels than that, those at the border count as well."""
-THINNED = 5
-"""One pixel in so many is enough for the plane."""
 ORGAN = 0.4
 """Standard deviation of the Gaussian that keeps an organ's curvature, as a share of the grid's width."""
 PLANE_TILT = 0.35
 """Standard deviation of a plane's tangents before anything is known of it."""
-INDEPENDENT = 50
-"""So many independent observations of what is no plane a picture holds: texture goes together over wide areas."""
 LARGEST_TANGENT = 3.0
 """Of the plane's tilt along either axis."""
 GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
-ROUNDS = 8
-"""Gauss-Newton steps with Cauchy's weights; the fit has settled after five."""
 TOUGH = 5.0
 """Scale of Cauchy's weights, in standard deviations of what the plane leaves."""
 
@@ -58,7 +52,8 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     rays = back_project(np.ones_like(depth), camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     brightness = 3 * np.log(rays[..., 2]) - 2 * np.log(np.where(valid, depth, 1.0))
-    rows, columns = (at[::THINNED] for at in np.nonzero(kept))
+    # One pixel in five is enough for the plane.
+    rows, columns = (at[::5] for at in np.nonzero(kept))
     normal = _plane_normal(rays[rows, columns], brightness[rows, columns])
     facing = np.maximum(rays @ normal, GRAZING)
     left = brightness - 3 * np.log(facing)
@@ -76,14 +71,15 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         brightness: log I up to a constant, shape [N].
     """
     tangents = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(8):
         normal = np.append(tangents, 1.0)
         facing = np.maximum(rays @ normal, GRAZING)
         squared = normal @ normal
         left = brightness - 3 * np.log(facing) + 1.5 * np.log(squared)
         left -= np.median(left)
         spread = median_sd(left) + 1e-6
-        prior = spread**2 / (INDEPENDENT * PLANE_TILT**2)
+        # Texture goes together over wide areas: a picture holds 50 independent observations of what is no plane.
+        prior = spread**2 / (50 * PLANE_TILT**2)
         weights = 1 / (1 + (left / (TOUGH * spread)) ** 2)
         slopes = 3 * (rays[:, :2] / facing[:, None] - tangents / squared)
         slopes -= weights @ slopes / weights.sum()

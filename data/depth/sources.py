@@ -14,8 +14,6 @@ from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
 
-LEAST_VALID_SHARE = 0.01
-"""Least share of valid pixels of a frame with usable depth."""
 RANGE_QUANTILES = (0.001, 0.999)
 """Quantiles at the ends of a frame's range of relative inverse depth."""
 LARGEST_MAP_RATIO = 16
@@ -127,7 +125,6 @@ class ModelDepth(DepthSource):
         self._default_focal, self._known_focal = default_focal, known_focal
         self._range = (0.0, 1.0)
         self._frozen = False
-        self.from_shading = self._preset.shading
         self.metres = (1.0, 0.0, f"the depth network {self._preset.name}") if self._preset.metric else None
         self.depends_on_clip = bool(self._preset.focal_output) or self._preset.kind == "relative_inverse"
         constants = [near, far, default_focal, known_focal]
@@ -205,7 +202,7 @@ def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
     if not values[finite].any():
         raise InputError(f"{named} is zero everywhere; {remedy}.")
     valid = values[finite] if signed else values[finite & (values > 0)]
-    if len(valid) < LEAST_VALID_SHARE * values.size:
+    if len(valid) < 0.01 * values.size:
         raise InputError(f"{named} is valid on {len(valid) / values.size:.1%} of its pixels; {remedy}.")
     if float(valid.max()) - float(valid.min()) <= 1e-6 * float(np.abs(valid).max()):
         raise InputError(f"{named} is the same everywhere ({float(valid[0]):g}); {remedy}.")

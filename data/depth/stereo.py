@@ -39,9 +39,6 @@ LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
 """Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
 NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
 """Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
-PAIRED = 0.6
-"""Least share of the pixels that match in pairs without features to compare, below which they may be no pair: 0.9 of
-real ones match, 0.3 of one picture's halves."""
 
 NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
 ROWS_DIFFER = (
@@ -259,8 +256,8 @@ class StereoDepth(DepthSource):
             said = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
             raise InputError(f"Tissue of {printable(self._clip)} {said}.")
         off = self._disparity_sd / float(np.median(found))
-        paired = NOT_COMPARED not in self.warnings or np.mean([(raw.values > 0).mean() for raw in samples]) > PAIRED
-        self.metres = (1.0, math.hypot(self._baseline_log_sd, off), "stereo") if paired else None
+        if NOT_COMPARED not in self.warnings:
+            self.metres = 1.0, math.hypot(self._baseline_log_sd, off), "stereo"
 
     def convert(self, raw: RawDepth) -> np.ndarray:
         return positive(raw.values)

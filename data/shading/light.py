@@ -9,12 +9,6 @@ FINE = 2
 """Places of the lattice a grid pixel, along an axis."""
 DARKEST, BRIGHTEST = 0.01, 0.98
 """Light beyond these tells nothing, in shares of white: noise decides it, or the sensor is full."""
-EDGE = 5
-"""Pixels so near to an instrument or to what is no tissue are mixtures [px of a picture 854 wide]."""
-WHITER = 0.12
-"""Highlights are so much bluer than what surrounds them, as a logarithm: they have the lamp's colour, tissue is red."""
-SURROUNDINGS = 15
-"""Width of the square that a highlight is compared with [grid pixels]."""
 _LEVELS = np.arange(256) / 255
 SRGB = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
 """Light that every level of an sRGB picture stands for (IEC 61966-2-1), in shares of white."""
@@ -27,7 +21,7 @@ def not_tissue(labels: np.ndarray, width: int) -> np.ndarray:
         labels: label map [h, w] of a picture or of a part of it.
         width: of the whole picture [px].
     """
-    reach = 2 * max(1, round(EDGE * width / 854)) + 1
+    reach = 2 * max(1, round(5 * width / 854)) + 1
     return cv2.dilate((labels != TISSUE).astype(np.uint8), np.ones((reach, reach), np.uint8))
 
 
@@ -50,9 +44,10 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
     hue = np.log(blue + 0.003) - np.log(red + 0.003)
     levels = np.clip((hue + 4) * (255 / 5), 0, 255).astype(np.uint8)
     # Every second place tells what is around as well as all, in a third of the time.
-    small = cv2.medianBlur(np.ascontiguousarray(levels[::2, ::2]), SURROUNDINGS)
+    small = cv2.medianBlur(np.ascontiguousarray(levels[::2, ::2]), 15)
     around = cv2.resize(small, size, interpolation=cv2.INTER_NEAREST).astype(np.float32) * (5 / 255) - 4
-    highlight = ((hue - around > WHITER) & ~unknown).astype(np.uint8)
+    # Highlights are whiter than what is around.
+    highlight = ((hue - around > 0.12) & ~unknown).astype(np.uint8)
     unknown |= cv2.dilate(highlight, np.ones((3, 3), np.uint8)) > 0
     found = np.log(np.maximum(light, DARKEST))
     found[unknown] = np.nan

@@ -16,12 +16,8 @@ SPACING, GUARD = 32, 24
 """Of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
 FEWEST, LEAST_SHARE = 30, 0.5
 """Fewer points, or a smaller share of them, that agree on a motion tell none."""
-AGREE = 1.0
-"""Points agree with a motion that takes them so near to where they are [px]."""
 STILL = 0.3
 """A camera is still where no corner of the picture moves farther [px]."""
-LARGEST = 0.25
-"""A picture whose corners have moved by a larger share of its width on average is the reference of the next ones."""
 
 
 class View(NamedTuple):
@@ -98,7 +94,7 @@ class Registration:
         known &= values_at(shown.away, np.rint(places + step)) > GUARD / 2 * flat.shape[1] / 854
         if known.sum() < FEWEST:
             return None
-        found, agree = cv2.findHomography(places[known], (places + step)[known], cv2.RANSAC, AGREE)
+        found, agree = cv2.findHomography(places[known], (places + step)[known], cv2.RANSAC, 1.0)
         if found is None or agree.sum() < max(FEWEST, LEAST_SHARE * known.sum()):
             return None
         height, width = flat.shape
@@ -106,7 +102,8 @@ class Registration:
         way = np.linalg.norm(cv2.perspectiveTransform(corners[:, None], found)[:, 0] - corners, axis=1)
         if way.max() < STILL:
             return np.eye(3)
-        return found if way.mean() < LARGEST * width else None
+        # A picture that has moved farther is the reference of the next ones.
+        return found if way.mean() < 0.25 * width else None
 
 
 def scaled(matrix: np.ndarray, factor: np.ndarray) -> np.ndarray:

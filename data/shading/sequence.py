@@ -24,12 +24,8 @@ PLACES = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
 """Their rows, or columns, from the contact, shape [SIDE] [grid pixels]."""
 KEPT = 8
 """Frames before a contact whose median is the light at rest."""
-FEWEST_FAR = 500
-"""Fewer places far from the contact don't tell the gain."""
 SPARSE = 3
 """Every so many places along an axis tell the gain."""
-ASTRAY = 3.0
-"""Far places that differ by more standard deviations are no still tissue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +60,13 @@ def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, flo
     terms = np.column_stack([np.ones(len(places)), places])
     gain, sd = np.zeros(3), np.inf
     for _ in range(3):
-        if known.sum() < FEWEST_FAR:
+        if known.sum() < 500:
             return None
         gain = np.linalg.lstsq(terms[known], change[known], rcond=None)[0]
         left = change - terms @ gain
         sd = median_sd(left[known])
-        known = known & (np.abs(left) <= ASTRAY * sd + 1e-12)
+        # Places that differ by more are no still tissue.
+        known = known & (np.abs(left) <= 3.0 * sd + 1e-12)
     return gain, sd
 
 

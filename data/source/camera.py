@@ -19,9 +19,6 @@ MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""
 COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Numbers of distortion coefficients that OpenCV takes."""
-MAX_RATIO = 50
-"""Largest ratio of a picture's width to its camera's focal length, beyond which that is in millimetres, and of its
-centre's offset to its width."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,8 @@ class Camera:
         if min(self.width, self.height) < 1 and self.stated:
             raise ValueError(f"The camera's picture is {self.width}x{self.height}; give its size in pixels.")
         ratios = self.width / self.fx, self.height / self.fy, self.cx / (self.width or 1), self.cy / (self.height or 1)
-        if max(map(abs, ratios)) > MAX_RATIO and self.stated:
+        # Beyond this ratio the focal length is in millimetres.
+        if max(map(abs, ratios)) > 50 and self.stated:
             raise ValueError(
                 f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
                 f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."

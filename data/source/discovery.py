@@ -21,8 +21,6 @@ VIDEO_SUFFIX = re.compile(
     re.IGNORECASE,
 )
 """Endings of the names of video files."""
-RESULT_FILE = "run.json"
-"""File that marks a folder of this project's results, whose overlay video is no input."""
 MOST_FOLDERS = 5_000
 """Largest number of folders that a search for clips opens, at a millisecond each; large data sets have hundreds."""
 
@@ -68,7 +66,8 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
                 continue
             state = folder.stat()
             place = state.st_dev, state.st_ino
-            if place in visited or (folder / RESULT_FILE).is_file():
+            # A folder of this project's results, whose overlay video is no input.
+            if place in visited or (folder / "run.json").is_file():
                 continue
             visited.add(place)
             if len(visited) > MOST_FOLDERS:

@@ -28,8 +28,6 @@ from palpate.data.source.layout import (
 )
 from palpate.data.source.lerobot import file_of, name_in_data_set, span_of
 
-LEAST_FRAME_BYTES = 10
-"""Smallest size of a frame in a file [bytes]; it bounds the number of frames that a header can announce."""
 LARGEST_FRAME_NUMBER = 2**53
 """Frame numbers below this are exact as floating-point numbers too."""
 
@@ -206,7 +204,8 @@ class VideoFile(FrameSource):
         if self._track.size is None:
             raise InputError(f"{path} holds no frame that can be decoded; copy it again or convert it to MP4.")
         self.size, self.fps = picture_size(path, *self._track.size), self._track.fps
-        self.length = min(self._track.length, path.stat().st_size // LEAST_FRAME_BYTES)
+        # A frame has 10 bytes at least, which bounds what a header can announce.
+        self.length = min(self._track.length, path.stat().st_size // 10)
         self.warnings = [*self._track.notes]
 
     def __iter__(self) -> Iterator[Frame]:

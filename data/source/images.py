@@ -22,8 +22,6 @@ MOST_PIXELS = 2**25
 """Largest picture that is unpacked [px]; those of 8K are smaller."""
 MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
-MOST_PATH_LETTERS = 600
-"""Largest number of letters of a path in an error message."""
 LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
 """Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
 _STDERR_LOCK = threading.Lock()
@@ -67,8 +65,6 @@ def decode_image(
             problem = f"is {width}x{height}, far larger than its picture; store it at that size"
             raise InputError(f"{named} {problem}.")
         require_pixels(named, width, height)
-        if _packed(content) > 9 * width * height + 2**12:  # more than four channels of 16 bits that can't be packed
-            raise InputError(f"{named} is far larger than a picture of {width}x{height}; store it anew.")
     image = None
     if not _truncated(content):
         try:
@@ -120,16 +116,6 @@ def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
     return width, height
 
 
-def _packed(content: bytes) -> int:
-    """Size of a PNG's packed pixels [bytes]."""
-    place, found = 8, 0
-    while place + 8 <= len(content):
-        size = int.from_bytes(content[place : place + 4], "big")
-        found += size if content[place + 4 : place + 8] == b"IDAT" else 0
-        place += 12 + size
-    return found
-
-
 def _truncated(content: bytes) -> bool:
     """Whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
     if content.startswith(b"\x89PNG"):
@@ -140,5 +126,5 @@ def _truncated(content: bytes) -> bool:
 def printable(path: Path) -> str:
     """The path as text that any terminal and file can hold; the middle of one of many folders is left out."""
     text = plain(os.fsencode(path).decode("utf-8", "replace"))
-    half = MOST_PATH_LETTERS // 2
+    half = 300
     return text if len(text) <= 2 * half else f"{text[:half]}…{text[-half:]}"

@@ -19,12 +19,6 @@ from palpate.data.source.layout import InputError
 
 STALLED = 2.0
 """A source that gives no picture for so long is said to have stalled [s]."""
-PATIENCE = 30.0
-"""So long a camera or stream that has gone is looked for again [s]."""
-MOST_DIGITS = 4
-"""Longest number of a camera."""
-RETRY = 0.5
-"""How often [s]."""
 
 
 class LiveSource(FrameSource):
@@ -146,7 +140,7 @@ def open_live(
             raise InputError("pictures from a pipe have no size of their own; give --size, such as --size 854x480.")
         name, pictures, rate = "pipe", _piped(pipe, size), fps or 25.0
     elif clocked:
-        if where.isdecimal() and len(where) > MOST_DIGITS:
+        if where.isdecimal() and len(where) > 4:
             raise InputError(f"{where[:20]} is no camera's number; give one such as 0.")
         camera = int(where) if where.isdecimal() else where
         name = f"camera {where}" if where.isdecimal() else where
@@ -169,14 +163,14 @@ def _captured(camera: int | str, capture: cv2.VideoCapture) -> Generator[np.ndar
     """Pictures of a camera or stream; one that has gone is looked for again for a while."""
     last = time.monotonic()
     try:
-        while time.monotonic() - last < PATIENCE:
+        while time.monotonic() - last < 30.0:
             picture = capture.read()[1] if capture.isOpened() else None
             if picture is not None:
                 last = time.monotonic()
                 yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
             else:
                 capture.release()
-                time.sleep(RETRY)
+                time.sleep(0.5)
                 capture = cv2.VideoCapture(camera)
     finally:
         capture.release()

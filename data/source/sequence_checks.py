@@ -19,12 +19,8 @@ LATE, LATEST, LAGS = 0.3, 3.0, 121
 """Clocks may differ by the first; up to the second a lag is looked for, at so many values [s]."""
 ALIKE, BETTER = 0.6, 0.3
 """Correlation of two speeds at the lag that is told, and by how much it exceeds that without one."""
-FEWEST = 5
-"""Speeds that are compared, at least."""
 AROUND, SCATTERED = 4, 30
 """Followed points at the tip that tell when tissue moves, and points of a cloud, which has others in every frame."""
-ALONG = 0.5
-"""Mean cosine of a force with the tool's motion above which it isn't what the tissue does to the tool."""
 
 
 def require_fit(sequence: Sequence) -> None:
@@ -57,7 +53,7 @@ def require_fit(sequence: Sequence) -> None:
         # Tissue pulls a tool back and pushes it out: its force is against the tool's way.
         ways, forces = (sequence.tool.tips(sequence.times) - origin)[held], sequence.forces[held]
         most = np.linalg.norm(forces, axis=1) @ np.linalg.norm(ways, axis=1)
-        if (forces * ways).sum() > ALONG * most:
+        if (forces * ways).sum() > 0.5 * most:
             said = "acts along the tool's motion, so it is what the tool does to the tissue"
             raise InputError(f"{sequence.given.forces} in {printable(sequence.path)} {said}; reverse Fx, Fy and Fz.")
 
@@ -94,7 +90,7 @@ def _require_clock(tool: Tool, times: np.ndarray, motion: np.ndarray, origin: np
         way = np.linalg.norm(tool.tips(times + lag) - origin, axis=1)
         speeds = np.stack([each[step:] - each[:-step] for each in (way, motion)])
         speeds = speeds[:, np.isfinite(speeds).all(axis=0)]
-        return float(np.corrcoef(speeds)[0, 1]) if speeds.shape[1] > FEWEST and speeds.std(axis=1).all() else 0.0
+        return float(np.corrcoef(speeds)[0, 1]) if speeds.shape[1] > 5 and speeds.std(axis=1).all() else 0.0
 
     lags = np.linspace(-LATEST, LATEST, LAGS)
     found = [alike(lag) for lag in lags]

@@ -31,10 +31,6 @@ CROP_RADIUS = 40
 """Half side of the part of the mesh that is kept [grid px]: no wave returns from farther away within a second."""
 FINE_MECHANICS = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-5)
 """The simulator that makes the motions."""
-DRAWS_PER_CONTACT = 60
-"""Largest number of draws for each contact that is wanted."""
-SHORTEST_PRESS = 0.02
-"""Shortest press, whatever its delays [s]."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def draw_contacts(
     grid = settings.grid_width, settings.grid_height
     patches = [Patches(mesh, vertex, size) for size in (grid, (854, 480))] if sequence else []
     place = scene, mesh, vertex, patches
-    draws = (_draw_press(*place, time_step, within, generator) for _ in range(DRAWS_PER_CONTACT * count))
+    draws = (_draw_press(*place, time_step, within, generator) for _ in range(60 * count))
     return list(itertools.islice(filter(None, draws), count))
 
 
@@ -86,7 +82,7 @@ def _draw_press(
     theta = draw_theta(settings, generator)
     stamped = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps)) / settings.fps
     delay, release = generator.uniform(-within, within, 2) if within else (0.0, 0.0)
-    loaded = max(stamped + release - delay, SHORTEST_PRESS) / FINE_MECHANICS.time_step
+    loaded = max(stamped + release - delay, 0.02) / FINE_MECHANICS.time_step
     low, high = settings.peak_displacement
     whole = Press.at(vertex, direction, np.ones(round(loaded) or 1))
     pressed = simulate(theta, mesh, whole, FINE_MECHANICS)

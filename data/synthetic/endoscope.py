@@ -12,68 +12,49 @@ import math
 import cv2
 import numpy as np
 
-from palpate.data.source.camera import back_project
-from palpate.data.synthetic.render import bumps, labels_in, reflectance, rest_labels, surface_normals
+from palpate.data.synthetic.render import Renderer, labels_in, surface_normals
 from palpate.data.synthetic.scene import Scene
-from palpate.data.synthetic.surface import SMALLEST_DRAWN, SheetView, rest_view
+from palpate.data.synthetic.surface import SMALLEST_DRAWN, SheetView
 from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, Tool, draw_tool
 from palpate.data.synthetic.truth import TrueMotion
 
 SCATTERING = (0.9, 0.5, 0.35)
 """How far light spreads in tissue, a standard deviation: red, green and blue [grid px]."""
-GLOSS = 180.0
-"""Exponent of the wet surface's highlights."""
 TARGET, FOLLOWED, STEP = 0.2, 0.15, 0.02
 """Mean light that the exposure is after, the share of what is missing that it takes up a frame, and the logarithm by
 which it changes at least."""
-SLICES = 5
-"""Depths in which an instrument's shadow is thrown."""
-SMOKE_SIZE = 40.0
-"""Size of the wisps of smoke [grid px]."""
 
 
-class EndoscopeRenderer:
-    """Draws the frames of one scene, with a camera and lamps that are drawn with it.
-
-    Its `frame` is as of `palpate.data.synthetic.render.Renderer`.
-    """
+class EndoscopeRenderer(Renderer):
+    """Draws the frames of one scene, with a camera and lamps that are drawn with it."""
 
     def __init__(self, scene: Scene, motion: TrueMotion, generator: np.random.Generator) -> None:
-        self.scene, self.motion = scene, motion
-        self._noise = generator.spawn(1)[0]
+        super().__init__(scene, motion, generator)
         camera, cell = scene.camera, scene.settings.cell
-        self._rest, self._labels = rest_view(scene), rest_labels(scene, generator)
-        self._albedo = reflectance(scene, self._labels, generator)
-        self._bumps = bumps(scene, generator)
-        self._rays = back_project(np.ones((camera.height, camera.width)), camera).astype(np.float32)
         angles = generator.uniform(0, 2 * np.pi) + np.arange(4) * np.pi / 2
         radius, self._roughness = generator.uniform(0.015, 0.03), generator.uniform(0.15, 0.4)
         self._lamps = (radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(4)], axis=1)).astype(np.float32)
         """Places [scene units]."""
         self._shares = (0.25 + generator.uniform(0, 0.2) * np.array([1, -1, 1, -1])).astype(np.float32)
         self._power, self._shoulder = generator.uniform(0.42, 0.52), generator.uniform(0, 0.3)
-        distance = np.square(self._rays[..., :2]).sum(axis=-1)
+        distance = np.square(self.rays[..., :2]).sum(axis=-1)
         self._vignetting = 1 - generator.uniform(0.1, 0.4) * distance / distance.max()
         self._smoke, self._drift = generator.uniform(0, 0.08), generator.uniform(-1, 1, 2)
         sides = (camera.height, cell[1]), (camera.width, cell[0])
-        coarse = [round(side / of_cell / SMOKE_SIZE * 2) + 2 for side, of_cell in sides]
+        # Wisps of smoke are 40 grid px wide.
+        coarse = [round(side / of_cell / 40.0 * 2) + 2 for side, of_cell in sides]
         self._wisps = np.clip(0.5 + 0.3 * generator.standard_normal(coarse), 0, 1).astype(np.float32)
         self._gain: float | None = None
         """Logarithm of the exposure; None before the first frame, which finds its own."""
-        self._lit = self._lamplight(self._rest, np.s_[:, :])
+        self._lit = self._lamplight(self.rest, np.s_[:, :])
         """Of tissue at rest without shadows."""
 
     def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Draw a frame. Frames are drawn in order: noise and exposure go on from the last one.
-
-        Returns:
-            RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; true
-            z, shape [H, W], float32 [scene units].
-        """
+        """Draw a frame, as `Renderer.frame` does; exposure goes on from the last one, too."""
         view = self._view(index)
-        labels, depth = labels_in(view, self._labels), view.depth.copy()
+        labels, depth = labels_in(view, self.rest_labels), view.depth.copy()
         tool = draw_tool(self.scene, self.motion, index, view) if self.scene.settings.tool_in_view else None
-        light = self._tissue_light(view, tool)
+        light = self._lamplit(view, tool)
         if tool is not None:
             tool.paint(labels, light, depth)
         return self._camera(light, index), labels, depth
@@ -84,18 +65,18 @@ class EndoscopeRenderer:
         moved = np.zeros((*scene.mesh.grid_shape, 3), np.float32)
         moved[tuple(scene.mesh.pixels[self.motion.moving].T)] = self.motion.field[index]
         if not moved.any():
-            return self._rest
+            return self.rest
         fine = cv2.resize(moved, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
-        points = self._rays * self._rest.depth[..., None]
+        points = self.rays * self.rest.depth[..., None]
         after = points + fine
         if np.abs(fine).max() <= SMALLEST_DRAWN:
-            return self._rest
+            return self.rest
         focal = np.array([camera.fx, camera.fy], np.float32)
         shift = focal * (after[..., :2] / after[..., 2:] - points[..., :2] / points[..., 2:])
-        place_u, place_v = self._rest.rest_u, self._rest.rest_v
+        place_u, place_v = self.rest.rest_u, self.rest.rest_v
         for _ in range(4):  # where what is visible lay at rest, by iteration
             there = cv2.remap(shift, place_u, place_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            place_u, place_v = self._rest.rest_u - there[..., 0], self._rest.rest_v - there[..., 1]
+            place_u, place_v = self.rest.rest_u - there[..., 0], self.rest.rest_v - there[..., 1]
         depth = cv2.remap(
             np.ascontiguousarray(after[..., 2]), place_u, place_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
@@ -104,7 +85,7 @@ class EndoscopeRenderer:
         low, high = np.maximum(changed.min(axis=0) - reach, 0), changed.max(axis=0) + reach + 1
         return SheetView(depth, place_u, place_v, (slice(low[0], high[0]), slice(low[1], high[1])))
 
-    def _tissue_light(self, view: SheetView, tool: Tool | None) -> np.ndarray:
+    def _lamplit(self, view: SheetView, tool: Tool | None) -> np.ndarray:
         """Linear light of the tissue, shape [H, W, 3]."""
         lit, region = self._lit, view.region
         if region[0].stop:
@@ -114,17 +95,17 @@ class EndoscopeRenderer:
             lit = lit * np.stack([1 - self._shadow(tool, view.depth, lamp) for lamp in self._lamps])
         diffuse, gloss = lit.sum(axis=1)
         maps, cell = (view.rest_u, view.rest_v), self.scene.settings.cell[0]
-        albedo = cv2.remap(self._albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         inside = np.stack([cv2.GaussianBlur(diffuse, (0, 0), reach * cell) for reach in SCATTERING], axis=-1)
         return albedo * inside + 0.3 * self.scene.settings.highlights * gloss[..., None]
 
     def _lamplight(self, view: SheetView, region: tuple[slice, slice]) -> np.ndarray:
         """What tissue in a region sends back of every lamp's light, diffusely and as gloss, shape [2, 4, h, w]."""
         maps = view.rest_u[region], view.rest_v[region]
-        points = (self._rays * view.depth[..., None])[region]
+        points = (self.rays * view.depth[..., None])[region]
         normal = surface_normals(points).astype(np.float32)
         rough = normal.copy()
-        rough[..., :2] += cv2.remap(self._bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        rough[..., :2] += cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         rough /= np.linalg.norm(rough, axis=-1, keepdims=True)
         towards = -points / np.linalg.norm(points, axis=-1, keepdims=True)
         square = self._roughness**2
@@ -142,7 +123,7 @@ class EndoscopeRenderer:
             half /= np.linalg.norm(half, axis=-1, keepdims=True)
             reaches = share * np.square(EXPOSURE_DISTANCE / distance)
             found[0, index] = reaches * into * (level + slope * same)
-            found[1, index] = reaches * np.power(np.clip(_dot(rough, half), 0, 1), GLOSS)
+            found[1, index] = reaches * np.power(np.clip(_dot(rough, half), 0, 1), 180.0)
         return found
 
     def _shadow(self, tool: Tool, depth: np.ndarray, lamp: np.ndarray) -> np.ndarray:
@@ -152,7 +133,8 @@ class EndoscopeRenderer:
             return shadow.astype(np.float32)
         behind = depth[tool.rows, tool.columns]
         shift = 1 / np.maximum(tool.depth, 1e-3) - 1 / behind
-        edges = np.quantile(shift, np.linspace(0, 1, SLICES + 1))
+        # Depths in which the shadow is thrown.
+        edges = np.quantile(shift, np.linspace(0, 1, 6))
         for low, high in itertools.pairwise(edges):
             some = (shift >= low) & (shift <= high)
             moved = -0.5 * (low + high) * lamp[:2] * [camera.fx, camera.fy]
@@ -177,7 +159,7 @@ class EndoscopeRenderer:
         self._gain = gain
         blur = 0.15 * self.scene.settings.cell[0] + 0.05
         exposed = cv2.GaussianBlur((light * math.exp(gain)).astype(np.float32), (0, 0), blur)
-        noise = self._noise.standard_normal(exposed.shape, dtype=np.float32)
+        noise = self.noise.standard_normal(exposed.shape, dtype=np.float32)
         exposed = exposed + self.scene.settings.image_noise * np.sqrt(0.1 + np.clip(exposed, 0, 1)) * noise
         curve = np.power(np.clip(exposed, 0, 1), self._power)
         shown = (1 - self._shoulder) * curve + self._shoulder * curve * curve * (3 - 2 * curve)

@@ -1,17 +1,9 @@
-"""Errors of observation put on a synthetic clip: noise, flicker, rounding, wrong outlines and focal length."""
-
-import dataclasses
+"""Errors of observation put on a synthetic clip: noise, flicker, rounding and wrong outlines."""
 
 import cv2
 import numpy as np
 
-from palpate.data.source.camera import Camera
 from palpate.data.synthetic.settings import SceneSettings
-
-MASK_ERROR_LENGTH = 6.0
-"""Correlation length of the outlines' displacement [grid px]."""
-BIAS_LENGTH = 0.15
-"""Correlation length of the depth's bias, as a share of the picture's width."""
 
 
 def depth_bias(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray:
@@ -19,7 +11,7 @@ def depth_bias(settings: SceneSettings, generator: np.random.Generator) -> np.nd
     shape = settings.grid_height, settings.grid_width
     if settings.depth_bias == 0:
         return np.ones((settings.height, settings.width), np.float32)
-    field = settings.depth_bias * _noise(shape, BIAS_LENGTH * settings.grid_width, generator)
+    field = settings.depth_bias * _noise(shape, 0.15 * settings.grid_width, generator)
     return np.exp(cv2.resize(field, (settings.width, settings.height), interpolation=cv2.INTER_CUBIC))
 
 
@@ -55,15 +47,10 @@ def observe_labels(labels: np.ndarray, settings: SceneSettings, generator: np.ra
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     shifts = []
     for cell in settings.cell:
-        field = _noise((settings.grid_height, settings.grid_width), MASK_ERROR_LENGTH, generator)
+        # Correlation length of the outlines' displacement.
+        field = _noise((settings.grid_height, settings.grid_width), 6.0, generator)
         shifts.append(settings.mask_error * cell * cv2.resize(field, (width, height), interpolation=cv2.INTER_LINEAR))
     return cv2.remap(labels, columns + shifts[0], rows + shifts[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-
-
-def reported_camera(camera: Camera, settings: SceneSettings) -> Camera:
-    """The camera that the clip claims: the true one with its focal length off by a factor."""
-    factor = settings.focal_error
-    return dataclasses.replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
 def _noise(shape: tuple[int, int], correlation: float, generator: np.random.Generator) -> np.ndarray:

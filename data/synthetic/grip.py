@@ -31,8 +31,6 @@ LARGEST_BEND = 0.2
 """Largest sideways bend of the tool's path, as a share of its length."""
 TIP_MARGIN_PX = 12.0
 """Least distance of the tip from the picture's border [grid px]."""
-BULK_DAMPING_RATIO = 2.0
-"""ζ of the motion in which all tissue has the same displacement: it is over-damped."""
 REGION_LINE_OFFSET, REGION_LINE_HALF_WIDTH = (-4.0, 10.0), 2.0
 """Range of the distance between the grip and the line between two regions, and half the width of the step [grid px]."""
 BREATHING_PERIOD, LARGEST_SHEAR = (2.0, 4.0), 0.6
@@ -180,7 +178,8 @@ def _integrate(
         holds the grip, shape [S / SUBSTEPS + 1, 2] [unit of a spring's stiffness × grid px].
     """
     rows, columns = (side + 2 * MARGIN_PX for side in scene.mesh.grid_shape)
-    mass, damping = anchor * (relaxation / (2 * BULK_DAMPING_RATIO)) ** 2, anchor * relaxation
+    # The motion in which all tissue has the same displacement is over-damped, ζ = 2.
+    mass, damping = anchor * (relaxation / (2 * 2.0)) ** 2, anchor * relaxation
     step = 1 / (scene.settings.fps * SUBSTEPS)
     grip = scene.mesh.pixels[scene.vertex] + MARGIN_PX
     matrix = lattice_matrix(log_stiffness, anchor + edge_anchor(log_stiffness, anchor, grip))

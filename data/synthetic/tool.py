@@ -25,16 +25,10 @@ TIP_START = 0.5
 """Distance along the axis from the contact vertex to where the tool begins [grid px]."""
 TIP_GAP = 0.3
 """Gap between the tip and the contact vertex along the line of sight [cells of the contact's depth]."""
-GAP_SLOPE = 2.0
-"""Rise of the tool from the tissue along and across its axis [cells a grid px]."""
 KEEL_LENGTH, KEEL_WIDTH = 1.8, 0.8
 """Part of the tip that follows the contact vertex into its dent [grid px]."""
-LARGEST_GAP = 0.035
-"""Largest clearance of the jaws from the tissue in contact [scene units]."""
 FREE_CLEARANCE = 0.03
 """Clearance of the tool from the tissue when it is not in contact [scene units]."""
-AXIS_SLOPE = 0.006
-"""Growth of inverse depth towards the entry, a grid px, relative to the tip's: a straight line in space."""
 RETREAT_SPEED, FARTHEST_RETREAT = 5.0, 60.0
 """Speed of the tool away from contact [grid px a frame], and the distance after which it stops [grid px]."""
 HALF_WIDTHS = ((0.0, 1.6), (2.0, 1.6), (7.0, 3.6), (16.0, 4.6), (19.0, 5.4), (21.0, 5.4))
@@ -55,17 +49,6 @@ class Tool:
     """z, shape [P] [scene units]."""
     light: np.ndarray
     """Reflected light before its falloff with distance, shape [P, 3], linear RGB."""
-
-    def visible(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
-        """The tool's pixels that nothing hides.
-
-        Args:
-            bare: pixels where nothing lies before the tissue, bool [H, W].
-            depth: depth of what else is in the picture, shape [H, W] [scene units].
-        """
-        pixels = self.rows, self.columns
-        kept = bare[pixels] | (self.depth < depth[pixels])
-        return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
 
     def paint(self, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
         """Draw it into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place."""
@@ -98,15 +81,17 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> 
     rows = (np.arange(camera.height) - contact[1]) / settings.cell[1] - offset[1]
     along = columns * scene.entry[0] + rows[:, None] * scene.entry[1]
     across = rows[:, None] * scene.entry[0] - columns * scene.entry[1]
-    axis_depth = tip_depth / np.maximum(1 + AXIS_SLOPE * along, 0.5)
+    # Inverse depth grows towards the entry: a straight line in space.
+    axis_depth = tip_depth / np.maximum(1 + 0.006 * along, 0.5)
     half_width = _half_width(along, SHAFT_RADIUS * scene.grid_camera.fx / axis_depth)
     row, column = np.nonzero((along >= TIP_START) & (np.abs(across) <= half_width))
     along, across, axis_depth, half_width = (a[row, column] for a in (along, across, axis_depth, half_width))
     section = across / half_width
     bulge = np.sqrt(1 - np.square(section))
     depth = axis_depth - half_width * bulge * axis_depth / scene.grid_camera.fx
-    rise = GAP_SLOPE * (np.maximum(along - KEEL_LENGTH, 0) + np.abs(across))
-    gap = np.minimum((TIP_GAP + rise) * scene.spacing, LARGEST_GAP) if touching else FREE_CLEARANCE
+    # The tool rises from the tissue along and across its axis.
+    rise = 2.0 * (np.maximum(along - KEEL_LENGTH, 0) + np.abs(across))
+    gap = np.minimum((TIP_GAP + rise) * scene.spacing, 0.035) if touching else FREE_CLEARANCE
     depth = np.minimum(depth, view.depth[row, column] - gap)
     if touching:
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)

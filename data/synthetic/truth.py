@@ -24,12 +24,6 @@ SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-6, 1e-9
 """Local error of the integrator; positions come out within about 1e-6 scene units."""
-STIFFENING_LENGTH = 0.01
-"""Elongation at which nonlinear springs have grown (1 + β) times as stiff [scene units]."""
-WINDOW_LEAK = 1e-6
-"""Largest displacement allowed where the window cuts the mesh [scene units]."""
-VARIATION_LENGTH = 6.0
-"""Correlation length of the spring-to-spring variation [grid px]."""
 TIME_TOLERANCE = 1e-9
 """Times closer than this are equal [s]."""
 STEP = PressShape()
@@ -244,7 +238,8 @@ def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) ->
     white = generator.standard_normal((settings.grid_height, settings.grid_width))
     if settings.stiffness_variation == 0:
         return None
-    smooth = gaussian_filter(white, VARIATION_LENGTH, mode="wrap")
+    # Correlation length of the spring-to-spring variation.
+    smooth = gaussian_filter(white, 6.0, mode="wrap")
     return np.exp(settings.stiffness_variation * smooth / smooth.std())
 
 
@@ -254,7 +249,7 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     radius, tilt, rise, fall = (float(generator.uniform(*ends)) for ends in ranges)
     angle = generator.uniform(0, 2 * math.pi)
     lean = math.tan(math.radians(tilt))
-    course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
+    course = (rise * load, fall * load) if settings.profile == "hold" else (0.0, 0.0)
     return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
 
 
@@ -326,7 +321,7 @@ def _integrate(
         joined = abs(window.difference)
         neighbours = (joined.T @ (joined @ window.cut.astype(np.float64))) > 0
         leak = np.abs(displaced[:, neighbours]).max(initial=0)
-        if leak <= WINDOW_LEAK or radius >= largest:
+        if leak <= 1e-6 or radius >= largest:
             return window, displaced, response
         radius = math.ceil(1.5 * radius)
 
@@ -378,7 +373,8 @@ def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, directi
         elongation = grown / (length + window.lengths)
         tension = scale * elongation
         if settings.nonlinearity:
-            tension *= 1 + settings.nonlinearity * np.square(elongation / STIFFENING_LENGTH)
+            # At an elongation of 0.01 springs have grown (1 + β) times as stiff.
+            tension *= 1 + settings.nonlinearity * np.square(elongation / 0.01)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
         forces[window.pressed] += force * force_factor(press.shape, np.asarray(time), press.load) * push
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()

@@ -11,14 +11,10 @@ FAR = 60.0
 """Points farther from the tool than this percentile are the background [%]."""
 MIN_FAR = 6
 """Fewer such points determine no affine motion."""
-MIN_FITTED = 30
-"""Fewer points say nothing of how well it is known."""
 ITERATIONS = 6
 """Rounds of robust fits."""
 OUTLIER = 3.0
 """Points that move otherwise by more standard deviations are no background."""
-BLOCK = 64
-"""Width of the squares whose points share what the background's motion leaves [px]."""
 LEAST_NOISE = 0.1
 """Of following, by axis [px]."""
 MEDIAN_LENGTH = 1.1774
@@ -47,7 +43,7 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
         places: of the points in the first picture, shape [N, 2] (column, row) [px].
         step: their displacements, shape [N, 2] [px].
     """
-    if len(places) < MIN_FITTED:
+    if len(places) < 30:
         return None
     terms, kept = _terms(places), np.ones(len(places), bool)
     for _ in range(ITERATIONS):
@@ -58,7 +54,8 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
     # Moving tissue that is no background shall not count for all of it.
     scale = OUTLIER * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
     left = left.clip(-scale, scale)
-    _, block, count = np.unique(places // BLOCK, axis=0, return_inverse=True, return_counts=True)
+    # Points of a square share what the background's motion leaves.
+    _, block, count = np.unique(places // 64, axis=0, return_inverse=True, return_counts=True)
     block = block.ravel()
     shared = np.column_stack([np.bincount(block, weights=part) for part in left.T]) / count[:, None]
     own = np.linalg.norm((left - shared[block])[count[block] >= 3], axis=1)

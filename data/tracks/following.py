@@ -18,8 +18,6 @@ from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
 
 SPACING = 8
 """Of the grid of points [px]."""
-MARGIN = 5.0
-"""No point begins nearer to the tool [px]."""
 TOUCHED = 3
 """A point that comes nearer to the tool is lost: it may be the tool's [px]."""
 EDGED = 12
@@ -31,14 +29,8 @@ CHECK = 2.5
 """Largest distance to where flow and backward flow return a point [px]."""
 RELINKED = 3
 """Every so many pictures are linked to the first one [frames]."""
-FOUND = 4.0
-"""A link to the first picture counts where it ends so near to where the point is expected [px]."""
-MIN_RESEMBLANCE = 0.8
-"""And where the patterns around the point resemble each other so much."""
 MAX_SIDE = 854
 """Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
-DARK = 20
-"""Of 255: where no channel is brighter there is no picture, outside an endoscope's round field."""
 FAR = 8192.0
 """Distance from the tool where there is none [px]."""
 RIM = 15
@@ -52,7 +44,8 @@ def lit_field(picture: np.ndarray) -> np.ndarray:
     """Where an RGB picture [H, W, 3] shows anything, away from its edge, bool [H, W]."""
     red, green, blue = cv2.split(picture)
     brightest = cv2.max(cv2.max(red, green), blue)
-    return cv2.erode((brightest > DARK).astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
+    # Where no channel is brighter there is no picture, outside an endoscope's round field.
+    return cv2.erode((brightest > 20).astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
 
 
 def tool_distance(tool: np.ndarray) -> np.ndarray:
@@ -140,7 +133,8 @@ class PointFollower:
         gray, away = self.shown.gray, self.shown.away
         places = lattice(gray.shape, spacing)
         columns, rows = np.moveaxis(places, -1, 0)
-        self._grid = (away[rows, columns] > MARGIN) & self.shown.lit[rows, columns]
+        # No point begins nearer to the tool.
+        self._grid = (away[rows, columns] > 5.0) & self.shown.lit[rows, columns]
         self.spacing = spacing
         self.points = places[self._grid].astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
@@ -159,11 +153,6 @@ class PointFollower:
         """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
-    @property
-    def expected(self) -> np.ndarray:
-        """Where the points are now, lost ones by their neighbours' motion, shape [N, 2] [px]."""
-        return self._expected(self._filled())
-
     def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
         """Follow the points into the next picture, with its tool's mask."""
         apart = ~values_at(self.shown.edge, self.place)
@@ -180,18 +169,15 @@ class PointFollower:
     def _relink(self, gray: np.ndarray, tissue: np.ndarray) -> None:
         """Link the first picture to this one: against drift, and to find lost points again."""
         motion = self._filled()
-        motion[self._grid] = expected = self._expected(motion) - self.points
+        motion[self._grid] = expected = np.where(self.followed[:, None], self.place - self.points, motion[self._grid])
         dragged = values_at(self.shown.edge, self.points + expected) | (self.distance < EDGED)
         place, returned = self._linker.refine(self._first, self._before, self.points, motion, ~dragged)
         off = np.linalg.norm(place - self.points - expected, axis=1)
-        good = (returned < CHECK) & (off < FOUND) & values_at(tissue, place)
-        good &= resemblance(self._patterns, patterns(gray, place)) > MIN_RESEMBLANCE
+        # A link to the first picture counts where it ends near to where the point is expected, and patterns are alike.
+        good = (returned < CHECK) & (off < 4.0) & values_at(tissue, place)
+        good &= resemblance(self._patterns, patterns(gray, place)) > 0.8
         self.followed = self.followed | good
         self._take(place, good)
-
-    def _expected(self, around: np.ndarray) -> np.ndarray:
-        """Places from the motion of the whole grid."""
-        return np.where(self.followed[:, None], self.place, self.points + around[self._grid])
 
     def _take(self, place: np.ndarray, found: np.ndarray) -> None:
         self.place = np.where(found[:, None], place, self.place).astype(np.float32)

@@ -16,12 +16,8 @@ COARSE, MIN_SIDE = 4, 16
 """Of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
 STRIDE, DESCENTS = 5, 12
 """Of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
-BLUR = 1.0
-"""Standard deviation of the filter in place of DIS's variational refinement, which costs twice as much [px]."""
 LOCAL = 15
 """Width of the square whose mean is taken off the picture [px]."""
-GREY = 128
-"""Of 255: what is added then."""
 WINDOW, ALONE = 9, 15
 """Width of Lucas and Kanade's windows for places whose motion is roughly known, and for those that are followed each
 for itself [px]. A window of 9 px costs less than one of 7."""
@@ -164,7 +160,8 @@ class Linker:
     def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
         """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
         flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
-        flow = cv2.GaussianBlur(flow, (0, 0), BLUR)
+        # In place of DIS's variational refinement, which costs twice as much.
+        flow = cv2.GaussianBlur(flow, (0, 0), 1.0)
         return sampled(flow, ((places + 0.5) / one.shares - 0.5)[:, None])[:, 0] * one.shares
 
     def _filtered(self, step: np.ndarray, counted: Mask, apart: Mask = None) -> np.ndarray:
@@ -204,7 +201,7 @@ def flat(picture: np.ndarray) -> np.ndarray:
 
 def _flat(picture: np.ndarray) -> np.ndarray:
     mean = cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL))
-    return cv2.addWeighted(picture, 1, mean, -1, GREY, dtype=cv2.CV_32F)
+    return cv2.addWeighted(picture, 1, mean, -1, 128, dtype=cv2.CV_32F)
 
 
 @functools.lru_cache(maxsize=1)

@@ -19,19 +19,13 @@ from palpate.data.tracks.linking import WINDOW, followed
 RADII = (8.0, 16.0, 32.0)
 """Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places
 at the tool's edge count only where nothing else is left."""
-SPACING = 4
-"""Distance of the places in it that are followed [px]."""
 LEAST_PLACES, LEAST_FOLLOWED = 8, 0.2
 """Fewest places whose median motion is taken, and least share of the tissue's places there: by chance, fewer are."""
 HALF_WIDTH = 32
 """Half side of the patch by which a point is found again [px]."""
 REACH = 8
 """Largest correction along each axis [px]."""
-LEAST_SHARE = 0.3
-"""Share of the patch's pixels that must be tissue, and not at the tool's edge, in both pictures."""
-LEAST_CORRELATION = 0.7
-"""Weaker matches are no match."""
-_OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(SPACING)
+_OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(4)
 
 View = tuple[np.ndarray, np.ndarray]
 """Picture, uint8 [H, W, 3] RGB, and its label map, [H, W]."""
@@ -132,7 +126,7 @@ class TissueTemplate:
         score = _correlation(self._patch, self._usable, *_crop(picture, usable, centre, HALF_WIDTH + REACH))
         row, column = np.unravel_index(np.argmax(score), score.shape)
         inside = 0 < row < 2 * REACH and 0 < column < 2 * REACH
-        if not inside or score[row, column] < LEAST_CORRELATION:
+        if not inside or score[row, column] < 0.7:
             return None
         across = _peak(score[row, column - 1 : column + 2])
         down = _peak(score[row - 1 : row + 2, column])
@@ -170,7 +164,7 @@ def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usab
     covariance = total(second, first) / safe - mean_first * mean_second
     spread = total(theirs, first * first) / safe - mean_first**2
     spread *= total(second * second, ours) / safe - mean_second**2
-    enough = (count >= LEAST_SHARE * patch.size) & (spread > 1e-6)
+    enough = (count >= 0.3 * patch.size) & (spread > 1e-6)
     return np.where(enough, covariance / np.sqrt(np.where(enough, spread, 1)), -1)
 
 

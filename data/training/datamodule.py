@@ -19,8 +19,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.data.training.batches import SampleDataset, collate
-from palpate.data.training.cholecseg8k import join_folders, list_clips
-from palpate.data.training.preparation import prepare_all
+from palpate.data.training.preparation import join_folders, list_clips, prepare_all
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
 from palpate.data.training.splits import SPLITS, LoadingSettings, Place, split_samples
 from palpate.physics.mechanics import Bounds, require_stable

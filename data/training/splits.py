@@ -17,8 +17,6 @@ SPLITS = ("train", "val", "test")
 """Names of the splits."""
 FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
-ROUNDED = 0.015
-"""By how much shares that are rounded, as thirds to 0.33, may miss 1 together."""
 LEAST_VIDEOS = 3
 """Least number of videos of a data set that is split by video; others are split in time."""
 LARGEST_BATCH = 2**16
@@ -98,7 +96,8 @@ class LoadingSettings:
                 f"to {MOST_THREADS}."
             )
         off = abs(sum(self.fractions) - 1)
-        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or self.fractions[0] <= 0 or not off < ROUNDED:
+        # Shares may be rounded, as thirds to 0.33.
+        if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or self.fractions[0] <= 0 or not off < 0.015:
             raise ValueError(f"fractions are {list(self.fractions)}; give shares of train, val and test that add to 1.")
 
 

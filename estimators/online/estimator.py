@@ -23,7 +23,7 @@ from palpate.data.source.camera import back_project
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
-from palpate.data.tracks.following import PointFollower, shrunk
+from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
@@ -115,7 +115,7 @@ class _Followed:
         self.kilopascals = Kilopascals(self._driven, anchor)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
-        self._picture, self._times = shrunk(picture, labels == TOOL)[0], [first.frame.time_s]
+        self._times = [first.frame.time_s]
         self._numbers: dict[str, list[float]] = {name: [] for name in NUMBERS}
 
     def step(self, frame: PreparedFrame) -> None:
@@ -173,10 +173,8 @@ class _Followed:
         driven.finish()
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
-        points = self._follower.points[driven.around], driven.alone.moved, driven.alone.predicted
-        where = self._picture, driven.surface.pixels, *points
         skills = driven.skills() if len(times) > 2 else {}
-        return FieldEstimate(self.field(), *where, times, course, numbers, bool(stretched), driven, skills)
+        return FieldEstimate(self.field(), times, course, numbers, bool(stretched), driven, skills)
 
     def frame_field(self) -> ParticleField:
         """As it is in the frame that was taken in last; called once for each."""

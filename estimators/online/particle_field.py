@@ -91,16 +91,6 @@ class FieldEstimate:
 
     last: ParticleField
     """As it was in the last frame."""
-    picture: np.ndarray
-    """The run's first one, in whose pixels all places are, uint8 [h, w, 3] RGB."""
-    places: np.ndarray
-    """Of the particles at rest, shape [N, 2] [px]."""
-    points: np.ndarray
-    """Followed points that the instrument does not hold, at rest, shape [Q, 2] [px]."""
-    observed: np.ndarray
-    """Their displacement in the last frame that shows some, shape [Q, 2] [px]; not observed = NaN."""
-    predicted: np.ndarray
-    """The same by the simulation that the instrument alone leads."""
     times: np.ndarray
     """Since the run's first frame, shape [T] [s]."""
     course: np.ndarray

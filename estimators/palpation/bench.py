@@ -1,7 +1,7 @@
 """A body on which tools pressed, simulated, and what their sensors saw of it (Frank 2010, sections V and VI-A)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -131,37 +131,6 @@ def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.
 
     Frank 2010, equation 3.
     """
-    match, away = _closest(skin, rest, palpation, pose)
-    return np.where(away, np.square(match.apart), np.nan)
-
-
-def surface_distance(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
-    """The same with its sign, along the closest place's normal, positive outside, shape [P] [m]."""
-    match, away = _closest(skin, rest, palpation, pose)
-    return np.where(away, match.distance, np.nan)
-
-
-def _closest(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> tuple[Match, np.ndarray]:
     match = Match.of(moved(palpation.points, pose), skin.moved(rest.displacement), skin.triangles)
-    return match, beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
-
-
-def across(palpation: Palpation, pose: np.ndarray) -> np.ndarray:
-    """Points in the plane across the force, from the contact, shape [P, 2] [m]: x and y of a force along -z."""
-    normal = -palpation.force / np.linalg.norm(palpation.force)
-    first = np.eye(3)[int(np.abs(normal[0]) > 0.9)]
-    first = first - (first @ normal) * normal
-    first /= np.linalg.norm(first)
-    return (moved(palpation.points, pose) - palpation.contact) @ np.stack([first, np.cross(normal, first)], axis=1)
-
-
-def half_as_stiff(rest: Equilibrium) -> Equilibrium:
-    """A body under the same forces with half of its Young's modulus: what an error by a factor of two looks like.
-
-    Raises:
-        NoEquilibrium: it can't bear them.
-    """
-    energy = rest.energy
-    softer = replace(energy.material, young=energy.material.young / 2)
-    start = 2 * rest.displacement
-    return find_equilibrium(energy.solid, softer, rest.held, forces=energy.forces, start=start, near=rest.solver)
+    away = beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
+    return np.where(away, np.square(match.apart), np.nan)

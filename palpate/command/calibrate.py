@@ -4,52 +4,41 @@
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
 (Frank 2010), or to clouds, poses and forces of a robot whose tool presses (sequence.yaml). Writes calibration.json,
-errors.csv, the distance of every point from the fitted surface, and errors.png, where these lie, next to those of a
-body half as stiff.
+and errors.csv, the distance of every point from the fitted surface.
 
 Not a medical device.
 """
 
-from __future__ import annotations
-
 import argparse
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from palpate.common.command_line import add_listed, described_parser, path_option, real_number, say
 from palpate.common.files import as_json, read_beside
-from palpate.common.output import replacing_own, require_own, write_own
+from palpate.common.output import require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation.bench import across, half_as_stiff, surface_distance, surface_error
+from palpate.estimators.palpation.bench import surface_error
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
-from palpate.results.plots import write_figure
 from palpate.results.store import OutputError, make_output, writing
-from palpate.results.surface_plot import draw_surface_errors
 from palpate.results.vtu import palpation_deformation, write_series
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PALPATION = ("calibration.json", "errors.csv", "errors.png")
+PALPATION = ("calibration.json", "errors.csv")
 TYPES = {"path": path_option, "size": real_number("a positive number", 1e-6)}
-CHOICES = {"kinds": ("palpation",)}
-"""What calibrate.yaml calls types and choices."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate calibrate", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), TYPES, CHOICES)
+    add_listed(parser, read_beside(__file__), TYPES, {"kinds": ("palpation",)})
     return parser
 
 
@@ -94,8 +83,6 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
         }
     _write(output, "calibration.json", as_json(record, indent=1) + "\n")
     _write(output, "errors.csv", _errors(scene, found))
-    with writing(output), replacing_own(output / PALPATION[2]) as partial:
-        write_figure(partial, _picture(scene, found))
     names = list(PALPATION)
     with TemporaryDirectory() as folder:
         for number in range(len(found.rests) if options.export and not nothing else 0):
@@ -112,16 +99,6 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     doubt = f" (90 %: {low:.3f} to {high:.3f})" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
     return 0
-
-
-def _picture(scene: Scene, found: MaterialFit) -> Figure:
-    """What the first palpation's simulation leaves, next to that of half as stiff a body where that bears the force."""
-    each, pose, softer = scene.palpations[0], found.poses[0], None
-    fitted = 1000 * surface_distance(scene.skin, found.rests[0], each, pose)
-    with suppress(NoEquilibrium):
-        softer = 1000 * surface_distance(scene.skin, half_as_stiff(found.rests[0]), each, pose)
-    title = f"Palpation 1 of {len(scene.palpations)}, {np.linalg.norm(each.force):.3g} N: what its simulation leaves"
-    return draw_surface_errors(1000 * across(each, pose), fitted, softer, 1000 * each.hole, title)
 
 
 def _errors(scene: Scene, found: MaterialFit) -> str:

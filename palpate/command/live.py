@@ -15,7 +15,6 @@ import argparse
 import dataclasses
 import math
 import signal
-import socket
 import sys
 import threading
 import time
@@ -44,17 +43,8 @@ from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values, known
 
-SCALED_IN = 0.5
-"""The depth's scale is found in so much of the beginning; a source won't begin again [s]."""
 WAITING, UNDECIDED = 1, 16
 """Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
-LOOPBACK = "127.0.0.1"
-REMEMBERED = 1 << 16
-"""So many frames' lateness counts."""
-NOT_TOUCHING = ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated")
-"""Statuses that later frames don't change."""
-MOST_UNSENT = 100
-"""Messages that wait for an OpenIGTLink client that is too slow; later ones are left out for it."""
 
 
 def igtl_server(port: int) -> Any:
@@ -96,7 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
         assert isinstance(estimator, NetworkEstimator)
         chosen = {name: getattr(options, name) for name in ("masks", "depth", "camera")}
         settings = preparation(estimator, layout=ClipLayout(right=options.right), **chosen)
-        depth = dataclasses.replace(settings.depth, scale_seconds=SCALED_IN)
+        # The depth's scale is found in so much of the beginning [s]; a source won't begin again.
+        depth = dataclasses.replace(settings.depth, scale_seconds=0.5)
         source = open_live(
             options.source, options.max_latency, options.size, options.fps, sys.stdin.buffer, options.every
         )
@@ -108,8 +99,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     alarm = None
     if options.force_limit is not None:
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator), 1 / source.fps)
-    lines = JsonLines(source, options.port, server, alarm)
+        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator))
+    lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
             for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
@@ -129,15 +120,13 @@ class JsonLines:
 
     Args:
         source: whose estimates are printed.
-        port: lines also go there as datagrams, on this machine alone; None = nowhere.
         server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
-    def __init__(self, source: LiveSource, port: int | None, server: Any, alarm: ForceAlarm | None) -> None:
-        self.source, self.port, self.server, self.alarm = source, port, server, alarm
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._late: dict[bool, deque[float]] = {decided: deque(maxlen=REMEMBERED) for decided in (False, True)}
+    def __init__(self, source: LiveSource, server: Any, alarm: ForceAlarm | None) -> None:
+        self.source, self.server, self.alarm = source, server, alarm
+        self._late: dict[bool, deque[float]] = {decided: deque(maxlen=1 << 16) for decided in (False, True)}
         """Of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
         self._one = threading.Lock()
@@ -146,7 +135,8 @@ class JsonLines:
         """Print what a frame shows before its contact is decided; called from another thread than `add`."""
         frame = prepared.frame
         found: dict[str, Any] = {"frame": frame.number, "time_s": round(frame.time_s, 6), "decided": False}
-        found |= {"status": prepared.status} if prepared.status in NOT_TOUCHING else {}
+        if prepared.status in ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated"):
+            found["status"] = prepared.status  # later frames don't change it
         self._send(found | self._lateness(frame.number, decided=False))
 
     def add(self, output: Output) -> None:
@@ -171,9 +161,8 @@ class JsonLines:
         line, server = as_json(found), self.server
         with self._one:
             print(line, flush=True)
-            if self.port is not None:
-                self._socket.sendto(line.encode(), (LOOPBACK, self.port))
-            if server is not None and server.is_connected() and len(server.outgoing_messages) < MOST_UNSENT:
+            # A client that is too slow misses lines.
+            if server is not None and server.is_connected() and len(server.outgoing_messages) < 100:
                 from pyigtl import StringMessage
 
                 server.send_message(StringMessage(line, device_name="palpate"), wait=False)
@@ -199,8 +188,6 @@ def _size(text: str) -> tuple[int, int]:
     return found
 
 
-SHARED = ("--force-limit", "--model", "--masks", "--depth", "--camera")
-"""Options of `palpate infer` that are this command's, too."""
 TYPES = infer.TYPES | {
     "seconds": real_number("a time in seconds; give a positive one", 1e-3),
     "size": _size,
@@ -213,6 +200,7 @@ TYPES = infer.TYPES | {
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options = read_beside(__file__) | {name: infer.declared()[name] for name in SHARED}
-    add_listed(parser, options, TYPES, {"halves": HALVES}, loopback=LOOPBACK, **infer.WORDS)
+    shared = ("--force-limit", "--model", "--masks", "--depth", "--camera")
+    options = read_beside(__file__) | {name: infer.declared()[name] for name in shared}
+    add_listed(parser, options, TYPES, {"halves": HALVES}, **infer.WORDS)
     return parser

@@ -37,7 +37,6 @@ from palpate.results.store import OutputError, make_output, writing
 SOFTEST = 50.0
 """Tissue is stiffer [Pa]."""
 NAMES = ("plan.json", "plan.png")
-SHARE = real_number("a number from 0 on", 0.0)
 SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
 
 
@@ -45,7 +44,7 @@ def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 a way was found; 1 there is none, or something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate plan", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), {"path": path_option, "share": SHARE})
+    add_listed(parser, read_beside(__file__), {"path": path_option, "share": real_number("a number from 0 on", 0.0)})
     return parser
 
 

@@ -8,8 +8,6 @@ import contextlib
 import os
 import re
 import sqlite3
-import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +16,19 @@ os.environ.setdefault("DO_NOT_TRACK", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 
-import numpy as np
 from lightning.pytorch import Trainer
 from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
 from lightning.pytorch.utilities import rank_zero_only
 
 from palpate.common.files import as_json
-from palpate.common.tables import to_markdown
 from palpate.data.source.layout import InputError
 from palpate.models.checkpoint import read_checkpoint
-from palpate.models.onnx_session import ExportedModel
-from palpate.physics.mechanics import PARAMETERS
 from palpate.results.record import sha256_of
 
 EXPERIMENT = "palpate"
 """Name of the experiment that holds the runs, and so compares them."""
 RUN_ID = "mlflow_run_id"
 """Name under which a checkpoint holds its run's id."""
-DIGEST_LENGTH = 16
-"""Characters of a data set's digest; MLflow's databases hold 36."""
 PLACES = (
     ("experiments", "artifact_location"),
     ("runs", "artifact_uri"),
@@ -143,81 +135,34 @@ def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
     from mlflow.entities import Dataset, DatasetInput, InputTag
 
     place = {"source_type": "local", "source": as_json({"uri": str(root)})}
-    data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:DIGEST_LENGTH], **place)
+    # MLflow's databases hold 36 characters.
+    data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:16], **place)
     given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
     logger.experiment.log_inputs(logger.run_id, [given])
 
 
 def log_network(logger: MLFlowLogger, path: Path, checkpoint: Path) -> None:
-    """Log an exported network to the run, and register it under the run's name with a signature and its model card.
+    """Log an exported network to the run, and register it under the run's name.
 
     The alias of the version is the checkpoint's name, best, last or epoch_NNN, and `other` for one that isn't named so.
     """
     import mlflow.onnx
     import onnx
-    from mlflow.models import ModelSignature
-    from mlflow.types import Schema, TensorSpec
 
-    def schema(values: Iterable[onnx.ValueInfoProto]) -> Schema:
-        shapes = {value.name: value.type.tensor_type.shape.dim for value in values}
-        sides = {name: tuple(side.dim_value or -1 for side in shape) for name, shape in shapes.items()}
-        return Schema([TensorSpec(np.dtype(np.float32), shape, name) for name, shape in sides.items()])
-
-    client, model = logger.experiment, onnx.load(path)
-    signature = ModelSignature(schema(model.graph.input), schema(model.graph.output))
-    run, network = client.get_run(logger.run_id), ExportedModel(path)
-    outputs = [value.name for value in model.graph.output]
-    trained = [each.dataset for each in run.inputs.dataset_inputs if "fit" in {tag.value for tag in each.tags}]
-    data = [f"{each.name}, digest {each.digest}" for each in trained]
-    card = model_card(run.info.run_name, network, outputs, checkpoint, data, run.data.metrics)
-    name = re.sub("[/:]", "-", run.info.run_name)
-    with mlflow.start_run(logger.run_id), tempfile.TemporaryDirectory() as folder:
-        Path(folder, "README.md").write_text(card, encoding="utf-8")
+    client = logger.experiment
+    name = re.sub("[/:]", "-", client.get_run(logger.run_id).info.run_name)
+    with mlflow.start_run(logger.run_id):
         logged = mlflow.onnx.log_model(
-            model,
+            onnx.load(path),
             name="network",
             registered_model_name=name,
-            signature=signature,
-            metadata=network.metadata,
             pip_requirements=mlflow.onnx.get_default_pip_requirements(),  # to infer them it would start a process
             save_as_external_data=False,
-            extra_files=[str(Path(folder, "README.md"))],
         )
     version = str(logged.registered_model_version)
-    client.update_model_version(name, version, card)
     alias = checkpoint.stem if re.fullmatch(r"best|last|epoch_\d+", checkpoint.stem) else "other"
     client.set_registered_model_alias(name, alias, version)
     print(f"MLflow: models:/{name}@{alias} is version {version}")
-
-
-def model_card(
-    name: str, network: ExportedModel, outputs: list[str], checkpoint: Path, data: list[str], metrics: dict[str, float]
-) -> str:
-    """What an exported network is, from what, and how well it did, in Markdown.
-
-    Args:
-        name: of its training's run.
-        network: the exported file.
-        outputs: their names in it.
-        checkpoint: what it was exported from.
-        data: data sets of the training, a description each.
-        metrics: the run's latest; those of validation and test count.
-    """
-    known = network.metadata
-    sources = [f"{kind} {', '.join(found)}" for kind, found in known["trained_on"].items()]
-    rows = {
-        "estimates": f"{', '.join(outputs)}: stiffness, damping and force in {known['units']['stiffness']}",
-        "from": ", ".join(f"{each} {'×'.join(map(str, shape))}" for each, shape in network.inputs.items()),
-        "within": ", ".join(f"{each} {known['bounds'][each]}" for each in PARAMETERS),
-        "data": "; ".join([*data, *sources, "no loss reads true parameters or forces"]),
-        "checkpoint": f"{checkpoint.name}, SHA-256 of its configuration {known['config_sha256']}",
-        "uncertainty": "its own, not calibrated" if "calibration" in known else "none",
-    }
-    latest = [(each, f"{metrics[each]:.4g}") for each in sorted(metrics) if each.startswith(("test/", "val/"))]
-    return (
-        f"# Model card: {name}\n\nFor `palpate infer --model {network.path.name}`. **Research software, not a medical "
-        f"device.**\n\n{to_markdown(['', ''], rows.items())}\n\n{to_markdown(['latest of the run', ''], latest)}\n"
-    )
 
 
 def _require_database(path: Path) -> None:

@@ -14,7 +14,6 @@ import argparse
 import contextlib
 import hashlib
 import os
-import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -59,21 +58,19 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
 so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
-MIN_PROCESSES = 2
-"""Processes that may train together however few cores there are."""
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
-BASELINE_CONTACTS = 8
-"""Training pairs that the constant-θ baseline of the evaluation is fitted on, at most, evenly spaced."""
 
 PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
     "contact": (ContactSettings, train_contact, WEIGHTS),
 }
 """Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
+REFUSED: dict[str, dict[str, Any]] = read_beside(__file__)
+"""Trainer options that can't be used freely."""
+
+
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
-OTHERWISE: dict[str, dict[str, Any]] = read_beside(__file__)
-"""What of Lightning's command line is not as usual."""
 
 
 class UsageError(ValueError):
@@ -98,16 +95,12 @@ class SentenceParser(LightningArgumentParser):
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
-            remedy = OTHERWISE["instead"].get(unknown[0], "correct or remove it")
-            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; {remedy}.")
+            raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         sentence = " ".join(message.split()).rstrip(".")
-        missing = re.search(r"(?:unrecognized arguments: --|invalid choice: ')(\w+)", sentence)
-        options = f"{program()} {{fit,validate,test,export}} --help lists all options"
-        remedy = OTHERWISE["instead"].get(missing[1], options) if missing else options
-        raise UsageError(f"{sentence}; {remedy}.") from ex
+        raise UsageError(f"{sentence}; {program()} {{fit,validate,test,export}} --help lists all options.") from ex
 
 
 class RunRecord(SaveConfigCallback):
@@ -234,12 +227,7 @@ class TrainCLI(LightningCLI):
     def before_instantiate_classes(self) -> None:
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         trainer = config.trainer
-        for name, remedy in OTHERWISE["empty"].items():
-            if str(config[name]) == "":
-                raise UsageError(f"{name} is empty; {remedy}.")
-        if trainer.check_val_every_n_epoch is not None and trainer.check_val_every_n_epoch < 1:
-            raise UsageError(f"trainer.check_val_every_n_epoch is {trainer.check_val_every_n_epoch}; give 1 or more.")
-        for name, refused in OTHERWISE["refused"].items():
+        for name, refused in REFUSED.items():
             if trainer[name] not in refused["work"]:
                 raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
@@ -248,7 +236,7 @@ class TrainCLI(LightningCLI):
                 "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
                 "warn, which makes the rest deterministic, or trainer.accelerator cpu."
             )
-        allowed, devices = max(os.cpu_count() or 1, MIN_PROCESSES), str(trainer.devices)
+        allowed, devices = max(os.cpu_count() or 1, 2), str(trainer.devices)
         count = int(devices) if devices.removeprefix("-").isdecimal() else 1
         if not 1 <= count <= allowed and on_cpu:
             raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
@@ -296,7 +284,7 @@ class TrainCLI(LightningCLI):
         if not self.trainer.is_global_zero:
             return
         folder = folder_of(self.trainer.default_root_dir, "evaluation")
-        contacts = self.datamodule.interactions("train", BASELINE_CONTACTS)
+        contacts = self.datamodule.interactions("train", 8)
         files = write_evaluation(self.model.test_records, contacts, self.model.mechanics, self.model.bounds, folder)
         for name, path in files.items():
             log_artifact(self.trainer, path, "evaluation")

@@ -2,5 +2,4 @@
 
 gather     what the pages show, from the files of a folder of results; texts.yaml: what every status means, what to do
 render     writes the pages from templates/
-own        which pages are as this program wrote them
 """

@@ -14,12 +14,6 @@ from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
-FRAME_COLUMNS = ("frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm")
-"""What of parameters.csv is looked at: all of it is too much of a long clip."""
-SETTINGS = ("input", "estimator", "depth_model", "masks", "scale", "camera", "settings", "providers", "versions")
-"""What run.json has of how a clip was computed."""
-CONTACT_CURVES = ("unit", "time_s", "frame_s", "force", "force_low", "force_high")
-"""What forces.json has of every frame in contact."""
 
 
 def clip_folders(output: Path) -> list[Path]:
@@ -61,42 +55,33 @@ def clip_of(folder: Path) -> dict[str, Any]:
     template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
     # A series of .vtu files is listed by its index.
     files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
-    shown = summary_of(folder) | more(folder, record) | {"template": template}
-    shown["files"] = [(name, TEXTS["files"].get(name, TEXTS["scene"])) for name in files]
+    shown = summary_of(folder) | more(folder, record) | {"template": template, "files": files}
     return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
 
 
 def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page of a video shows besides what all show."""
-    frames, runs = _table(folder / store.TABLE, FRAME_COLUMNS), _table(folder / store.INTERACTIONS)
+    columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
+    frames, runs = _table(folder / store.TABLE, columns), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
     contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
-    shown = (folder / store.OVERLAY).is_file()
-    settings = {name: record[name] for name in SETTINGS} | {"model": (record["model"] or {}).get("path")}
     return {
-        "video": store.OVERLAY if shown else None,
-        "video_note": "" if shown else TEXTS["no_video"],
+        "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
         "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
-        "columns": record["columns"],
-        "settings": _flat(settings),
-        "timings": record["timings_s"],
         "curves": _curves(record, frames, contacts),
     }
 
 
 def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of a sequence: the last frame's row, and settings."""
+    """The same of a sequence: the last frame's row."""
     last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
     rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
-    return {
-        "last": rows[1:],
-        "settings": _flat({name: record[name] for name in ("input", "estimator", "versions")}),
-    }
+    return {"last": rows[1:]}
 
 
 PAGES = {"video": ("clip.html", _of_video), "sequence": ("sequence.html", _of_sequence)}
@@ -135,7 +120,8 @@ def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: l
     for contact in contacts:
         values = {name: _number(contact["row"][name]) for name in CURVES}
         values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
-        found["contacts"].append(values | {name: contact["forces"][name] for name in CONTACT_CURVES})
+        names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
+        found["contacts"].append(values | {name: contact["forces"][name] for name in names})
     return found
 
 
@@ -160,11 +146,3 @@ def _number(cell: str) -> float | None:
 def _table(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", errors="replace", newline="") as stream:
         return [{name: row.get(name, "") for name in columns or row} for row in csv.DictReader(stream)]
-
-
-def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Settings with those within settings, by their joined names."""
-    found = []
-    for name, value in values.items():
-        found += _flat(value, f"{before}{name}.") if isinstance(value, dict) else [(f"{before}{name}", value)]
-    return found

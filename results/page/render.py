@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpate.common.files import as_json
-from palpate.common.output import ForeignFile
+from palpate.common.output import ForeignFile, write_own
 from palpate.results import store
 from palpate.results.page.gather import clip_folders, clip_of, summary_of
-from palpate.results.page.own import CLIP, INDEX, is_own, write_own
 from palpate.results.verdicts import COLORS, MEANINGS
 
 if TYPE_CHECKING:
@@ -20,27 +17,22 @@ if TYPE_CHECKING:
 
 Failure = tuple[str, str]
 """Name of a clip that has no results, and the sentence that says why."""
-FAILURES = re.compile(rb'<script type="application/json" id="failures">(.*?)</script>', re.DOTALL)
-UNREADABLE = "its results are damaged or of another version ({}: {}); compute it again with palpate infer --overwrite."
+INDEX, CLIP = store.PAGES
 
 
-def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[str] = (), *, anew: bool) -> Path:
+def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
     """Write the page of a folder of results, and those of its clips; returns the former.
-
-    Clips that failed in earlier batches stay listed until they are tried again or have results.
 
     Args:
         output: the folder.
         failed: clips of this batch without results.
-        tried: names of all clips of this batch.
         anew: whether to write all clips' pages, not only those that are missing or older than their results.
 
     Raises:
         OutputError: a page can't be written, or a file that this program did not write is in its place.
     """
-    environment, rows, damaged, foreign = _environment(), [], [], None
+    environment, rows, failures, foreign = _environment(), [], list(failed), None
     with store.writing(output):
-        failures = [item for item in _listed_failures(output / INDEX) if item[0] not in tried] + list(failed)
         for folder in clip_folders(output):
             page, text = folder / CLIP, ""
             try:
@@ -49,7 +41,8 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
                     shown = clip_of(folder)
                     text = environment.get_template(shown["template"]).render(clip=shown, colors=COLORS)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
-                damaged.append((folder.name, f"{folder}: {UNREADABLE.format(type(error).__name__, error)}"))
+                why = f"its results are damaged or of another version ({type(error).__name__}: {error})"
+                failures.append((folder.name, f"{folder}: {why}; compute it again with palpate infer --overwrite."))
                 continue
             rows.append(summary)
             try:
@@ -57,17 +50,11 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), tried: Collection[
                     write_own(page, text)
             except ForeignFile as error:
                 foreign = error
-        shown = {"clips": rows, "failures": list(dict.fromkeys(failures)), "colors": COLORS, "meanings": MEANINGS}
-        write_own(output / INDEX, environment.get_template("index.html").render(shown, damaged=damaged))
+        shown = {"clips": rows, "failures": failures, "colors": COLORS, "meanings": MEANINGS}
+        write_own(output / INDEX, environment.get_template("index.html").render(shown))
         if foreign is not None:
             raise foreign
     return output / INDEX
-
-
-def _listed_failures(index: Path) -> list[Failure]:
-    """What the page of a batch lists as failed; nothing where there is no page of ours."""
-    found = FAILURES.search(index.read_bytes()) if is_own(index) else None
-    return [] if found is None else [(name, sentence) for name, sentence in json.loads(found[1])]
 
 
 def _environment() -> Environment:

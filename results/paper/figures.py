@@ -1,17 +1,14 @@
-"""Figure 3 of Bini 2026, the estimates by frame, and a predicted next depth map next to the real one."""
+"""Figure 3 of Bini 2026, and a predicted next depth map next to the real one."""
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
+from palpate.physics.mechanics import Mechanics
 from palpate.results.paper.simulated import distances
 
-PERCENTILES = (10, 25, 50, 75, 90)
 MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
-ACCENT, GREY, WARM, LIGHT, BOX = "#1d4e89", "#667085", "#b4432b", "#d0d5dd", "#eef4fb"
-LITERATURE = {"stiffness": REFERENCE_STIFFNESS, "damping": REFERENCE_DAMPING}
+GREY = "#667085"
 
 
 def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
@@ -28,7 +25,7 @@ def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.n
 
 
 def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
-    low, lower, median, upper, high = np.percentile(relative, PERCENTILES, axis=0)
+    low, lower, median, upper, high = np.percentile(relative, (10, 25, 50, 75, 90), axis=0)
     axes.fill_between(times, low, high, color=OUTER_COLOUR, lw=0, label="10–90th percentile")
     axes.fill_between(times, lower, upper, color=INNER_COLOUR, lw=0, label="25–75th percentile")
     axes.plot(times, median, color=MEDIAN_COLOUR, lw=2, label="median")
@@ -63,37 +60,6 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
         shown = mechanics.times, distance[order] / (peak or 1.0), release[order]
         _draw_heat_map(figure, left, *shown)
         _draw_fan(right, *shown)
-    return figure
-
-
-def draw_theta(frames: pd.DataFrame, spread: pd.DataFrame) -> Figure:
-    """θ by test frame: on the left within the admissible box, on the right zoomed to the estimates.
-
-    Args:
-        frames: one row a test frame with its clip and parameters, in order.
-        spread: admissible range (`low`, `high`) and constant baseline by parameter; not a number = there is none.
-    """
-
-    figure = Figure(figsize=(11, 6.4), dpi=150, layout="constrained")
-    figure.suptitle(f"Estimated parameters by test frame (n = {len(frames)}, clips: {frames['clip'].nunique()})")
-    grid = figure.subplots(3, 2, sharex=True)
-    position = np.arange(1, len(frames) + 1)
-    changes = position[frames["clip"] != frames["clip"].shift()][1:] - 0.5
-    for (box, zoom), (name, row) in zip(grid, spread.iterrows(), strict=True):
-        for axes in (box, zoom):
-            axes.plot(position, frames[name], ".", ms=4, color=ACCENT, label="estimate")
-            for change in changes:
-                axes.axvline(change, color=LIGHT, lw=0.8, zorder=0)
-        box.axhspan(row["low"], row["high"], color=BOX, lw=0, zorder=-1, label="admissible range")
-        box.axhline(row["constant"], color=WARM, lw=1.3, ls="--", label="constant θ fitted on training contacts")
-        box.axhline(LITERATURE.get(str(name), np.nan), color=GREY, ls=":", label="literature value, where in range")
-        margin = 0.06 * (row["high"] - row["low"])
-        box.set(ylabel=f"{name}\n[normalised]", ylim=(row["low"] - margin, row["high"] + margin))
-    for axes, title in zip(grid[0], ("Within the admissible range", "Zoomed to the estimates"), strict=True):
-        axes.set_title(title, loc="left")
-    for axes in grid[-1]:
-        axes.set(xlabel="test frames in order; grey lines separate clips", xlim=(0.5, len(frames) + 0.5))
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

@@ -13,7 +13,7 @@ from palpate.common.output import ForeignFile, write_own
 from palpate.data.contact.interaction import Interaction
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.paper import simulated
-from palpate.results.paper.figures import draw_response, draw_theta
+from palpate.results.paper.figures import draw_response
 from palpate.results.paper.statistics import as_reported, compare, spread_of, summarise
 
 Record = Mapping[str, Any]
@@ -33,10 +33,7 @@ DEPTHS = {
     "θ in the farthest corner of the box": "theta_sensitivity",
 }
 """Column of the table of frames by what is compared with the next depth map (the last: with the decoded one)."""
-GIVEN = ["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()]
-"""Columns of the table of frames that come from the records."""
-TABLES = ("table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv")
-FILES = ("figure3.png", "theta.png", *TABLES)
+FILES = "figure3.png", "table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv"
 
 
 class EvaluationError(ValueError):
@@ -72,7 +69,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
-    frames = pd.DataFrame(records, columns=GIVEN)
+    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])
     frames[list(PARAMETERS)] = as_reported(theta, bounds)
     constant = simulated.fit_constant_theta(training, bounds, mechanics)[0]
     frames["error_constant"] = simulated.simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
@@ -99,7 +96,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         "motion.csv": motion,
     }
     found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}
-    spread = spread_of(frames, bounds, len({*zip(clips, motions, strict=True)}))
+    spread = spread_of(frames, bounds, len(motions))
     found["spread.csv"] = spread.assign(constant=as_reported(constant, bounds))
     found["per_frame.csv"] = frames.join(settled[PREDICTED]).set_index("clip")
     return Evaluation(found, predicted, constant)
@@ -128,15 +125,10 @@ def write_evaluation(
     except ValueError as error:
         raise EvaluationError(str(error)) from error
     frames = found.tables["per_frame.csv"].reset_index()
-    figures = {
-        "figure3.png": draw_response(found.trajectories, frames["release_s"].to_numpy(), mechanics),
-        "theta.png": draw_theta(frames, found.tables["spread.csv"]),
-    }
-    contents = {name: table.to_csv().encode() for name, table in found.tables.items()}
-    for name, figure in figures.items():
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png")
-        contents[name] = buffer.getvalue()
+    figure, buffer = draw_response(found.trajectories, frames["release_s"].to_numpy(), mechanics), io.BytesIO()
+    figure.savefig(buffer, format="png")
+    contents = {"figure3.png": buffer.getvalue()}
+    contents |= {name: table.to_csv().encode() for name, table in found.tables.items()}
     try:
         output.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():

@@ -20,22 +20,10 @@ from palpate.physics.msd import rollout
 from palpate.physics.msd.batch import ObservationBatch
 from palpate.physics.msd.likelihoods import displacement_error
 
-FIT_STARTS = 8
-"""Starting points of the constant-θ fit: θ₀ and a Sobol sequence over the admissible box; a power of 2."""
-REFINED_STARTS = 2
-"""Number of best starting points that are refined with L-BFGS-B."""
 MAX_ITERATIONS = 10
 """Most L-BFGS-B iterations for each of these."""
-SEARCH_RANGE = 1000.0
-"""The search is even for θ below a range's far end over this number, and exponential above."""
-NOT_FINITE_ERROR = 1e12
-"""Objective where the simulation isn't finite: large enough for the line search to shorten its step."""
-SETTLED_FRACTION = 0.05
-"""At rest means a displacement of at most this fraction of the trajectory's peak."""
 STATES = ("settled", "not reached", "no release", "no motion", "not finite")
 """`settled`, or why there is no settling time: `not reached` within the horizon, `no release` within the horizon."""
-SCENE_SIZE = 1.0
-"""The deepest point of a scene lies at 1 scene unit: a larger displacement leaves the scene."""
 
 
 def no_motion_errors(contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
@@ -74,7 +62,7 @@ def simulate_contacts(
 def _warped_box(bounds: Bounds) -> tuple[Tensor, Tensor, Tensor]:
     """The scale [3] at which each parameter's search turns from even to exponential, and the box in its coordinates."""
     lower, upper = torch.tensor([bounds.lower, bounds.upper], dtype=torch.float64)
-    scale = torch.maximum(lower.abs(), upper.abs()) / SEARCH_RANGE
+    scale = torch.maximum(lower.abs(), upper.abs()) / 1000.0
     return scale, torch.asinh(lower / scale), torch.asinh(upper / scale)
 
 
@@ -118,10 +106,11 @@ def fit_constant_theta(contacts: list[Interaction], bounds: Bounds, mechanics: M
         total = error.item()
         slope = torch.zeros(3) if leaf.grad is None else leaf.grad
         if not (np.isfinite(total) and slope.isfinite().all()):
-            return NOT_FINITE_ERROR, np.zeros(3)
+            # Large enough for the line search to shorten its step.
+            return 1e12, np.zeros(3)
         return total, slope.numpy()
 
-    starts = qmc.Sobol(3, scramble=False).random(FIT_STARTS)
+    starts = qmc.Sobol(3, scramble=False).random(8)
     starts[0] = to_unit(torch.tensor(bounds.initial, dtype=torch.float64), bounds)  # instead of the box's corner
     values = [objective(start)[0] for start in starts]
     refined = [
@@ -129,7 +118,7 @@ def fit_constant_theta(contacts: list[Interaction], bounds: Bounds, mechanics: M
             objective, starts[index], jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * 3,
             options={"maxiter": MAX_ITERATIONS, "maxfun": 2 * MAX_ITERATIONS},
         )
-        for index in np.argsort(values, kind="stable")[:REFINED_STARTS]
+        for index in np.argsort(values, kind="stable")[:2]
     ]  # fmt: skip
     best = min(refined, key=lambda result: result.fun)
     return to_theta(torch.from_numpy(best.x), bounds).numpy(), float(best.fun) * scale / len(contacts)
@@ -156,7 +145,7 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
     """
     distance = distances(trajectories)
     peak, step = distance.max(axis=1), np.arange(1, distance.shape[1] + 1)
-    outside = (distance > SETTLED_FRACTION * peak[:, None]) & (step >= load_steps[:, None])
+    outside = (distance > 0.05 * peak[:, None]) & (step >= load_steps[:, None])
     last = (outside * step).max(axis=1)
     reasons = [np.isnan(peak), peak == 0, load_steps >= len(step), last == len(step)]
     state = np.select(reasons, ["not finite", "no motion", "no release", "not reached"], "settled")
@@ -190,5 +179,5 @@ def motion_row(settling: pd.DataFrame) -> dict[str, object]:
         "median settling time [s]": settling["settling_time_s"].median(),
         "longest [s]": settling["settling_time_s"].max(),
         **{state: int((settling["state"] == state).sum()) for state in STATES},
-        "peak over 1 scene unit": int((settling["peak"] > SCENE_SIZE).sum()),
+        "peak over 1 scene unit": int((settling["peak"] > 1.0).sum()),
     }

@@ -17,25 +17,8 @@ from scipy import stats
 
 from palpate.physics.mechanics import PARAMETERS, Bounds
 
-RESAMPLES = 10_000
-"""Bootstrap resamples (Bini 2026, section 4.1)."""
-CONFIDENCE = 0.95
-MINIMUM_FOR_BCA = 5
-"""Fewest values for a BCa interval."""
-MINIMUM_FOR_WILCOXON = 6
-"""Fewest non-zero differences: the smallest two-sided p of n is 2/2ⁿ, and it must be able to fall below 0.05."""
-MINIMUM_CLIPS = 3
-"""Fewest clips for a bootstrap over clips."""
-RESAMPLES_AT_ONCE = 500
-"""Resamples held in memory together."""
-MINIMUM_SPREAD = 0.02
-"""SD over the admissible range below which a parameter counts as constant, unless SD/|mean| is large."""
-MINIMUM_VARIATION = 0.2
-"""SD/|mean| from which on a parameter counts as varying even on a range that is far too wide for the scene."""
 AT_BOUND = 0.01
 """Distance from an end of the range, over the range, below which a value lies at the bound."""
-MINIMUM_CONTACTS = 3
-"""Fewest different motions for a verdict on the spread."""
 
 Statistics = dict[str, float]
 Interval = tuple[float, float]
@@ -45,15 +28,15 @@ NO_INTERVAL = math.nan, math.nan
 def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Interval:
     """Interval of a mean over paired resamples."""
     low, high = stats.bootstrap(
-        samples, mean, paired=True, vectorized=True, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method,
-        batch=RESAMPLES_AT_ONCE, rng=np.random.default_rng(0),
+        samples, mean, paired=True, vectorized=True, n_resamples=10_000, confidence_level=0.95, method=method,
+        batch=500, rng=np.random.default_rng(0),
     ).confidence_interval  # fmt: skip
     return float(low), float(high)
 
 
 def bca_interval(values: pd.Series) -> Interval:
     """BCa bootstrap interval of the mean of values [n], taken as independent."""
-    if len(values) < MINIMUM_FOR_BCA or values.nunique() == 1:
+    if len(values) < 5 or values.nunique() == 1:
         return NO_INTERVAL
     return _bootstrap((values.to_numpy(),), np.mean, "BCa")
 
@@ -61,7 +44,7 @@ def bca_interval(values: pd.Series) -> Interval:
 def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
     """Percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are `clips`."""
     by_clip = values.groupby(clips)
-    if by_clip.ngroups < MINIMUM_CLIPS:
+    if by_clip.ngroups < 3:
         return NO_INTERVAL
 
     def mean(totals: np.ndarray, sizes: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -100,7 +83,8 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
     after, before = (pd.Series(np.asarray(errors, dtype=float)[finite]) for errors in (regime, baseline))
     names, difference = np.asarray(clips)[finite], before - after
     w = w_p = t = t_p = math.nan
-    if np.count_nonzero(difference) >= MINIMUM_FOR_WILCOXON:
+    # The smallest two-sided p of n is 2/2ⁿ, and must be able to fall below 0.05.
+    if np.count_nonzero(difference) >= 6:
         w, w_p = stats.wilcoxon(difference)
     # Differences that agree to rounding have no spread to test against; t would only measure the rounding.
     if len(difference) > 1 and difference.std() > 1e-12 * difference.abs().max():
@@ -148,6 +132,7 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
         sd_of_mean=spread["sd"] / spread["mean"].abs(),
         at_bound=((values - low < AT_BOUND * width) | (high - values < AT_BOUND * width)).mean(),
     )
-    constant = (spread["sd_of_range"] < MINIMUM_SPREAD) & ~(spread["sd_of_mean"] >= MINIMUM_VARIATION)
-    few = contacts < MINIMUM_CONTACTS
+    # SD over the admissible range, and over the mean where the range is far too wide for the scene.
+    constant = (spread["sd_of_range"] < 0.02) & ~(spread["sd_of_mean"] >= 0.2)
+    few = contacts < 3
     return spread.assign(verdict="n too small" if few else np.where(constant, "constant", "varies"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from palpate.common.command_line import path_option, progress_bars, real_number, say, size_of, whole_number
+from palpate.common.command_line import path_option, real_number, say, size_of, whole_number
 
 
 def test_an_empty_path_is_refused() -> None:
@@ -39,29 +39,6 @@ def test_a_sentence_is_printed_as_it_is() -> None:
     written = io.StringIO()
     say(Console(file=written, width=20), "[red]a\x1b[2Jb[/red] " + 30 * "c", "red")
     assert written.getvalue() == "[red]a\\x1b[2Jb[/red] " + 30 * "c" + "\n"
-
-
-def test_without_a_terminal_progress_is_told_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    text, clock = io.StringIO(), [1000.0]
-    monkeypatch.setattr("time.monotonic", lambda: clock[0])
-    with progress_bars(Console(file=text, width=200)) as bars:
-        job = bars.add_task("clips [of many]", total=40)
-        for _ in range(8):
-            clock[0] += 10
-            bars.advance(job)
-    message = [line for line in text.getvalue().splitlines() if " of 40, " in line]
-    assert [line.split(",")[0] for line in message] == [f"clips [of many]: {done} of 40" for done in (3, 6)]
-    assert all("it/s" in line and "left" in line for line in message)
-
-
-def test_what_one_step_does_not_tell_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    text, clock = io.StringIO(), [1000.0]
-    monkeypatch.setattr("time.monotonic", lambda: clock[0])
-    with progress_bars(Console(file=text, width=200)) as bars:
-        job = bars.add_task("a slow clip", total=6)
-        clock[0] += 40
-        bars.update(job, completed=4)
-    assert text.getvalue().splitlines()[0] == "a slow clip: 4 of 6"
 
 
 def test_sizes() -> None:

@@ -65,13 +65,6 @@ def test_a_hash_is_that_of_the_content_and_waits_for_nothing(tmp_path):
         file_sha256(tmp_path / "pipe")
 
 
-def test_what_no_one_bounds_is_bounded(tmp_path):
-    with (tmp_path / "file").open("wb") as file:
-        file.truncate(12 * 2**30)
-    with pytest.raises(OSError, match="larger than 16384 kB"):
-        read_file(tmp_path / "file")
-
-
 @pytest.mark.parametrize("name", ["d", "a folder whose path gets too long"])
 def test_all_is_found_however_deeply_folders_nest(tmp_path, monkeypatch, nested, name):
     (tmp_path / "b").mkdir()

@@ -1,55 +1,17 @@
 """Results know every line they were made with: of sub-packages too, and from an installed package as well."""
 
-import ast
-import os
 import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from palpate.common.provenance import NOT_PREPARATION, PACKAGES, PREPARATION, code_digest
 from tests.conftest import CHECKOUT
 
-DECIDING = ("common", "data", "estimators", "models", "physics", "results")
-"""Packages on which a user's results depend."""
 SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-FINGERPRINTS = """
-import functools, sys
-from pathlib import Path
-from palpate.data.settings import PrepareSettings
-from palpate.common.files import digest_of
-from palpate.common.provenance import ROOT, code_digest
-from palpate.estimators.open import EstimatorOptions, open_estimator
-from palpate.results.record import depends_on
-
-Path.rglob = functools.cache(lambda folder, pattern, find=Path.rglob: list(find(folder, pattern)))  # files stay
-estimator = open_estimator(EstimatorOptions("direct"))
-
-def found():
-    code_digest.cache_clear()
-    causes = depends_on(Path("clip.mp4"), PrepareSettings(), estimator)
-    return digest_of(causes), *map(code_digest, ("preparation", "kernels"))
-
-print(ROOT, *found())
-for name in sys.stdin.read().splitlines():
-    path, changed = Path(name), Path(name + ".changed")
-    kept = path.read_bytes()
-    path.write_bytes(changed.read_bytes())
-    print(name, *found())
-    path.write_bytes(kept)
-print(ROOT, *found())
-"""
-"""Prints fingerprint and digests of the program as it is, with every file that is named replaced in turn, and again."""
-
-
-def run(program: str, **options: Any) -> str:
-    """What a program of its own prints."""
-    command = [sys.executable, "-c", program]
-    return subprocess.run(command, capture_output=True, text=True, check=True, **options).stdout
 
 
 def folder_of(package: str) -> Path:
@@ -74,57 +36,27 @@ def installed(site: Path) -> Path:
     return site / "palpate"
 
 
-def checked_out(folder: Path) -> Path:
-    """A copy of the checkout's packages."""
-    shutil.copytree(CHECKOUT / "palpate", folder / "palpate", symlinks=True)
-    for package in PACKAGES:
-        shutil.copytree(CHECKOUT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copyfile(CHECKOUT / "pyproject.toml", folder / "pyproject.toml")
-    return folder
-
-
-def changed(source: bytes) -> bytes:
-    """A module with one number in it raised by 1; one without any says something else of itself."""
-    tree = ast.parse(source)
-    numbers = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and type(node.value) in (int, float))
-    node, added = next(numbers, None), b"+1"
-    if node is None:
-        node, added = tree.body[0].value, b'" "'
-    lines = source.splitlines(keepends=True)
-    line, column = node.end_lineno - 1, node.end_col_offset
-    lines[line] = lines[line][:column] + added + lines[line][column:]
-    compile(b"".join(lines), "changed", "exec")
-    return b"".join(lines)
-
-
-@pytest.mark.parametrize(("lay_out", "every"), [(checked_out, 1), (installed, 12)])
-def test_a_constant_changed_in_any_module_changes_the_fingerprint(lay_out, every: int, tmp_path: Path) -> None:
-    """Of an installed package, whose digest is that of the checkout (below), in every twelfth module."""
-    (tmp_path / "tree").mkdir()
-    tree = lay_out(tmp_path / "tree")
-    modules = [path for package in DECIDING for path in sorted((tree / package).rglob("*.py")) if path.stat().st_size]
-    names = {path.relative_to(tree).as_posix() for path in modules}
-    assert {"data/contact/motion.py", "estimators/network/fits.py", "models/losses.py", "physics/msd/cone.py"} <= names
-    modules = modules[::every]
-    for path in modules:
-        path.with_name(f"{path.name}.changed").write_bytes(changed(path.read_bytes()))
-    models = [tree / "data/depth/photometric.onnx", tree / "data/depth/presets/photometric.yaml"]
-    for path in models:
-        path.with_name(f"{path.name}.changed").write_bytes(path.read_bytes() + b"\n")
-    (tmp_path / "clip.mp4").touch()
-    environment = os.environ | {"PYTHONPATH": str(tmp_path / "tree"), "PYTHONDONTWRITEBYTECODE": "1"}
-    named = "\n".join(map(str, [*modules, *models]))
-    said = run(FINGERPRINTS, cwd=tmp_path, input=named, env=environment)
-    first, *edited, last = (line.rsplit(" ", 3) for line in said.splitlines())
-    assert first == last
-    assert Path(first[0]) == tree
-    assert len(edited) == len(modules) + len(models) > 180 / every
-    assert len({fingerprint for _, fingerprint, *_ in [first, *edited]}) == len(edited) + 1
-    for name, _, preparation, kernels in edited:
-        path = Path(name).relative_to(tree).as_posix()
-        prepares = path.startswith("data/") and not path.startswith(NOT_PREPARATION)
-        assert (preparation != first[2]) == (prepares or path in PREPARATION), path
-        assert (kernels != first[3]) == path.startswith("physics/"), path
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("physics/msd/cone.py", ("all", "kernels")),
+        ("data/contact/motion.py", ("all", "preparation")),
+        ("data/depth/presets/photometric.yaml", ("all", "preparation")),
+        ("common/robust.py", ("all", "preparation")),
+        ("data/training/samples.py", ("all",)),
+        ("estimators/network/fits.py", ("all",)),
+        ("models/weights/contact.onnx", ()),
+    ],
+)
+def test_a_changed_source_changes_the_digests_of_its_parts(tmp_path: Path, monkeypatch, name, parts) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(parents=True)
+    monkeypatch.setattr("palpate.common.provenance.ROOT", tmp_path)
+    digests = []
+    for content in ("LIMIT = 1", "LIMIT = 2"):
+        path.write_text(content)
+        digests.append({part: code_digest.__wrapped__(part) for part in ("all", "preparation", "kernels")})
+    assert tuple(part for part, digest in digests[0].items() if digest != digests[1][part]) == parts
 
 
 @pytest.mark.parametrize("part", ["all", "preparation", "kernels"])
@@ -148,7 +80,8 @@ def test_every_package_of_the_tree_is_installed() -> None:
 def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     prepares = "palpate.data.clip, palpate.data.masks.automatic"  # the second only where masks are automatic
     program = f"import sys, {prepares}; print(*(vars(each).get('__file__') for each in [*sys.modules.values()]))"
-    names = run(program, cwd=CHECKOUT).split()
+    command = [sys.executable, "-c", program]
+    names = subprocess.run(command, capture_output=True, text=True, check=True, cwd=CHECKOUT).stdout.split()
     imported = {Path(name).resolve().relative_to(CHECKOUT).as_posix() for name in names if f"{CHECKOUT}/" in name}
     ours = {name for name in imported if name.split("/")[0] in PACKAGES}
     assert "data/contact/motion.py" in ours

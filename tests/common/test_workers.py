@@ -38,10 +38,6 @@ def test_every_task_is_done_in_order_where_that_is_asked_for(workers):
     assert list(run_tasks(late_first, range(6), workers, ordered=True)) == [0, 1, 4, 9, 16, 25]
 
 
-def test_no_tasks_need_no_workers():
-    assert list(run_tasks(square, [], 2)) == []
-
-
 def test_workers_have_one_native_thread_and_the_parent_keeps_its_own(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     assert set(run_tasks(limits, range(2), 2)) == {("1", 1)}

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.data.cache import CacheEntry, cache_key
+from palpate.data.cache import cache_key
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import open_source
-from palpate.data.source.layout import ClipLayout, InputError
+from palpate.data.source.layout import InputError
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 
@@ -143,31 +143,3 @@ def test_an_unwritable_cache_and_a_missing_clip_are_sentences(tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             prepare(*asked)
-
-
-def test_the_loser_of_a_race_discards_its_own(tmp_path):
-    """As where two processes prepare one clip at once."""
-    folder, cache = write_clip(tmp_path / "clip"), tmp_path / "cache"
-    entry = CacheEntry(cache, "clip", cache_key(folder, SETTINGS))
-    clip = ClipStream(open_source(folder, ClipLayout()), SETTINGS)
-    first = []
-
-    def overtaken() -> Iterator[PreparedFrame]:
-        yield from clip
-        first.append(prepare(folder, SETTINGS, cache))
-
-    entry.write(overtaken(), clip.sources, clip.source.size)
-    assert entries(cache) == {entry.folder.name} == {first[0].folder.name}
-    assert entry.load(folder).counts["ok"] == first[0].counts["ok"] == 5
-
-
-def test_names_of_any_length_and_alphabet(tmp_path):
-    folder = write_clip(tmp_path / ("ö" * 100), frames=3)
-    assert len(prepare(folder, SETTINGS, tmp_path / "cache")) == 3
-
-
-def test_a_cache_that_no_disk_can_hold_is_a_sentence(tmp_path: Path) -> None:
-    entry = CacheEntry(tmp_path / ("a" * 300), "clip", "key")
-    assert entry.load(tmp_path) is None
-    with pytest.raises(InputError, match=r"can't be written \(File name too long\); change the cache"):
-        entry.write([], {}, (1, 1))

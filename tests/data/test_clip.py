@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.contact.geometry import GeometrySettings
-from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, rigid_motion
+from palpate.data.contact.tissue_points import grid_to_picture, lift, rigid_motion
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
@@ -111,16 +111,6 @@ def test_guessed_depth_is_found_in_one_of_so_many_frames_and_kept_in_between(tmp
     assert all(np.array_equal(one.depth, two.depth) for one, two in zip(measured, run(folder), strict=True))
 
 
-def test_a_gap_in_the_numbers_ends_the_run(tmp_path):
-    folder = write_clip(tmp_path / "clip", first=10)
-    remove_frame(folder, 15)
-    frames = run(folder)
-    assert [frame.frame.number for frame in frames][4:6] == [14, 16]
-    assert not frames[4].consecutive
-    assert np.isnan([frames[4].displacement, frames[5].backward]).all()
-    assert starts(frames) == [-1] * 3 + [3] * 2 + [-1] * 6
-
-
 def spoil(folder: Path) -> None:
     """One defect a frame."""
     (folder / "frame_1_endo.png").write_bytes(b"")
@@ -213,13 +203,6 @@ def test_streamed_windows_equal_those_of_training(tmp_path):
     for index, frame in enumerate(run(folder)):
         indices = window_indices(index, 3, clip.consecutive, clip.usable)
         assert np.array_equal(window.push(frame), np.stack([clip.depth(i) for i in indices]))
-
-
-def test_grid_and_picture_coordinates_are_inverse():
-    pixels = np.array([[0.0, 0.0], [63.0, 47.0]])
-    there = grid_to_picture(pixels, (48, 64), (128, 96))
-    assert there == pytest.approx(np.array([[0.5, 0.5], [126.5, 94.5]]))
-    assert picture_to_grid(there, (48, 64), (128, 96)) == pytest.approx(pixels)
 
 
 def test_lift_reads_tissue_only():

@@ -292,7 +292,7 @@ def faulty(
     bare = np.isin(kept, without_tool)
     parts["labels"][bare] = np.where(parts["labels"][bare] == CLASSES["grasper"].grey, 0, parts["labels"][bare])
     cut = dataclasses.replace(clip, **parts)
-    inputs = {"masks": FaultyMasks(cut, without_mask), "depth": _Depth(cut), "camera": clip.camera}
+    inputs = {"masks": FaultyMasks(cut, without_mask), "depth": _Depth(cut), "camera": clip.scene.camera}
     source = FaultySource(cut, kept, unreadable)
     return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), **inputs))
 

@@ -9,7 +9,6 @@ from huggingface_hub import ModelCard
 ROOT = Path(__file__).parents[2]
 CARDS = {
     "models/weights/contact": ("identifiability", r"\| network.* of \d+ \|$", 6),
-    "data/depth/photometric": ("depth", r"\| `video.*\d \| [\d.]+, [\d.*]+ \|$", 4),
 }
 """By model the report, rows of a table in it, and how many there are."""
 SECTIONS = ("Intended use", "Out of scope", "Training data", "Evaluation", "Limitations")

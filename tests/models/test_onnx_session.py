@@ -9,6 +9,7 @@ import pytest
 
 from palpate.data.picture_network import PictureNetwork
 from palpate.models import onnx_session
+from tests.data.masks.test_onnx import save_model
 from tests.networks import write_network
 
 METADATA = {"format_version": onnx_session.FORMAT_VERSION, "input": {"window": 2, "height": 4, "width": 6}}
@@ -146,7 +147,7 @@ def test_no_more_threads_are_started_than_there_are_cores(tmp_path, monkeypatch)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     for threads in (None, 1, 2, 1024):
         onnx_session.ParameterModel(write_model(tmp_path / "m.onnx"), threads)
-    PictureNetwork(Path(__file__).resolve().parents[2] / "data" / "depth" / "photometric.onnx", threads=1024)
+    PictureNetwork(save_model(tmp_path / "picture.onnx"), threads=1024)
     assert asked == [0, 1, 2, 2, 2]
 
 

@@ -22,13 +22,10 @@ _ENDS = ("_low", "", "_high")
 _NUMBERS |= {f"distance_stiffness{end}": np.array([np.nan, 3.0, 4.0]) for end in _ENDS}
 _NUMBERS |= {f"shape_stiffness{end}": np.full(3, np.nan) for end in _ENDS}
 PULL = FieldEstimate(
-    last=FIELD_SEEN, picture=np.full((40, 50, 3), 90, np.uint8), places=FIELD_SEEN.pixels,
-    points=np.array([[10.0, 10.0], [30.0, 20.0]]), observed=np.array([[3.0, 4.0], [np.nan, np.nan]]),
-    predicted=np.array([[3.0, 3.0], [1.0, 0.0]]), times=TIMES,
+    last=FIELD_SEEN, times=TIMES,
     course=np.array([[0.0, 0.0, 0.0], [2.0, 1.5, 0.6], [5.0, 4.2, 1.0]]),
     numbers=_NUMBERS | {"shape_known": np.zeros(3)}, stretched=True, driven=cast(DrivenTissue, None),
 )  # fmt: skip
-"""Of two followed points, one of which is lost by the last frame."""
 _SECONDS = np.arange(1.0, 4.0)
 GRIP = GripEstimate(0.6, 0.1, _SECONDS, _SECONDS / 3, np.array([0.02, 0.03, 0.0]))
 """A pull whose relative force is determined."""

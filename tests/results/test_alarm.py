@@ -19,7 +19,7 @@ from tests.estimators.estimates import ESTIMATE
 
 
 def alarm(limit: float = 1.0, seconds: float = math.inf) -> ForceAlarm:
-    return ForceAlarm(limit, "N", seconds, 0.04)
+    return ForceAlarm(limit, "N", seconds)
 
 
 def told(found: ForceAlarm, *uppers: float | None, contact: bool | None = True) -> list[str]:
@@ -62,16 +62,15 @@ def test_a_force_is_unknown_once_the_estimate_is_of_an_earlier_one() -> None:
     assert found.alarms == 0
 
 
-def test_frames_and_seconds_are_counted_by_state_and_time_stamps() -> None:
+def test_frames_are_counted_by_state() -> None:
     found = alarm()
     frames = ((0.0, False, None), (0.1, True, None), (0.15, True, 2.0), (0.4, None, None), (0.5, True, 0.1))
     for frame in frames:
         found.push(*frame)
     record = found.record()
     assert record["frames"] == {"no_contact": 1, "below": 1, "above": 1, "unknown": 2}
-    assert record["seconds"] == {"no_contact": 0.1, "below": 0.04, "above": 0.25, "unknown": 0.15}
-    assert (record["limit"], record["unit"], record["release_share"], record["alarms"]) == (1.0, "N", 0.9, 1)
-    assert "in 2 of 5 frames (0.15 s)" in found.sentence()
+    assert (record["limit"], record["unit"], record["alarms"]) == (1.0, "N", 1)
+    assert "in 2 of 5 frames;" in found.sentence()
     assert "not a medical device" in found.sentence()
     assert sum(alarm().record()["frames"].values()) == 0
 

@@ -4,6 +4,7 @@ import dataclasses
 import tracemalloc
 from pathlib import Path
 
+import matplotlib.figure  # noqa: F401  what the writer imports meanwhile is no memory of a field
 import numpy as np
 
 from palpate.data.labels import TOOL
@@ -95,8 +96,4 @@ def test_only_what_is_known_is_painted_and_no_tool() -> None:
     np.testing.assert_array_equal(canvas[32, 40], [100] * 3)  # the corner that isn't known
     untouched = np.full((40, 50, 3), 100, np.uint8)
     draw_field(untouched, dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool)), 1.0)
-    np.testing.assert_array_equal(untouched, 100)  # no small picture either
-    draw_field(untouched, dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), shape_known=np.ones(4, bool)), 1.0)
-    painted = (untouched != 100).any(axis=2)
-    assert painted.any()
-    assert not painted[:, :25].any()  # the small picture alone
+    np.testing.assert_array_equal(untouched, 100)

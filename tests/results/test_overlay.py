@@ -8,7 +8,7 @@ import pytest
 from palpate.estimators.records import FrameEstimate
 from palpate.results import overlay
 from palpate.results.columns import UNITS
-from palpate.results.overlay import canvas_size, draw_overlay, shade, text, text_width, wrap_text
+from palpate.results.overlay import canvas_size, draw_overlay, text_width, wrap_text
 from palpate.results.verdicts import COLORS
 from tests.estimators.estimates import frame_in_contact
 
@@ -89,7 +89,6 @@ def test_notes_say_what_the_numbers_cannot() -> None:
     )
     assert overlay._notes(estimate) == [
         "Not determined by what was observed so far.",
-        "The simulated displacement is more than twice or less than half the observed one.",
         "Because.",
         f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
     ]
@@ -133,18 +132,3 @@ def test_wrapped_lines_fit_and_lose_nothing() -> None:
     assert max(text_width(found, 11) for found in lines) <= 200
     assert " ".join(lines).startswith(line)
     assert "".join(lines).endswith("name" * 3 + ".npy")
-
-
-def test_text_ends_where_it_is_told() -> None:
-    image = np.zeros((40, 300, 3), np.uint8)
-    text(image, "θ 0.5 ± 0.1", (290, 30), 20, (255, 255, 255), align="right")
-    written = np.flatnonzero(image.any(axis=(0, 2)))
-    assert written.max() <= 291
-    assert abs(np.ptp(written) - text_width("θ 0.5 ± 0.1", 20)) < 8
-
-
-def test_shade_darkens_only_its_rectangle() -> None:
-    image = np.full((20, 20, 3), 200, np.uint8)
-    shade(image, (5, 5), (10, 10), 0.5)
-    assert image[10, 10, 0] == 105
-    assert image[4, 10, 0] == image[15, 10, 0] == 200

@@ -3,7 +3,7 @@
 import pytest
 
 from palpate.estimators.records import FrameEstimate
-from palpate.results.verdicts import COLORS, MEANINGS, digits, is_far, numbers, state
+from palpate.results.verdicts import COLORS, MEANINGS, digits, numbers, state
 
 VALUES = {
     **dict.fromkeys(("stiffness_sd", "damping_sd", "force_sd"), 0.0123),
@@ -53,11 +53,3 @@ def test_a_frame_without_parameters_has_no_numbers() -> None:
 @pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])
 def test_digits_need_no_exponent(value: float, expected: str) -> None:
     assert digits(value, 2) == expected
-
-
-@pytest.mark.parametrize(
-    ("simulated", "observed", "far"), [(1.0, 1.9, False), (1.0, 2.1, True), (2.1, 1.0, True), (None, 1.0, False)]
-)
-def test_far_is_a_factor_of_two(simulated: float | None, observed: float, far: bool) -> None:
-    row = FrameEstimate(0, 0.0, "ok", simulated_displacement=simulated, observed_displacement=observed)
-    assert is_far(row) is far

@@ -1,35 +1,5 @@
 "use strict";
 
-/* Page of a batch: sorts the table of clips by a column and leaves out those that were not asked for. */
-function showClips(table) {
-  const body = table.tBodies[0], rows = [...body.rows];
-  const words = document.getElementById("words"), kind = document.getElementById("kind");
-  const choose = () => {
-    const wanted = words.value.trim().toLowerCase();
-    let shown = 0;
-    for (const row of rows) {
-      const text = row.textContent + [...row.cells].map(cell => cell.title).join(" ");
-      const fits = text.toLowerCase().includes(wanted) && (!kind.value || row.dataset.kinds.split(" ").includes(kind.value));
-      row.hidden = !fits;
-      shown += fits;
-    }
-    document.getElementById("counted").textContent = shown + " of " + rows.length + " clips";
-    document.getElementById("none").hidden = shown > 0;
-  };
-  words.addEventListener("input", choose);
-  kind.addEventListener("change", choose);
-  const heads = [...table.tHead.rows[0].cells];
-  heads.forEach((head, column) => head.firstElementChild.addEventListener("click", event => {
-    const down = head.getAttribute("aria-sort") === "ascending";
-    const number = event.currentTarget.dataset.kind === "number";
-    const key = row => (row.cells[column] || row.cells[1]).dataset.value;
-    const order = number ? (a, b) => key(a) - key(b) : (a, b) => key(a).localeCompare(key(b), "en", {numeric: true});
-    rows.sort((a, b) => down ? order(b, a) : order(a, b));
-    heads.forEach(other => other.setAttribute("aria-sort", other === head ? (down ? "descending" : "ascending") : "none"));
-    body.append(...rows);
-  }));
-}
-
 /* Page of a clip: curves under a cursor that goes with the video. */
 function showCurves(data) {
   const box = document.getElementById("curves"), now = document.getElementById("now");
@@ -126,13 +96,6 @@ function showCurves(data) {
     value: contact.stiffness, low: contact.stiffness_low, high: contact.stiffness_high, sure: contact.sure,
   }));
 
-  const names = ["", ...new Set(data.contacts.map(contact => contact.name))];
-  const verdicts = {names, words: names.map(name => name.replaceAll("_", " ")), index: times.map(() => 0)};
-  for (const contact of data.contacts) {
-    const first = times.findIndex(time => Math.abs(time - contact.time_s[0]) < 1e-6);
-    if (first >= 0) verdicts.index.fill(names.indexOf(contact.name), first, first + contact.time_s.length);
-  }
-
   const drawAll = () => {
     if (box.clientWidth === width) return;
     width = box.clientWidth;
@@ -142,7 +105,6 @@ function showCurves(data) {
     for (const unit of units) draw("force", "force, " + unit, data.contacts.filter(contact => contact.unit === unit).flatMap(forcePieces));
     if (runPieces.length) draw("stiffness", "stiffness by contact, " + data.unit, runPieces);
     if (framePieces.length) draw("stiffness", "stiffness by frame, " + data.unit, framePieces);
-    if (data.contacts.length) band("verdict of the contact", verdicts, "v-");
     band("verdict of the frame, or its status", data.state, "v-");
     if (data.alarm) band("alarm of the force limit", data.alarm, "a-");
     axis();
@@ -188,7 +150,7 @@ function showCurves(data) {
   box.addEventListener("pointerdown", event => { box.setPointerCapture(event.pointerId); seek(frameAt(event)); });
   box.addEventListener("pointermove", event => { if (event.buttons || !video) seek(frameAt(event)); });
   box.addEventListener("keydown", event => {
-    const steps = {ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10, Home: -last, End: last};
+    const steps = {ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10, Home: -last, End: last};
     if (!(event.key in steps)) return;
     event.preventDefault();
     if (video) video.pause();
@@ -207,10 +169,6 @@ function showCurves(data) {
   }
   new ResizeObserver(drawAll).observe(box);
   drawAll();
-  /* page.html#frame=12 opens there. */
-  const asked = /^#frame=(\d+)$/.exec(location.hash);
-  if (asked) seek(Number(asked[1]));
 }
 
-if (document.getElementById("clips")) showClips(document.getElementById("clips"));
 if (document.getElementById("data")) showCurves(JSON.parse(document.getElementById("data").textContent));

@@ -72,12 +72,6 @@ def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, fl
     assert SEEN[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03)
 
 
-def test_some_far_tissue_may_move_otherwise() -> None:
-    depth = REST * 1.01 + DENT
-    depth[:10, :40] += 0.05
-    np.testing.assert_allclose(recorder().frame(depth, TISSUE_ALL), SEEN, atol=3e-7)
-
-
 def test_what_is_hidden_is_not_a_number() -> None:
     depth, labels = REST + DENT, TISSUE_ALL.copy()
     row, column = CENTRE
@@ -149,14 +143,6 @@ def test_blurred_noise_makes_neighbours_alike(blur: float) -> None:
     assert still.correlated_in_place == pytest.approx(expected, rel=0.2)
 
 
-def test_errors_that_stay_are_as_alike_beside_new_ones_that_are_not() -> None:
-    kernel = gaussian_filter1d(np.eye(49)[24], 1.0)
-    noise = noise_of(0.6 * SIGMA * white(4) + 0.8 * SIGMA * blurred(white(5, 1), 1.0))
-    assert noise.correlated_in_time == 1
-    assert noise.in_place == pytest.approx(0.8 * SIGMA, rel=0.02)
-    assert noise.correlated_in_place == pytest.approx(np.square(kernel).sum() ** -2, rel=0.2)
-
-
 def test_noise_is_not_that_of_tissue_that_moves() -> None:
     """A few wild pixels, and what another instrument does far away, don't count."""
     frames = SIGMA * white(6)
@@ -171,16 +157,6 @@ def test_before_a_second_frame_all_noise_counts_as_new() -> None:
         assert made.noise(99) == depth_sequence.SequenceNoise(SIGMA, 0.0)
         made.frame(REST, TISSUE_ALL)
     assert made.noise(99) == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
-
-
-def test_a_frame_without_much_tissue_is_passed_over() -> None:
-    """Noise in time is then that between the frames beside it."""
-    frames, none = SIGMA * white(7, 3), np.full((HEIGHT, WIDTH), TOOL, np.uint8)
-    made = recorder()
-    made.frame(REST + frames[0], TISSUE_ALL)
-    assert made.frame(REST + frames[1], none) is None
-    made.frame(REST + frames[2], TISSUE_ALL)
-    assert made.noise(99) == noise_of(frames[[0, 2]])
 
 
 def test_a_sequence_holds_frames_times_and_size() -> None:

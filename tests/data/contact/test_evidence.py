@@ -110,13 +110,6 @@ def test_tool_pixels_that_the_mask_leaves_to_the_tissue_do_not_fake_contact(leak
     assert probabilities(drawn(line((3, 1)), 0.9, leak=leak))[-1] > CERTAIN
 
 
-def test_what_is_told_changes_within_two_frames() -> None:
-    """A tool passes, then holds: only from then on does tissue follow it."""
-    told = probabilities(drawn(line((4, 1)), 0.9, begins=4))
-    assert (told[1:5] < THRESHOLD).all()
-    assert (told[6:] > THRESHOLD).all()
-
-
 def prepared(number: int, view: View, *, status: str = "ok") -> PreparedFrame:
     nothing, picture_labels = np.zeros((4, 4)), np.where(view[1], TOOL, TISSUE).astype(np.uint8)
     frame = PreparedFrame(Frame(number, number, number / 25, view[0]), status, "", nothing, nothing, picture_labels)
@@ -204,18 +197,6 @@ def test_tissue_that_sinks_under_a_sliding_tool_is_not_passed_over() -> None:
     assert [frame.hovers for frame in frames[:3]] == [False, True, True]
     assert not frames[3].hovers  # the press may have begun here
     assert (frames[4].status, frames[4].undecided) == ("ok", True)
-
-
-def test_a_tool_that_moves_on_hovers_again() -> None:
-    ways = np.concatenate([COMES, COMES[-1] + line((0.0, 4.0), 4)[1:]])
-    frames = judged(frames_of(drawn(ways)))
-    assert [frame.hovers for frame in frames] == [False] + [True] * 3 + [False] * 5 + [True] * 3
-
-
-def test_frames_without_contact_have_no_probability() -> None:
-    [frame] = judged([prepared(0, drawn(line((0, 0), 1))[0], status="no_tool")])
-    assert math.isnan(frame.contact_probability)
-    assert (frame.hovers, frame.out_of_contact) == (False, True)
 
 
 def changed(views: list[View], wider: int) -> list[View]:

@@ -53,11 +53,6 @@ def test_only_what_was_seen_is_told(contact: Interaction) -> None:
     assert not contact_features(contact.observed(np.arange(0)))[: 4 * SLOTS].any()
 
 
-def test_lost_frames_are_interpolated(contact: Interaction) -> None:
-    kept = np.delete(np.arange(25), [3, 4, 10])
-    np.testing.assert_allclose(contact_features(contact.observed(kept)), contact_features(contact), atol=1e-6)
-
-
 def test_a_batch_is_its_members(contact: Interaction) -> None:
     around = contact_surroundings(contact)
     along = np.stack([np.linspace(0, k, SLOTS) for k in (1, 2)])

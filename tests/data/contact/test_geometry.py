@@ -70,19 +70,6 @@ def test_back_projection_inverts_projection(u, v, z, f, shift):
     assert height == pytest.approx(z, rel=1e-6)
 
 
-def test_back_projection_of_invalid_depth_is_the_origin_and_sizes_must_agree():
-    assert not back_project(np.zeros((48, 64), np.float32), CAMERA).any()
-    with pytest.raises(ValueError, match="depth map"):
-        back_project(np.zeros((4, 4), np.float32), CAMERA)
-
-
-def test_scaled_camera_sees_the_same_ray():
-    half = CAMERA.scaled(32, 24)
-    # The corner between full pixels 10 and 11 is the centre of half pixel 5.
-    assert (5 - half.cx) / half.fx == pytest.approx((10.5 - CAMERA.cx) / CAMERA.fx)
-    assert Camera.from_field_of_view(90, 200, 100).fx == pytest.approx(100)
-
-
 def test_camera_files_and_their_errors(tmp_path):
     entries = {"fx": 100, "fy": 110, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
     path = tmp_path / "camera.json"

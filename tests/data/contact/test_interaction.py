@@ -5,7 +5,6 @@ The streamed side goes through `estimators.runs`, the stored one through `data.t
 
 import dataclasses
 import itertools
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,11 @@ from palpate.data.clip import ClipStream
 from palpate.data.contact.interaction import Interaction
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
-from palpate.data.synthetic.source import open_synthetic
 from palpate.data.training.samples import SampleSettings, builder_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.runs import Run, RunTracker
 from palpate.physics.mechanics import Mechanics
-from tests.data.clips import GRID, SETTINGS, make_clip, remove_depth, remove_frame, stored, write_clip
-from tests.data.synthetic.test_source import SCENE
+from tests.data.clips import GRID, SETTINGS, remove_depth, remove_frame, stored, write_clip
 
 MECHANICS = Mechanics()
 SMOOTH = dataclasses.replace(GRID, smoothing=4.0)
@@ -107,17 +104,6 @@ def test_stream_and_prepared_clip_give_the_same_interaction(name: str, geometry,
     require_one_builder(runs, stored(clip, tmp_path / "cache"), settings)
 
 
-def test_a_noisy_synthetic_clip_whose_drift_is_subtracted(tmp_path: Path) -> None:
-    scene = dataclasses.replace(SCENE, depth_bits=8)
-    geometry = dataclasses.replace(SMOOTH, height=60, width=107, rigid_motion="subtract")
-    settings = PrepareSettings(geometry=geometry, masks="annotation")
-    clip = open_synthetic(make_clip(scene, 4), settings)
-    runs = tracked(clip)
-    assert [run.builder.noise > 0 for run in runs.values()] == [True]
-    assert [len(run.builder.build(MECHANICS).sequence.times) > 5 for run in runs.values()] == [True]
-    require_one_builder(runs, stored(clip, tmp_path), settings)
-
-
 def test_until_a_frame_a_run_is_what_was_known_then(tmp_path: Path) -> None:
     """Nothing comes from later frames: cut short, the stream says the same."""
     settings = dataclasses.replace(SETTINGS, geometry=ALONG)
@@ -132,23 +118,3 @@ def test_until_a_frame_a_run_is_what_was_known_then(tmp_path: Path) -> None:
                 require_same(tracker.current.builder.build(*told), whole.build(*told))
                 compared += 1
     assert compared == 27
-
-
-def test_a_long_press_takes_no_more_memory_than_a_short_one(tmp_path: Path) -> None:
-    clip = open_clip(tmp_path / "clip", "never released", SETTINGS)
-    *_, before, onset, _, _, last = clip
-    last.consecutive = True
-    mechanics = Mechanics(steps=40, load_steps=10)
-    tracker, sizes = RunTracker(ClipInfo.of(clip), mechanics.seconds), {}
-    tracker.push(before)
-    tracker.push(onset)
-    for count in range(1, 5001):
-        now = onset.frame.time_s + count / 25
-        moment = dataclasses.replace(last.frame, index=8 + count, number=8 + count, time_s=now)
-        assert tracker.push(dataclasses.replace(last, frame=moment)) is None
-        if count in (50, 5000):
-            sizes[count] = len(pickle.dumps(tracker.current))
-    assert sizes[5000] - sizes[50] < 10  # larger numbers
-    run = tracker.finish().builder
-    assert run.pressed == 5000
-    np.testing.assert_allclose(run.build(mechanics).observation.times, [0.04, 0.08, 0.12, 0.16, 0.2])

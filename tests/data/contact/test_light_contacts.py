@@ -126,20 +126,6 @@ def test_an_instrument_that_goes_along_with_the_dent_of_oblique_tissue_still_pre
     assert pressed_in(frames) == list(range(8, 18))
 
 
-def test_a_press_begins_with_the_first_dent_though_frames_between_do_not_show_it():
-    """As where the instrument hides all but the dent's edge: outlines alone would say where the first of them is."""
-    darkness = [0.0] * 9 + [0.2, 0.0, 0.2, 0.0] + [0.2] * 4
-    frames = [prepared(index, dark, tool=index >= 8, shift=6, along=0.0) for index, dark in enumerate(darkness)]
-    assert pressed_in(frames) == list(range(8, 17))
-
-
-def test_a_half_hidden_press_begins_when_the_instrument_came_although_it_is_not_next_to_what_shows():
-    frames = [prepared(index, 0.2 if index >= 12 else 0.0, tool=index >= 8, shift=7, along=0.0) for index in range(18)]
-    for frame in frames:  # something that doesn't show lies next to the dent
-        frame.frame.picture[4 * 35 : 4 * 40, 4 * 34 : 4 * 46] = 255
-    assert pressed_in(frames) == list(range(8, 18))
-
-
 @pytest.mark.parametrize("wide", [None, 10], ids=["alone", "while a wider instrument stands"])
 def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
     """It is as dark while the instrument moves as when it stands."""
@@ -152,29 +138,6 @@ def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
             frame.picture_labels[upper] = np.roll(frame.picture_labels[upper], shift, axis=1)
             frame.labels = frame.picture_labels[2::4, 2::4]
         frames.append(frame)
-    assert not pressed_in(frames)
-
-
-def test_the_shadow_of_an_instrument_that_moves_slowly_is_no_press():
-    """It stands for no two frames, although it hardly moves from one to the next, and its shadow becomes darker."""
-    frames = [prepared(index, tool=False) for index in range(6)]
-    frames += [prepared(index, 0.03 if index == 6 else 0.2, shift=index - 12, along=1.0) for index in range(6, 18)]
-    assert not pressed_in(frames)
-
-
-def test_a_press_is_found_while_a_wider_instrument_moves():
-    darkness = [0.0] * 8 + [0.1, 0.3, 0.4, 0.4, 0.4] + [0.02, 0.0, 0.0]
-    frames = [prepared(each, dark, tool=4 <= each < 13, wide=8 + 3 * each) for each, dark in enumerate(darkness)]
-    pressed = [frame for frame in decided(frames) if frame.press is not None]
-    assert [frame.frame.index for frame in pressed][-4:] == [9, 10, 11, 12]
-    assert all(abs(frame.press[0] - DENT[1]) <= 1 for frame in pressed)
-
-
-def test_tissue_that_is_pulled_along_brightens_as_well_and_is_no_press():
-    frames = [prepared(index, tool=index >= 4) for index in range(14)]
-    for index, frame in enumerate(frames[8:], start=1):
-        rows = np.s_[4 * 33 : 4 * 40, 4 * 34 : 4 * 46]
-        frame.frame.picture[rows] = np.roll(frame.frame.picture, (0, 4 * index), axis=(0, 1))[rows]
     assert not pressed_in(frames)
 
 

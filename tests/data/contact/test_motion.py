@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry, move_contact
-from palpate.data.contact.motion import DENTED, LOST, SHADING_NOISE, ContactMotion
+from palpate.data.contact.geometry import TISSUE, TOOL, GeometrySettings, frame_geometry
+from palpate.data.contact.motion import DENTED, LOST, ContactMotion
 from palpate.data.contact.refinement import REFINE_FRAMES, pressed_pixel
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -191,12 +191,6 @@ def test_noise_is_measured_away_from_the_outlines() -> None:
     assert onset.detail.startswith("The masks' outlines disagree with the depth: 100%")
 
 
-def test_depth_from_shading_is_never_smooth_beyond_doubt() -> None:
-    frames, _ = follow(motion(from_shading=True), REFINE_FRAMES + 2)
-    assert frames[ONSET].geometry.noise == SHADING_NOISE > 3 * NOISE
-    assert not any(prepared.detail for prepared in frames[ONSET:-1])
-
-
 @pytest.mark.parametrize("what", ["no flow", "no depth"])
 def test_a_lost_track_is_told(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     linked = motion()
@@ -261,17 +255,6 @@ def test_a_contact_after_a_refused_one_is_judged_anew(what: str) -> None:
     assert [prepared.detail for prepared in frames[-2:]] == ["", ""]
     start = frames[-2].frame.index if what == "at rest again" else -1  # back in view, contact is already there
     assert [prepared.track_start for prepared in frames[-2:]] == [start] * 2
-
-
-def test_a_moved_contact_is_the_meshes_own_vertex(onset: PreparedFrame) -> None:
-    geometry = onset.geometry
-    u, v = geometry.pixel
-    moved = move_contact(geometry, (u - 2, v))
-    assert moved.pixel == (u - 2, v)
-    np.testing.assert_array_equal(moved.mesh.pixels[moved.vertex], (v, u - 2))
-    np.testing.assert_array_equal(moved.tissue_point, moved.mesh.vertices[moved.vertex])
-    assert moved.distance == pytest.approx(np.linalg.norm(geometry.tool_point - moved.tissue_point))
-    assert (moved.noise, moved.touching) == (geometry.noise, geometry.touching)
 
 
 def test_a_camera_that_comes_nearer_hides_no_dent(onset: PreparedFrame) -> None:

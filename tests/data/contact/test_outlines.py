@@ -1,10 +1,9 @@
 """Frayed outlines: depth tells tool from tissue where masks can't."""
 
 import numpy as np
-import pytest
 
 from palpate.data.contact.geometry import TISSUE, TOOL
-from palpate.data.contact.outlines import frayed_share, inside, near, tool_depth, uncover
+from palpate.data.contact.outlines import inside, near, tool_depth, uncover
 
 NOISE = 0.001
 SHAPE = (20, 24)
@@ -58,15 +57,3 @@ def test_the_tools_outline_takes_the_depth_of_the_tool_beside_it() -> None:
     assert cleaned[10, 14] == 0
     nothing = np.zeros(SHAPE, bool)
     np.testing.assert_array_equal(tool_depth(depth, nothing), depth)
-
-
-def test_the_share_of_tool_that_counts_as_tissue() -> None:
-    depth, labels = flat()
-    rest = np.full(SHAPE, 0.5)
-    # Beside the tool: columns 10 and 11, rows 4 to 15.
-    assert frayed_share(depth, labels, rest, NOISE) == 0
-    depth[6:12, 11] = 0.45
-    assert frayed_share(depth, labels, rest, NOISE) == pytest.approx(6 / 24)
-    rest[:10] = 0  # not known
-    assert frayed_share(depth, labels, rest, NOISE) == pytest.approx(2 / 12)
-    assert frayed_share(depth, np.full(SHAPE, TISSUE), rest, NOISE) == 0

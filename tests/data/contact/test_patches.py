@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from benchmarks.recovery.trial import observed_contacts
 from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import MAX_SAMPLES, MAX_SHIFT, Patches, footprint
+from palpate.data.contact.patches import MAX_SHIFT, Patches, footprint
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import Scene
@@ -16,7 +16,7 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import TrueMotion
 from palpate.estimators.contract import ClipInfo
-from palpate.physics.mesh import Mesh, focal_length, grid_mesh
+from palpate.physics.mesh import Mesh, grid_mesh
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)
@@ -84,14 +84,6 @@ def window_pixels() -> np.ndarray:
     return np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
 
 
-def test_the_focal_length_is_the_cameras() -> None:
-    np.testing.assert_allclose(focal_length(mesh_of(CURVED)), [CAMERA.fx, CAMERA.fy], rtol=1e-6)
-    wide = Camera.from_field_of_view(75, 854, 480).scaled(214, 120)
-    depth = 0.5 + 0.1 * np.random.default_rng(0).random((120, 214))
-    mesh = grid_mesh(back_project(depth, wide), depth > 0.53, max_edge=1.0)
-    np.testing.assert_allclose(focal_length(mesh), [wide.fx, wide.fy], rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("count", "pixels"), [(60, 60), (60, 120), (60, 90), (214, 854), (120, 480), (60, 353), (7, 42)]
 )
@@ -112,45 +104,6 @@ def test_footprints_are_those_of_an_area_average(count: int, pixels: int) -> Non
         np.testing.assert_allclose((shares * row[np.clip(index, 0, pixels - 1)]).sum(axis=1), shrunk, atol=2e-6)
 
 
-def test_parts_of_pixels_are_those_of_a_finer_picture() -> None:
-    cells = np.arange(10, 20)
-    parts, finer = footprint(cells, 60, 120, 3), footprint(cells, 60, 360)
-    for middles, shares, wanted, even in zip(*parts, *finer, strict=True):
-        np.testing.assert_allclose(np.sort(middles[shares > 0]), np.sort(wanted[even > 0]), atol=1e-12)
-        np.testing.assert_allclose(shares[shares > 0], even[even > 0], atol=1e-12)
-    # A pixel that is the grid's shows one patch.
-    np.testing.assert_array_equal(footprint(cells, 60, 60, 3)[0], footprint(cells, 60, 60)[0])
-
-
-@pytest.mark.parametrize("pixels", [60, 47])
-def test_a_picture_no_larger_than_the_grid_has_one_sample(pixels: int) -> None:
-    middles, shares = footprint(np.arange(60), 60, pixels)
-    np.testing.assert_array_equal(middles, np.arange(60)[:, None])
-    np.testing.assert_array_equal(shares, 1)
-
-
-def test_of_much_larger_pictures_some_places_stand_for_all() -> None:
-    middles, shares = footprint(np.arange(10, 20), 60, 60 * 17)
-    assert shares.shape == (10, MAX_SAMPLES)
-    np.testing.assert_allclose(shares, 1 / MAX_SAMPLES)
-    np.testing.assert_allclose(middles.mean(axis=1), np.arange(10, 20))
-    np.testing.assert_allclose(np.diff(np.sort(middles.ravel())), 1 / MAX_SAMPLES)
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_samples_have_the_shares_of_both_axes(size: tuple[int, int]) -> None:
-    weights = patches_of(size=size)[0].weights
-    assert (weights.shape == (SIDE * SIDE, 1)) == (size == (WIDTH, HEIGHT))
-    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
-    np.testing.assert_allclose(weights, samples_of(size)[1], atol=1e-15)
-
-
-def test_patches_are_all_that_pixels_can_show() -> None:
-    patches, mesh = patches_of()
-    apart = np.abs(mesh.pixels - CENTRE).max(axis=1)
-    np.testing.assert_array_equal(patches.vertices, np.flatnonzero(apart <= REACH + MAX_SHIFT))
-
-
 def test_on_a_plane_shift_is_the_cameras_and_sunk_the_new_depth_less_that_at_rest_where_it_lies() -> None:
     patches, mesh = patches_of(PLANE)
     moved = moves(0, len(patches.vertices), size=0.01)
@@ -160,14 +113,6 @@ def test_on_a_plane_shift_is_the_cameras_and_sunk_the_new_depth_less_that_at_res
     np.testing.assert_allclose(patches.shift(moved), shift, atol=1e-5)
     assert np.abs(shift).max() > 1
     np.testing.assert_allclose(patches.sunk(moved), after[..., 2] - (0.5 + places @ [0.0007, -0.0004]), atol=1e-6)
-
-
-def test_tissue_that_slides_along_itself_does_not_sink() -> None:
-    patches, mesh = patches_of(PLANE)
-    shift = np.random.default_rng(2).uniform(-1, 1, (3, len(patches.vertices), 2))
-    moved = shifting(patches, mesh, shift, shift @ [-0.0004, 0.0007])
-    assert np.abs(moved[..., 2]).max() > 5e-4
-    np.testing.assert_allclose(patches.sunk(moved), 0, atol=2e-7)
 
 
 @pytest.mark.parametrize("hole", [None, (20, 30)])
@@ -211,14 +156,6 @@ def test_what_comes_from_too_far_away_is_not_known() -> None:
     covering = patches.covering(shifting(patches, mesh, (0, far))).reshape(SIDE, SIDE)
     assert (covering[:, far - MAX_SHIFT :] >= 0).all()
     assert (covering[:, : far - MAX_SHIFT] == -1).all()
-
-
-def test_half_a_pixel_of_shift_shows_half_of_each() -> None:
-    """Of four samples a pixel in a row, two show each neighbour."""
-    patches, mesh = patches_of(size=(4 * WIDTH, 4 * HEIGHT))
-    covering = patches.covering(shifting(patches, mesh, (0.0, 0.5)))
-    shown = patches.shown(1.0 * pixels_of(patches, mesh)[None], covering)[0]
-    np.testing.assert_allclose(shown, window_pixels() - (0, 0.5), atol=1e-12)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -267,31 +204,6 @@ def test_what_is_hidden_or_folded_is_not_known(size: tuple[int, int]) -> None:
     assert np.isnan(shown[SIDE * SIDE // 2])
     apart = np.abs(window_pixels()).max(axis=1)
     np.testing.assert_array_equal(shown[apart > 3], 1)
-
-
-def test_what_is_shown_is_the_mean_over_a_pixels_samples() -> None:
-    patches, _ = patches_of(size=SIZES[2])
-    generator = np.random.default_rng(7)
-    count = len(patches.vertices)
-    values = generator.normal(size=(2, count, 3, 2))
-    covering = generator.integers(0, count, (2, *patches.weights.shape))
-    covering[:, patches.weights == 0] = -1  # samples without a share may show nothing
-    covering[1, 5, patches.weights[5].argmax()] = -1
-    shown = patches.shown(values, covering)
-    assert shown.shape == (2, SIDE * SIDE, 3, 2)
-    known = np.ones((2, SIDE * SIDE), bool)
-    known[1, 5] = False
-    np.testing.assert_array_equal(np.isfinite(shown).all(axis=(2, 3)), known)
-    for frame, pixel in ((0, 0), (0, 100), (1, 4), (1, 224)):
-        expected = np.einsum("k,kij->ij", patches.weights[pixel], values[frame, covering[frame, pixel]])
-        np.testing.assert_allclose(shown[frame, pixel], expected, atol=1e-12)
-
-
-def test_where_pixels_are_alike_nothing_turns() -> None:
-    patches, _ = patches_of()
-    moved = moves(8, len(patches.vertices))
-    np.testing.assert_array_equal(patches.turning(moved, np.ones((*moved.shape, 5))), np.zeros((2, SIDE * SIDE, 5)))
-    np.testing.assert_array_equal(patches.steepness(moved), np.zeros((2, SIDE * SIDE)))
 
 
 def test_pixels_turn_to_what_comes_from_beside_them() -> None:
@@ -359,14 +271,3 @@ def test_rendered_clips_show_what_patches_say() -> None:
     assert seen[~under].all()
     assert seen.mean() > 0.85
     np.testing.assert_allclose(contact.sequence.change[seen], expected[seen], atol=1e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "size"), [(1, (854, 480)), (4, (214, 120)), (4, (856, 480)), (5, (428, 240))])
-def test_patches_ends_are_where_the_renderers_are(seed: int, size: tuple[int, int]) -> None:
-    """All but a few pixels at a dent's walls, whose samples lie at the end of a patch, agree."""
-    contact, scene, motion = clip_of(seed, size)
-    apart = np.abs(contact.sequence.change - truly_shown(contact, scene, motion))
-    apart = apart[np.isfinite(apart)]
-    assert (apart > 3e-4).mean() < 0.02
-    assert np.sqrt(np.square(apart).mean()) < 4e-4

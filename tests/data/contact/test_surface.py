@@ -47,19 +47,6 @@ def test_curved_tissue_is_not_cut_off() -> None:
     assert noise == pytest.approx(1e-4 * 3.0**2, rel=0.1)
 
 
-def test_a_line_of_pixels_holds_no_plane_and_takes_its_mean() -> None:
-    line = np.zeros(PLANE.shape, bool)
-    line[20, 10] = True
-    smooth, noise = smooth_surface(PLANE, line, 3.0)
-    np.testing.assert_allclose(smooth, PLANE, atol=1e-7)
-    assert noise == pytest.approx(0, abs=1e-7)
-    column = np.zeros(PLANE.shape, bool)
-    column[10:30, 10] = True
-    smooth, _ = smooth_surface(PLANE, column, 1.0)
-    # In the middle the neighbours above and below balance each other.
-    assert smooth[20, 10] == pytest.approx(PLANE[20, 10], abs=1e-7)
-
-
 def test_no_tissue_leaves_everything_and_has_no_noise() -> None:
     smooth, noise = smooth_surface(PLANE, np.zeros(PLANE.shape, bool), 3.0)
     np.testing.assert_array_equal(smooth, PLANE)

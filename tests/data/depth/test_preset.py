@@ -8,12 +8,12 @@ from palpate.data.source.layout import InputError
 
 def test_shipped_presets_are_the_documented_ones():
     presets = {name: load_preset(name) for name in preset_names()}
-    networks = "depth-anything-v2 depth-anything-v2-metric depthpro depthpro-canonical metric3d midas-small photometric"
+    networks = "depth-anything-v2 depth-anything-v2-metric depthpro depthpro-canonical metric3d midas-small"
     assert [preset.name for preset in presets.values()] == list(presets) == networks.split()
-    assert all(preset.model or preset.obtain for preset in presets.values())
+    assert all(preset.obtain for preset in presets.values())
     depthpro, metric3d = presets["depthpro"], presets["metric3d"]
     assert (depthpro.focal_output, depthpro.focal_grid) == ("focallength_px", 1536)
-    assert (presets["depth-anything-v2"].kind, presets["photometric"].kind) == ("relative_inverse", "relative")
+    assert presets["depth-anything-v2"].kind == "relative_inverse"
     assert (metric3d.value_scale, metric3d.mean, metric3d.canonical_focal_px) == (255, (0.0, 0.0, 0.0), 1000)
 
 

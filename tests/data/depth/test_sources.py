@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.depth.sources import StoredDepth, check_map, from_inverse, from_relative_inverse
+from palpate.data.depth.sources import StoredDepth, from_relative_inverse
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 
@@ -101,11 +101,6 @@ def test_arrays_are_read_as_the_layout_says_and_invalid_parts_keep_the_rest(tmp_
         np.testing.assert_allclose(depth[8:], expected[8:], rtol=rtol)
 
 
-def test_one_of_two_arrays_must_be_named(tmp_path):
-    with pytest.raises(InputError, match=r"7.npz holds z, other; name one of them as layout.depth_key"):
-        stored(tmp_path, TWO, NPZ)
-
-
 def test_depth_of_another_resolution_takes_the_nearest_pixel(tmp_path):
     depth = stored(tmp_path, RAMP[::2, ::2])
     assert (depth.shape, set(np.unique(depth))) == ((HEIGHT, WIDTH), set(np.unique(RAMP[::2, ::2])))
@@ -181,11 +176,6 @@ def test_impossible_declared_scale_is_named(tmp_path, scale):
 # Closed forms
 
 
-def test_inverse_depth():
-    values = np.array([[0.5, 2.0, 0.0, -1.0, np.nan, np.inf]], np.float32)
-    assert from_inverse(values).tolist() == [[2.0, 0.5, 0, 0, 0, 0]]  # what is not positive has none
-
-
 def test_relative_inverse_depth_meets_near_and_far():
     values = np.array([[1.0, 3.0, 2.0, 0.0, -9.0, 5.0, np.nan]], np.float32)
     depth = from_relative_inverse(values, (1.0, 3.0), 0.05, 0.2)
@@ -207,10 +197,3 @@ def test_relative_inverse_depth_is_positive_bounded_and_falls(values, low, width
     assert (depth > 0).all()
     assert (depth <= near * ratio * (1 + 1e-6)).all()
     assert (np.diff(depth) <= 1e-6 * depth[:, :-1]).all()
-
-
-def test_check_map_accepts_signed_maps_where_they_mean_something():
-    check_map(RAMP - 0.5, "map", signed=True)
-    check_map(np.where(RAMP > 0.7, RAMP, np.nan), "map", signed=False)
-    with pytest.raises(InputError, match="map is the same everywhere"):
-        check_map(np.full((4, 4), -2.0), "map", signed=True)

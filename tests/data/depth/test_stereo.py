@@ -12,7 +12,6 @@ import pytest
 import yaml
 
 from palpate.data.clip import ClipStream
-from palpate.data.depth import stereo
 from palpate.data.depth.normalise import DepthSettings, estimate_scale, open_depth
 from palpate.data.depth.sources import DepthSource
 from palpate.data.settings import PrepareSettings
@@ -89,15 +88,6 @@ def test_depth_is_metric_within_a_percent(tmp_path: Path, surface: np.ndarray) -
     assert depth.metres is not None
     assert depth.metres == (1.0, pytest.approx(math.hypot(0.01, 0.25 / 42), rel=0.05), "stereo")
     assert not depth.warnings
-
-
-def test_a_pair_whose_rows_cannot_be_compared_is_metric_if_it_matches(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stereo, "row_offsets", lambda *_: np.full(3, np.nan))
-    depth, _, _ = opened(write(tmp_path / "clip", [pair(PLANE)]))
-    assert depth.metres is not None
-    assert depth.warnings == [stereo.NOT_COMPARED]
 
 
 def test_a_clips_scene_unit_is_in_metres_by_stereo(tmp_path: Path) -> None:

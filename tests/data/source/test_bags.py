@@ -8,7 +8,7 @@ import pytest
 
 from palpate.data.source.camera import Rig, clip_camera
 from palpate.data.source.discovery import discover
-from palpate.data.source.frames import FrameSource, halves, open_source
+from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
 from palpate.estimators.calibration_file import read_calibration
 from tests.data.bags import RATE, write_bag
@@ -61,14 +61,6 @@ def test_a_compressed_picture_that_is_none_is_named_with_its_format(tmp_path):
     assert "on /a of" in errors[0]
     assert "(format 'h264') holds H.264 or H.265 video; record JPEG or PNG, or convert the topic" in errors[0]
     assert "(format 'jpeg ') can't be decoded as JPEG or PNG; record" in errors[1]
-
-
-def test_left_halves_of_a_bags_pictures_keep_its_clock_and_frame(tmp_path):
-    whole = open_source(written(tmp_path / "clip.bag", [{"index": 7}]), LAYOUT)
-    left = halves(whole, ClipLayout(right="side-by-side"))
-    assert (left.begin_ns, left.frame_id) == (whole.begin_ns, whole.frame_id)
-    assert left.begin_ns > 0
-    assert left.frame_id != FrameSource.frame_id
 
 
 def written(path, images):

@@ -58,28 +58,6 @@ def test_a_decoder_says_nothing_of_its_own(tmp_path, capfd, content):
     assert capfd.readouterr().err == "and what comes after it is seen"
 
 
-def test_a_text_that_unpacks_to_far_more_is_no_part_of_the_picture(tmp_path, capfd):
-    bomb = chunk(b"zTXt", b"k\0\0" + zlib.compress(b"A" * 30_000_000, 9))
-    (tmp_path / "1.png").write_bytes(png(64, 48, 2, ROWS, bomb))
-    assert (read_image(tmp_path / "1.png") == 0x55).all()
-    assert capfd.readouterr().err == ""
-
-
-def test_pixels_that_unpack_to_more_than_the_picture_are_not_unpacked(tmp_path):
-    (tmp_path / "1.png").write_bytes(png(64, 48, 2, b"\0" * 100_000_000))
-    with pytest.raises(InputError, match=r"1\.png is far larger than a picture of 64x48; store it anew\."):
-        read_image(tmp_path / "1.png")
-
-
-def test_pixels_that_can_t_be_packed_are_read(tmp_path):
-    """16 bits and four channels of noise: as many bytes as a picture can have, and a text beside them."""
-    picture = np.random.default_rng(0).integers(0, 2**16, (48, 64, 4), np.uint16)
-    content = cv2.imencode(".png", picture)[1].tobytes()
-    assert len(content) > 8 * 48 * 64
-    (tmp_path / "1.png").write_bytes(content[:33] + chunk(b"tEXt", b"k\0" + b"A" * 10**6) + content[33:])
-    np.testing.assert_array_equal(read_image(tmp_path / "1.png", cv2.IMREAD_UNCHANGED), picture)
-
-
 def test_a_file_that_no_picture_has_is_not_read(tmp_path):
     with (tmp_path / "1.png").open("wb") as file:
         file.truncate(12 * 2**30)

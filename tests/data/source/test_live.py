@@ -1,7 +1,6 @@
 """Pictures as they come: in order, none silently lost, and never older than asked for."""
 
 import io
-import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -27,14 +26,6 @@ def test_pictures_come_in_order_and_one_frame_apart():
     assert [frame.picture[0, 0, 0] for frame in frames] == [0, 1, 2, 3, 4]
     assert [(frame.index, frame.number, frame.time_s) for frame in frames] == [(k, k, k / 20) for k in range(5)]
     assert (sorted(source.came), source.dropped, source.stalls) == ([0, 1, 2, 3, 4], 0, 0)
-
-
-def test_who_iterates_again_goes_on():
-    source = LiveSource("somewhere", marked(5), 20.0, 60.0)
-    assert [frame.picture[0, 0, 0] for frame in itertools.islice(source, 2)] == [0, 1]
-    frames = list(source)
-    assert [frame.picture[0, 0, 0] for frame in frames] == [2, 3, 4]
-    assert [(frame.index, frame.number, frame.time_s) for frame in frames] == [(k, k, k / 20) for k in range(3)]
 
 
 def test_what_waits_too_long_is_dropped_and_counted():

@@ -1,6 +1,5 @@
 """Sequences beside a robot: what is read of them, and bad ones, each of which is a sentence."""
 
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,15 +58,6 @@ def test_a_cloud_that_is_none_is_a_sentence(tmp_path: Path, name: str, content: 
         read_cloud(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.pcd", "a.npz"])
-def test_a_cloud_without_points_is_one(tmp_path: Path, name: str) -> None:
-    axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 0\n{axes}end_header\n")
-    (tmp_path / "a.pcd").write_text("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS 0\nDATA binary\n")
-    np.savez(tmp_path / "a.npz", points=np.empty((0, 3)))
-    assert read_cloud(tmp_path / name).shape == (0, 3)
-
-
 @pytest.mark.parametrize("points", ["followed.npz", None])
 def test_frames_without_tissue_are_passed_over(tmp_path: Path, points: str | None) -> None:
     path = write_sequence(tmp_path, 8, points=points)
@@ -87,14 +77,6 @@ def test_followed_points_that_are_nowhere_are_a_sentence(tmp_path: Path) -> None
     np.savez(tmp_path / "followed.npz", points=np.full((7, 5, 3), np.nan))
     with pytest.raises(InputError, match=r"followed\.npz can't be read as points .*or none is finite"):
         checked(path)
-
-
-def test_every_cloud_is_read_once_to_be_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sequence, read = open_sequence(write_sequence(tmp_path, 4)), []
-    cloud = Sequence.cloud
-    monkeypatch.setattr(Sequence, "cloud", lambda self, frame: read.append(frame) or cloud(self, frame))
-    require_fit(sequence)
-    assert sorted(read) == [0, 1, 2, 3, 4]
 
 
 def test_clouds_points_and_poses_are_in_the_robots_frame(tmp_path: Path) -> None:
@@ -200,27 +182,6 @@ def test_followed_points_off_the_clouds_are_told(tmp_path: Path, damage: Callabl
     np.savez(tmp_path / "followed.npz", points=damage(np.load(tmp_path / "followed.npz")["points"]))
     with pytest.raises(InputError, match=r"sequence\.yaml: points lie off the clouds; give both in one unit and frame"):
         checked(path)
-
-
-def test_clouds_that_have_been_looked_at_are_not_kept(tmp_path: Path) -> None:
-    """A depth camera's 150 frames were 1.5 GB at once."""
-    path = write_sequence(tmp_path, 20)
-    for file in (tmp_path / "clouds").iterdir():
-        np.savez(file, points=np.repeat(np.load(file)["points"], 20, axis=0))
-    sequence = open_sequence(path)
-    one = sequence.cloud(0).nbytes
-    tracemalloc.start()
-    require_fit(sequence)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 12 * one
-
-
-def test_corners_of_a_box_may_come_in_any_order(tmp_path: Path) -> None:
-    swapped = {"low": [0.4, 0.1, 0.3], "high": [0.2, 0.3, -0.1]}
-    np.testing.assert_allclose(
-        open_sequence(write_sequence(tmp_path, 2, pins=[swapped])).pins, [[[0.2, 0.1, -0.1], [0.4, 0.3, 0.3]]]
-    )
 
 
 def test_a_wrench_is_turned_freed_of_its_bias_and_of_the_right_sign(tmp_path: Path) -> None:

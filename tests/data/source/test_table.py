@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.data.source.table import read_columns, reason
+from palpate.data.source.table import read_columns
 
 
 def test_columns_come_in_the_order_that_is_asked_for(tmp_path: Path) -> None:
@@ -45,8 +45,3 @@ def test_what_is_wrong_is_told_in_a_few_words(tmp_path: Path, content: bytes, sa
         read_columns(tmp_path / "a.csv", ("a", "b"), "table")
     give = "give a CSV file with the columns a, b, separated by commas, and numbers alone below."
     assert str(refused.value).endswith(f"a.csv is no table ({said}); {give}")
-
-
-@pytest.mark.parametrize("error", [TypeError("'NoneType'"), RecursionError(), AttributeError("x")])
-def test_what_python_says_of_itself_is_not_told(error: Exception) -> None:
-    assert reason(error) == "it is built otherwise"

@@ -33,27 +33,6 @@ def test_a_cropped_mesh_moves_like_the_whole(scene: Scene) -> None:
     assert np.abs(cropped - whole).max() < 1e-3 * np.abs(whole).max()
 
 
-def test_draws_keep_to_their_ranges() -> None:
-    contacts = draw_contacts(SETTINGS, 11, 4, 0.005)
-    assert len({tuple(contact.theta) for contact in contacts}) == len(contacts) == 4
-    for contact in contacts:
-        assert ((contact.theta >= [0.2, 0.01, -0.3]) & (contact.theta <= [1.0, 0.3, -0.03])).all()
-        moved = np.linalg.norm(contact.interaction.moved, axis=1).max()
-        assert moved <= SETTINGS.peak_displacement[1] * 1.01
-        assert 0.25 - 4 * 0.005 <= contact.interaction.load_seconds <= 0.5 + 4 * 0.005
-        np.testing.assert_allclose(contact.interaction.observation.times, np.arange(1, 26) / 25)
-
-
-def test_a_press_may_outlast_the_second_that_is_stored() -> None:
-    long = dataclasses.replace(SETTINGS, press_seconds=(1.2, 1.3))
-    for contact in draw_contacts(long, 11, 2, 0.005):
-        seen = contact.interaction
-        assert not seen.released
-        press = Press.at(seen.vertex, seen.direction, np.ones(FINE_MECHANICS.steps))
-        loaded = simulate(contact.theta, seen.mesh, press, FINE_MECHANICS)
-        np.testing.assert_allclose(seen.moved, loaded[15::16], atol=1e-7)
-
-
 def test_the_same_seed_gives_the_same_contacts() -> None:
     first, again = (draw_contacts(SETTINGS, 5, 2, 0.005) for _ in range(2))
     for one, two in zip(first, again, strict=True):
@@ -105,12 +84,3 @@ def test_motions_follow_the_fitted_simulator() -> None:
     coarse = dataclasses.replace(FINE_MECHANICS, time_step=seen.time_step, steps=seen.load.steps)
     path = simulate(contact.theta, seen.mesh, seen.load, coarse)
     assert np.abs(path[seen.observation.steps(seen.time_step)] - seen.moved).max() < 5e-4
-
-
-@pytest.mark.parametrize("reach", [2, 5])
-def test_the_cut_edge_is_held(scene: Scene, reach: int) -> None:
-    mesh, _, cut = crop_mesh(scene.mesh, scene.vertex, reach)
-    edge = np.abs(mesh.pixels - scene.mesh.pixels[scene.vertex]).max(axis=1) == reach
-    np.testing.assert_array_equal(cut, edge)
-    assert edge.any()
-    assert mesh.rim[edge].all()

@@ -28,13 +28,6 @@ def test_lost_points_count_nothing_and_stay_lost() -> None:
     np.testing.assert_allclose(found[~lost], 0, atol=1e-10)
 
 
-def test_the_farthest_of_the_points_that_are_seen_are_meant() -> None:
-    """Where all points far away are lost, the farthest of the others take their place."""
-    near = DISTANCE <= 80
-    found = without_background(POINTS, np.where(near[:, None], CARRIED, np.nan), DISTANCE)
-    np.testing.assert_allclose(found[near], 0, atol=1e-10)
-
-
 def test_too_few_points_determine_nothing() -> None:
     """Four tenths of 15 points are 6, of 12 points but 5."""
     chosen = np.arange(0, len(POINTS), len(POINTS) // 15)[:15]
@@ -42,7 +35,3 @@ def test_too_few_points_determine_nothing() -> None:
     np.testing.assert_allclose(without_background(points, moved, distance), 0, atol=1e-9)
     assert (distance[:12] > np.percentile(distance[:12], 60)).sum() == MIN_FAR - 1
     np.testing.assert_array_equal(without_background(points[:12], moved[:12], distance[:12]), moved[:12])
-
-
-def test_where_no_point_is_seen_nothing_is_said() -> None:
-    assert np.isnan(without_background(POINTS, np.full_like(POINTS, np.nan), DISTANCE)).all()

@@ -14,19 +14,6 @@ def gray(picture: np.ndarray) -> np.ndarray:
     return picture.mean(axis=2).astype(np.uint8)
 
 
-def test_a_prepared_picture_has_lost_its_local_mean() -> None:
-    """Light that grows from place to place leaves nothing; a fleck as much as it differs from what is around it."""
-    bright = np.broadcast_to(np.linspace(20, 220, 855), (481, 855)).astype(np.uint8)
-    flecked = np.full((481, 855), 90, np.uint8)
-    flecked[200, 300] = 100
-    linker = linking.Linker()
-    inside = slice(linking.LOCAL, -linking.LOCAL), slice(linking.LOCAL, -linking.LOCAL)
-    np.testing.assert_allclose(linker.prepared(bright).exact[inside], linking.GREY, atol=1)
-    prepared = linker.prepared(flecked)
-    assert prepared.exact[200, 300] == linking.GREY + 10
-    assert (np.abs(prepared.exact.astype(int) - linking.GREY).sum(), prepared.rough.shape) == (10, (120, 213))
-
-
 def prepared(linker: linking.Linker, *pictures: np.ndarray) -> list[linking.Prepared]:
     return [linker.prepared(gray(picture)) for picture in pictures]
 
@@ -56,16 +43,6 @@ def test_a_way_that_is_known_roughly_is_found_there_and_back() -> None:
     places, returned = linker.refine(one, other, PLACES, grid_of((5.0, -3.0)), ALL)
     np.testing.assert_allclose(places - PLACES, np.broadcast_to([6.0, -4.0], PLACES.shape), atol=0.1)
     assert returned.max() < 0.2
-
-
-def test_a_guess_of_hundredths_of_a_pixel_is_undone() -> None:
-    """Pictures are bent back in whole numbers: where contrast is low, such shifts were lost, and counted as motion."""
-    faint = (128 + (texture(1).astype(float) - 128) / 4).round().astype(np.uint8)
-    linker = linking.Linker(spacing=8)
-    one, other = prepared(linker, faint, faint)
-    for guess in (0.05, 0.1, 0.2):
-        there, _ = linker.refine(one, other, WIDE, grid_of((guess, 0.0)), np.ones(len(WIDE), bool))
-        assert abs((there - WIDE)[:, 0].mean()) < 0.1 * guess
 
 
 def test_a_window_that_is_stretched_and_turned_is_found_where_the_motion_is_known_roughly() -> None:
@@ -142,16 +119,6 @@ def test_the_filter_widens_no_motion_that_dies_away() -> None:
         assert np.abs(left - window).max() < 0.3 * (1 - np.exp(-(wave**2) / 2))
 
 
-def test_no_places_are_no_places() -> None:
-    linker = linking.Linker()
-    picture = linker.prepared(gray(texture()))
-    nowhere = np.zeros((0, 2), np.float32)
-    refined = linker.refine(picture, picture, nowhere, np.zeros((1, 1, 2), np.float32), np.zeros(0, bool))
-    for places, returned in (linker.link(picture, picture, nowhere), refined):
-        assert (places.shape, returned.shape) == ((0, 2), (0,))
-    assert alike(gray(texture()), gray(texture()), nowhere).shape == (0,)
-
-
 def alike(one: np.ndarray, other: np.ndarray, places: np.ndarray) -> np.ndarray:
     """How much the same places of two pictures resemble each other."""
     return linking.resemblance(linking.patterns(one, places), linking.patterns(other, places))
@@ -167,8 +134,3 @@ def test_resemblance_is_the_correlation_of_the_patterns() -> None:
         assert alike(one, other, place[None]) == pytest.approx(expected, abs=1e-4)
     assert alike(one, one // 2, PLACES) == pytest.approx(1, abs=0.01)
     assert alike(one, 255 - one, PLACES) == pytest.approx(-1, abs=1e-5)
-
-
-def test_a_plain_surface_resembles_nothing() -> None:
-    plain = np.full((HEIGHT, WIDTH), 90, np.uint8)
-    np.testing.assert_array_equal(alike(plain, plain, PLACES), 0)

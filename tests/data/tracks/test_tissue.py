@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.tracks import linking
 from palpate.data.tracks.tissue import TissueTracker
 
 HEIGHT, WIDTH = 240, 320
@@ -73,21 +72,6 @@ def test_point_that_leaves_the_picture_is_lost():
     image = texture(4)
     moved = followed(image, shifted(image, -8, 0), np.array([[4.0, 120.0], [90, 90]]))
     assert np.isnan(moved).tolist() == [[True, True], [False, False]]
-
-
-def test_point_without_tissue_around_is_lost():
-    image = texture(5)
-    labels = TISSUE.copy()
-    labels[80:170, 60:150] = 0
-    moved = followed(image, image, np.array([[105.0, 125.0], [250.0, 200.0], [np.nan, 3]]), (labels, labels))
-    assert np.isfinite(moved).all(axis=1).tolist() == [False, True, False]
-
-
-def test_unrelated_pictures_fail_the_forward_backward_check(monkeypatch):
-    rng = np.random.default_rng(0)
-    first, second = (rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(2))
-    monkeypatch.setattr(linking, "RETURNED", 0.2)
-    assert np.isnan(followed(first, second)).all()
 
 
 def test_points_that_are_followed_each_for_itself_are_lost_each_for_itself():

@@ -107,13 +107,6 @@ def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
     assert make_sample(clip, 8, TOLD).known.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
 
 
-def test_a_contact_of_unknown_noise_is_left_out_where_the_noise_is_asked_for(clip):
-    clip.noise = clip.noise.copy()
-    clip.noise[3] = np.nan
-    frames, left_out = list_frames(clip, TOLD)
-    assert (frames, left_out["noise not known"]) == ([], 8)
-
-
 def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
     with_sequence = replace(TOLD, sequence=True)
     samples = [make_sample(clip, frame, with_sequence) for frame in (4, 6)]
@@ -171,18 +164,6 @@ def test_training_and_the_direct_fit_have_one_likelihood() -> None:
     assert misfit == pytest.approx(0.5 * float(residual @ residual), rel=1e-6)
     np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-5)
     np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-5)
-
-
-def test_without_a_sequence_the_contact_s_own_motion_counts() -> None:
-    contact = replace(contact_of(False)[0], sequence=None)
-    contact = replace(contact, observation=contact.observation.moved(contact.moved, 2e-3))
-    dent = join_sequences([contact])
-    assert dent.weight.sum() == dent.weight[..., PIXELS // 2].sum() == SLOTS
-    # It is pressed nearly along the line of sight, so that what its pixel sinks by is its whole motion.
-    sunk = np.linalg.norm(contact.moved, axis=1) / np.linalg.norm(contact.mesh.vertices[contact.vertex])
-    sunk *= contact.mesh.vertices[contact.vertex, 2]
-    np.testing.assert_allclose(dent.change[0, :, PIXELS // 2], sunk, atol=0.01 * sunk.max())
-    assert dent.noise.item() == pytest.approx(2e-3)
 
 
 @functools.cache

@@ -110,14 +110,6 @@ def test_order_depends_on_seed_and_epoch_only(four_videos):
     assert sorted(order(first)) == sorted(fifth)
 
 
-def test_workers_see_the_same(one_clip):
-    alone, helped = module(one_clip), module(one_clip, {"num_workers": 2})
-    for batch, other in zip(alone.val_dataloader(), helped.val_dataloader(), strict=True):
-        assert torch.equal(batch["window_a"], other["window_a"])
-        for mesh, same in zip(batch["mesh_b"], other["mesh_b"], strict=True):
-            np.testing.assert_array_equal(mesh.vertices, same.vertices)
-
-
 def test_processes_share_the_test_s_samples_without_repeating_one(four_videos):
     data = module(four_videos, {"batch_size": 1})
     whole, parts = order(data.test_dataloader()), []

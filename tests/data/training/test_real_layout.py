@@ -15,8 +15,8 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
-from palpate.data.training.cholecseg8k import join_folders, list_clips, main
 from palpate.data.training.datamodule import ClipDataModule
+from palpate.data.training.preparation import join_folders, list_clips
 from palpate.data.training.samples import SampleSettings, list_frames, make_interaction
 from palpate.data.training.splits import NamedVideos
 from tests.data.clips import EDGE, GRID, HEIGHT, SETTINGS, WIDTH, describe, real_frames, write_clip
@@ -45,14 +45,6 @@ def test_folders_of_one_video_whose_numbers_follow_on_are_one_clip(tmp_path):
     first, second, apart = write_video(tmp_path, 1, (80, 84, 100))
     other = write_video(tmp_path, 2, (104,))[0]
     assert join_folders(list_clips(tmp_path, LAYOUT), LAYOUT) == {first: (second,), apart: (), other: ()}
-
-
-def test_folders_that_say_otherwise_of_their_camera_stay_apart(tmp_path):
-    first, second = write_video(tmp_path, 1, (0, 4))
-    describe(second, depth_scale=2.0)
-    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
-    (second / "clip.json").write_text("{")  # it fails by itself
-    assert join_folders([first, second], LAYOUT) == {first: (), second: ()}
 
 
 def test_contact_goes_on_across_joined_folders(tmp_path):
@@ -91,15 +83,6 @@ def test_joined_folders_have_one_depth_scale(tmp_path):
     apart = prepare(far, SETTINGS, tmp_path / "cache")
     assert joined.depth(7).mean() / joined.depth(0).mean() == pytest.approx(1.5, rel=1e-3)
     assert apart.depth(3).mean() / joined.depth(7).mean() == pytest.approx(1.0, abs=0.01)
-
-
-def test_the_door_joins_them_too(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-    write_video(tmp_path / "data", 1, (80, 84))
-    assert main(["data", "--depth", "stored", "--cache", "cache"]) == 0
-    out = capsys.readouterr().out
-    assert [said in out for said in ("1 clips", "8 ok", "video01_00084")] == [True, True, False]
 
 
 # --- named videos ----------------------------------------------------------------------------------------------------
@@ -147,15 +130,6 @@ def test_no_video_is_in_two_splits():
     with pytest.raises(ValueError, match=r"videos\.train is empty"):
         NamedVideos((), ("video02",))
     assert not NamedVideos()
-
-
-def test_named_videos_without_a_sample_to_train_on_are_refused(tmp_path):
-    write_video(tmp_path / "data", 1, (0,))
-    write_clip(tmp_path / "data" / "video02" / "video02_00000", contact=(), frames=3)
-    data = module(tmp_path, ("video02",), ("video01",))
-    data.prepare_data()
-    with pytest.raises(InputError, match="no sample in the videos named to train on"):
-        data.setup("fit")
 
 
 # --- contact pair and release ----------------------------------------------------------------------------------------
@@ -212,13 +186,6 @@ def test_a_tool_that_has_let_go_gives_pairs_as_long_as_it_is_seen(tmp_path):
     stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=NEAREST))
     points = [frame.contact.tissue_point for frame in stream if frame.in_contact]
     np.testing.assert_allclose(released.moved[0], points[3] - points[2], atol=1e-6)
-
-
-@pytest.mark.parametrize(("settings", "judged"), [(GRID, 2), (NEAREST, 0)])
-def test_whether_a_tool_hovers_is_not_asked_where_all_pairs_count(tmp_path, settings: GeometrySettings, judged: int):
-    folder = write_clip(tmp_path / "video01" / "video01_00000", contact=(1, 2), frames=4)
-    stream = ClipStream(open_source(folder, LAYOUT), replace(SETTINGS, geometry=settings))
-    assert sum(np.isfinite(frame.contact_probability) for frame in stream) == judged
 
 
 @pytest.mark.slow

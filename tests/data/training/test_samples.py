@@ -111,13 +111,6 @@ def test_after_an_unknown_frame_without_contact_nothing_is_observed(tmp_path, fr
     assert steps_of(contact) == [7, 15, 23, 31]  # frames 4 to 7
 
 
-def test_a_longer_unknown_stretch_ends_the_run(tmp_path):
-    clip = spoiled(tmp_path, (5, 6, 7), "depth", contact=(3, 4, 5, 6, 7, 8, 9))
-    contact = make_interaction(clip, 3, TRAJECTORY)
-    assert (load_steps(contact), steps_of(contact)) == (200, [7])
-    assert clip.track_start.tolist() == [-1] * 3 + [3] * 5 + [-1] * 4
-
-
 def test_direction_of_the_observed_motion(clip):
     along = replace(PAIRS, geometry=GeometrySettings(height=48, width=64, force_direction="displacement"))
     sample = make_sample(clip, 4, along)
@@ -138,19 +131,9 @@ def test_a_longer_horizon_predicts_a_later_frame(clip):
     assert (sample.course_a, sample.course_b) == ((8, 32), (32, 8))
 
 
-def test_a_pairs_course_is_from_rest_to_the_rollout_s_end(clip):
-    sample = make_sample(clip, 4, PAIRS)
-    assert sample.course_a == sample.course_b == (0, 200)
-
-
 @pytest.mark.parametrize(
     ("name", "value"), [("window", 0), ("min_clip_deformation", math.nan), ("onset_within", 0), ("horizon", 0)]
 )
 def test_impossible_settings_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         replace(TRAJECTORY, **{name: value})
-
-
-def test_one_pair_has_no_longer_horizon():
-    with pytest.raises(ValueError, match="horizon"):
-        SampleSettings(horizon=2)

@@ -8,12 +8,12 @@ import pytest
 
 from palpate.data.contact.features import FEATURES, contact_features, contact_spacing
 from palpate.data.contact.interaction import CONTACT, FIELD, Interaction, InteractionBuilder
-from palpate.data.contact.motion import FRAYED, LOST
+from palpate.data.contact.motion import LOST
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
-from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.contract import Chosen
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
@@ -136,18 +136,6 @@ def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) ->
     assert (early.estimate, early.detail) == (None, TOO_EARLY)
     assert len(early.interaction.observation) == 1
     assert np.isfinite(enough.estimate.theta).all()
-
-
-def test_what_is_wrong_with_a_contact_is_told_beside_why_it_has_no_estimate(network, pressed, monkeypatch) -> None:
-    """Outlines that disagree with the depth are a remark of the onset's frame."""
-    monkeypatch.setattr("palpate.data.contact.motion.frayed_share", lambda *_: 0.25)
-    prepared = open_synthetic(pressed, network.preparation(Chosen()))
-    results, (run,) = follow(network.start(ClipInfo.of(prepared)), prepared)
-    onset = pressed.motion.onset_frame
-    assert results[onset].detail == f"{FRAYED.format(share=0.25)} {TOO_EARLY}"
-    assert (results[onset].verdict, results[onset].estimate) == ("undetermined", None)
-    assert results[onset + 1].detail == TOO_EARLY
-    assert run.detail.startswith(FRAYED.format(share=0.25))
 
 
 def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:

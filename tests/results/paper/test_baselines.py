@@ -4,11 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from palpate.physics.mechanics import Bounds
 from palpate.results.paper import simulated
 from tests.results.paper.simple_contacts import BOUNDS, MECHANICS, STEPS, contact, observing
 
@@ -66,17 +62,3 @@ def test_fit_is_no_worse_than_a_grid_and_reports_its_true_error():
         for theta in itertools.product(*axes)
     )
     assert error <= grid * 1.001
-
-
-def test_no_contacts_give_no_constant():
-    assert np.isnan(simulated.fit_constant_theta([], BOUNDS, MECHANICS)[0]).all()
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.tuples(*[st.floats(0, 1)] * 3), st.booleans())
-def test_search_coordinates_stay_in_the_box_and_invert(unit, signed):
-    bounds = Bounds(force=(-3, 7), initial=(0.5, 0.5, 1)) if signed else BOUNDS
-    theta = simulated.to_theta(torch.tensor(unit, dtype=torch.float64), bounds)
-    assert (np.array(bounds.lower) - 1e-12 <= theta.numpy()).all()
-    assert (theta.numpy() <= np.array(bounds.upper) + 1e-12).all()
-    np.testing.assert_allclose(simulated.to_unit(theta, bounds), unit, atol=1e-9)

@@ -1,18 +1,14 @@
 """What the figures draw: the data found again in the drawn artists."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from palpate.physics.mechanics import PARAMETERS, Mechanics
-from palpate.results.paper.figures import draw_next_depth, draw_response, draw_theta
+from palpate.physics.mechanics import Mechanics
+from palpate.results.paper.figures import draw_next_depth, draw_response
 
 MECHANICS = Mechanics(time_step=0.01, steps=100, load_steps=25)
 LOAD = np.clip(MECHANICS.times / 0.25, 0, 1) * np.where(
     MECHANICS.times <= 0.25, 1, np.exp(-(MECHANICS.times - 0.25) / 0.1)
-)
-SPREAD = pd.DataFrame(
-    {"low": [0.0, 0.0, 0.0], "high": [1.0, 1.0, 10.0], "constant": [0.3, 0.2, 0.4]}, index=list(PARAMETERS)
 )
 
 
@@ -54,22 +50,6 @@ def test_nothing_to_show_is_still_drawn(value):
     figure = draw_response(np.full((2, 100, 3), value), np.full(2, 0.25), MECHANICS)
     assert "1 = highest peak, 0 scene units" in figure.get_suptitle()
     figure.canvas.draw()
-
-
-def test_theta_figure_draws_estimates_box_and_baselines():
-    frames = pd.DataFrame({"clip": list("aabb"), "stiffness": 0.5, "damping": 0.1, "force": 5.0})
-    figure = draw_theta(frames, SPREAD)
-    box, zoom = figure.axes[4:]
-    lines = {line.get_label(): line for line in box.lines}
-    np.testing.assert_array_equal(lines["estimate"].get_ydata(), 5.0)
-    assert lines["constant θ fitted on training contacts"].get_ydata()[0] == 0.4
-    assert box.get_ylim()[0] <= 0 < 10 <= box.get_ylim()[1]
-    literature = {line.get_label(): line for line in figure.axes[2].lines}["literature value, where in range"]
-    assert literature.get_ydata()[0] == 0.127
-    low, high = zoom.get_ylim()
-    assert 4 < low < 5 < high < 6
-    borders = [line.get_xdata()[0] for line in zoom.lines[1:]]
-    assert borders == [2.5]
 
 
 def test_next_depth_shows_both_on_one_scale_and_their_difference():

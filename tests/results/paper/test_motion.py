@@ -41,20 +41,6 @@ def test_the_median_s_top_is_a_share_of_the_highest_peak():
     assert np.isnan(median_share(np.zeros((2, 200, 3))))
 
 
-def test_distance_is_the_vectors_length():
-    # Every component stays below 5 % of the peak's, the length (0.04·√3 = 0.069) does not.
-    trajectory = np.zeros((1, 200, 3))
-    trajectory[:, :50, 0] = 1.0
-    trajectory[:, 50:] = 0.04
-    assert settle(trajectory, np.array([50]), MECHANICS)["state"].tolist() == ["not reached"]
-
-
-def test_at_rest_already_at_release():
-    distance = np.zeros(200)
-    distance[10] = 1.0
-    assert _settle(distance)["settling_time_s"] == 0.0
-
-
 @pytest.mark.parametrize(
     ("distance", "load_steps", "state"),
     [

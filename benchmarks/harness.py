@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -32,7 +31,6 @@ from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, make_output, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
-FORMAT_VERSION = 5
 MOST_BYTES = 2**27
 """Of a file of results; tens of thousands are smaller."""
 TABLE_WIDTH = 150
@@ -70,7 +68,7 @@ class Experiment:
     """folder of the results"""
 
     keys: ClassVar[tuple[str, ...]] = ("file",)
-    """Fields of a row that tell it from all others; every row begins with the first of them."""
+    """Fields of a row that tell it from all others."""
     work: ClassVar[Callable[[Any], list[Row]]]
     """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
     writes: ClassVar[Sequence[str]] = ("table.csv",)
@@ -85,7 +83,7 @@ class Experiment:
         """What results depend on, as `Store` takes it."""
         return {}
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
+    def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Any], int]:
         """The cases that are left, each what is asked for and the key of one of it; and how many there are in all."""
         return [(self, key) for key in self.wanted if key not in done], len(self.wanted)
 
@@ -115,13 +113,10 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     except REFUSED as error:
         say(console, str(error), "red")
         return 2
-    if store.outdated:
-        text = "Results of another version of the program are kept; give another --output to measure this one."
-        say(console, text, "yellow")
     status = 0
     try:
         with interruptible(), progress_bars(console) as progress:
-            cases, total = experiment.cases(store.rows, progress)
+            cases, total = experiment.cases(store.rows)
             bar = progress.add_task("cases", total=total, completed=total - len(cases))
             for rows in run_tasks(kind.work, cases, getattr(experiment, "workers", 0)):
                 store.append(rows)
@@ -164,7 +159,7 @@ class Store:
     def __init__(self, output: Path, wanted: Mapping[str, Any], keys: tuple[str, ...]) -> None:
         self.output, self._keys, self._results = output, keys, output / RESULTS
         make_output(output)
-        code, wanted = code_digest(), json.loads(as_json({"format": FORMAT_VERSION, **wanted}))
+        wanted = json.loads(as_json({"code": code_digest(), **wanted}))
         recorded = self._recorded()
         for name, value in wanted.items():
             if recorded.get(name, value) != value:
@@ -172,13 +167,11 @@ class Store:
         self.rows: dict[tuple, Row] = {}
         """By what tells them from others, in the order in which they came."""
         if self._results.exists():
-            with writing(output):
-                _cut_unfinished(self._results, f'{{"{keys[0]}": '.encode())
+            with writing(output):  # a killed run leaves a last line without its end
+                os.truncate(self._results, read_file(self._results, MOST_BYTES).rfind(b"\n") + 1)
             self.rows = read_results(self._results, keys)
-        self.outdated = bool(self.rows) and recorded.get("code", code) != code
-        """Whether earlier results come from another version of the program."""
         with writing(output), replacing(output / RECORD) as partial:
-            partial.write_text(as_json({"code": code, **recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
+            partial.write_text(as_json({**recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, each in place of one of the same key; they are on disk when this returns."""
@@ -199,7 +192,7 @@ class Store:
             record = json.loads(read_file(path))
         except (OSError, ValueError, RecursionError) as error:
             raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
-        if not isinstance(record, dict) or not {"code", "format"} <= set(record):
+        if not isinstance(record, dict) or "code" not in record:
             raise OutputError(f"{path}: belongs to something else; choose another --output.")
         return record
 
@@ -231,15 +224,6 @@ def read_results(path: Path, keys: tuple[str, ...]) -> dict[tuple, Row]:
             ) from error
         found[key] = row
     return found
-
-
-def _cut_unfinished(path: Path, beginning: bytes) -> None:
-    """Remove a last line that a killed run left without its end; one that doesn't begin as ours do stays."""
-    data = read_file(path, MOST_BYTES)
-    complete = data.rfind(b"\n") + 1
-    cut = data[complete:]
-    if cut and beginning.startswith(cut[: len(beginning)]):
-        os.truncate(path, complete)
 
 
 def write(output: Path, report: Report) -> list[str]:
@@ -304,7 +288,7 @@ class Measurements(Experiment):
         """What is to be measured, by the name of each case, in the order of the table."""
         raise NotImplementedError
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Any], int]:
+    def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Any], int]:
         """Those without measures; what failed is tried again."""
         known, wanted = {name for (name,), row in done.items() if row.get("status", OK) == OK}, self.wanted
         return [(*self.keys, *case) for case in wanted.items() if case[0] not in known], len(wanted)

@@ -1,12 +1,11 @@
-"""What inference takes: the networks alone, one contact, and plain videos from end to end.
+"""What inference takes: the networks alone, and plain videos from end to end.
 
     python -m benchmarks.inference
 
 The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
-encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. A contact is one call of the
-network that ships, with what it is given and how well the simulator explains the motion, on one thread. Last come plain
-videos of ten seconds with one press, from their first frame to finished results with the overlay; of any clip,
-`timings_s` of its `run.json` says where the time went.
+encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. Plain
+videos of ten seconds with one press are timed from their first frame to finished results with the overlay; of any
+clip, `timings_s` of its `run.json` says where the time went.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -15,41 +14,32 @@ if __name__ == "__main__":
     enter_door()  # before the slow imports
 
 import dataclasses
-import itertools
 import json
 import os
 import platform
-import time
-from collections.abc import Callable
+import timeit
 from contextlib import redirect_stderr, redirect_stdout
 from datetime import date
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 
+from benchmarks.harness import show
 from benchmarks.plain_video import HEIGHTS, PlainVideo
-from benchmarks.recovery.suites import GRID_SIZE, SUITES, suite_clip_seed
-from benchmarks.recovery.trial import observed_contacts
 from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
-from palpate.common.tables import to_markdown
 from palpate.data.contact.features import FEATURES
-from palpate.data.synthetic.clip import draw_truth, synthetic_clip, write_clip
-from palpate.data.synthetic.source import PREPARE, open_synthetic
-from palpate.estimators.contract import ClipInfo
-from palpate.estimators.network.estimator import RATES, NetworkEstimator
-from palpate.estimators.onset import ONSETS
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.data.synthetic.clip import write_clip
+from palpate.estimators.network.estimator import RATES
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import open_model
 from palpate.physics.mechanics import RECOMMENDED
-
-Result = TypeVar("Result")
 
 SIZE = 120, 214
 """Height and width of the networks' input."""
@@ -60,17 +50,6 @@ NETWORKS: dict[str, dict[str, Any]] = {
 }
 """What differs from the generator's defaults."""
 VIDEO_FRAMES, VIDEO_SEED = 250, 55
-CONTACTS = 9
-"""Contacts that are timed, a third of them in each regime."""
-SIZES = (GRID_SIZE, (854, 480))
-"""Width and height of their pictures [px]."""
-
-
-def timed(work: Callable[..., Result], *arguments: object) -> tuple[Result, float]:
-    """What a call returns, and how long it took [ms]."""
-    start = time.perf_counter()
-    result = work(*arguments)
-    return result, 1e3 * (time.perf_counter() - start)
 
 
 def exported(name: str, folder: Path) -> Path:
@@ -87,29 +66,7 @@ def encoder_and_head(file: Path, threads: int | None) -> float:
     """Median time of one frame [ms]."""
     model, generator = open_model(file, threads), np.random.default_rng(0)
     given = {name: generator.random((1, *shape), dtype=np.float32) for name, shape in model.inputs.items()}
-    return float(np.median([timed(model.run, given)[1] for _ in range(RUNS)]))
-
-
-def one_contact(size: tuple[int, int], onset: str) -> tuple[float, float, float]:
-    """Times of a contact observed whole [ms]: median of all, of it the vector and the network, and the longest of all.
-
-    Args:
-        size: width and height of the pictures [px].
-        onset: one of `estimators.onset.ONSETS`.
-    """
-    estimator = open_estimator(EstimatorOptions(onset=onset, threads=1))
-    assert isinstance(estimator, NetworkEstimator)
-    found = []
-    for index in range(CONTACTS):
-        scene, motion = draw_truth(SUITES["clean"].settings(index, size), suite_clip_seed("validation", 0, index))
-        clip = open_synthetic(synthetic_clip(scene, motion, index), PREPARE)
-        frames, info = list(clip), ClipInfo.of(clip)
-        contact = estimator.as_trained(observed_contacts(frames, info)[motion.onset_frame])
-        sessions = [estimator.start(info) for _ in range(RUNS)]
-        whole = np.median([timed(session.estimate, contact, None)[1] for session in sessions])
-        found.append((whole, 1e3 * np.median([session.seconds["network"] for session in sessions])))
-    median = np.median(found, axis=0)
-    return float(median[0]), float(median[1]), float(np.max(found, axis=0)[0])
+    return 1e3 * float(np.median(timeit.repeat(lambda: model.run(given), number=1, repeat=RUNS)))
 
 
 def frames_a_second(video: Path, output: Path, rate: str) -> float:
@@ -148,17 +105,12 @@ def _measure(folder: Path) -> None:
     print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
     files = {name: exported(name, folder) for name in NETWORKS}
     rows = ([name, *(f"{encoder_and_head(file, each):.1f}" for each in (1, None))] for name, file in files.items())
-    print(to_markdown(("configuration", "1 thread", "all threads"), rows))
-    print("\nOne contact by the network that ships, 1 thread [ms]\n")
-    columns = ("pictures", "--onset", "median", "of it vector and network", "longest")
-    cases = itertools.product(SIZES, ONSETS)
-    rows = ((f"{size}", onset, *(f"{t:.1f}" for t in one_contact(size, onset))) for size, onset in cases)
-    print(to_markdown(columns, rows))
+    show(pd.DataFrame(rows, columns=("configuration", "1 thread", "all threads")))
     print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine})\n")
     columns = ("pictures", *(f"--rate {rate}: frames a second" for rate in RATES))
     whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
     rows = ((size, *(f"{rate:.1f}" for rate in rates)) for size, rates in whole)
-    print(to_markdown(columns, rows))
+    show(pd.DataFrame(rows, columns=columns))
 
 
 if __name__ == "__main__":

@@ -4,16 +4,14 @@
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
 to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
-instrument that passes over tissue and never touches), `video-pull`, and `video-depth` (the presses of `video` with
+instrument that passes over tissue and never touches), and `video-depth` (the presses of `video` with
 depth as noisy as a network's and masks given, for --observation depth, shading or both). With
 `--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
 coarsely. `--estimator network` measures what the network makes of given depth.
 Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
-clips determine it, the median error of its logarithm there, how often its 90 % interval holds the truth, and the median
-of what the error of a step on a point would at least be if the light had the noise of still tissue and nothing else
-(Cramér–Rao bound).
+clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -33,7 +31,6 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.harness import Measurements, Report, Row, run
-from benchmarks.recovery.bounds import light_information
 from benchmarks.recovery.suites import EVERY, LARGEST_SEED
 from palpate.api import open_clip
 from palpate.common.files import file_sha256
@@ -49,13 +46,11 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
-from palpate.estimators.network.estimator import FAST
 from palpate.estimators.open import EstimatorOptions
 from palpate.estimators.open import open_estimator as open_by_options
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.models.onnx_session import SHIPPED
-from palpate.physics.identifiability import combination_bounds
 from palpate.physics.mechanics import damping_ratio
 from palpate.physics.mesh import contact_normal
 
@@ -67,7 +62,6 @@ SUITES: Mapping[str, Mapping[str, Any]] = {
     "video-oblique": {"max_tilt_deg": 25.0},
     "video-patch": EVERY["patch"].truth,
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
-    "video-pull": {"action": "grip"},
     "video-depth": {**EVERY["noisy"].errors},
 }
 """Fields of SceneSettings that make each suite."""
@@ -104,11 +98,8 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
     }
     runs = [output for output in found if isinstance(output, InteractionEstimate)]
     if not isinstance(truth, PressedMotion):
-        pulls = [run.grip for run in runs if run.grip is not None]
-        best = max(pulls, key=lambda grip: grip.skill, default=None)
         verdicts = [run.verdict for run in runs if run.verdict not in ("", "undetermined")]
-        skill = math.nan if best is None else best.skill
-        return row | {"verdict": ";".join(verdicts) or "undetermined", "skill": skill}
+        return row | {"verdict": ";".join(verdicts) or "undetermined"}
     row["regime"] = regime_of(damping_ratio(truth.theta[0], truth.theta[1], settings.mass))
     right = [run for run in runs if abs(run.onset_frame - truth.onset_frame) <= SAME_ONSET and run.estimate is not None]
     if not right:
@@ -116,7 +107,7 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
     distance = float(scene.mesh.vertices[scene.vertex, 2])
     estimate = right[0].estimate
     assert estimate is not None
-    return row | {"left": estimate.left} | compared(right[0], truth.theta, distance, 1 / settings.fps)
+    return row | {"left": estimate.left} | compared(right[0], truth.theta, distance)
 
 
 def normal_error(stream: ClipStream, scene: Scene) -> float:
@@ -132,27 +123,24 @@ def normal_error(stream: ClipStream, scene: Scene) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, frame_seconds: float) -> Row:
-    """Errors of the logarithm of every quantity, with their standard deviations and bounds, and which are determined.
+def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> Row:
+    """Errors of the logarithm of every quantity, with their standard deviations, and which are determined.
 
     Args:
         found: the press.
         theta: true k_s, k_d and F, shape [3], of tissue at a true
         distance: [scene units].
-        frame_seconds: time from frame to frame [s].
     """
     estimate, contact = found.estimate, found.interaction
     assert estimate is not None
     assert contact is not None
     true = theta * [1, 1, contact.mesh.vertices[contact.vertex, 2] / distance]
-    information = None if contact.shading is None else light_information(contact, true, frame_seconds)
     row: Row = {"verdict": estimate.verdict, "explained": int(estimate.explained)}
     for name in REPORTED:
         powers = np.array(COMBINATIONS[name])
         off = powers @ np.log(np.abs(estimate.theta / true))
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
         row[f"{name}_log_true"] = float(powers @ np.log(np.abs(true)))
-        row[f"{name}_bound"] = math.nan if information is None else float(combination_bounds(information, [powers])[0])
         if estimate.covariance is not None:
             row[f"{name}_sd"] = math.sqrt(max(powers @ estimate.covariance @ powers, 0.0))
     return row
@@ -176,23 +164,15 @@ class PlainVideo(Measurements):
     """of each clip"""
     estimator: Literal["direct", "network"] = "direct"
     """which"""
-    model: Path | None = None
-    """network's file (default: the one that comes along)"""
     observation: Literal["depth", "shading", "both"] | None = None
     """what is fitted (default: what there is); both with direct alone"""
-    rate: Literal["full", "fast"] = "full"
-    """what is done of a clip, as of palpate infer; fast with network alone"""
 
     writes = ("table.csv", "summary.csv")
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used."""
-        if self.model is not None and self.estimator != "network":
-            raise ValueError("--model is for --estimator network; leave it out.")
         if self.observation == BOTH and self.estimator == "network":
             raise ValueError("--observation both is for --estimator direct; leave it out.")
-        if self.rate == FAST and self.estimator != "network":
-            raise ValueError("--rate fast is for --estimator network; leave it out.")
         require_within(self, seed=(0, LARGEST_SEED), clips=(1, LARGEST), frames=(16, LARGEST))
 
     @property
@@ -215,12 +195,12 @@ class PlainVideo(Measurements):
     @property
     def options(self) -> EstimatorOptions:
         """What opens the estimator."""
-        return EstimatorOptions(self.estimator, self.model, observation=self.observation, rate=self.rate)
+        return EstimatorOptions(self.estimator, observation=self.observation)
 
     def record(self) -> Mapping[str, Any]:
         """What the clips are drawn from, and the estimator."""
-        asked = {name: getattr(self, name) for name in ("seed", "estimator", "observation", "rate")}
-        network = {"model_sha256": file_sha256(self.model or SHIPPED)} if self.estimator == "network" else {}
+        asked = {name: getattr(self, name) for name in ("seed", "estimator", "observation")}
+        network = {"model_sha256": file_sha256(SHIPPED)} if self.estimator == "network" else {}
         return asdict(self.settings) | asked | network
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
@@ -241,13 +221,13 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
-        ends = "error", "sd", "bound", "log_true"
-        errors, sds, bounds, logs = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
+        ends = "error", "sd", "log_true"
+        errors, sds, logs = (np.array([row.get(f"{name}_{end}", math.nan) for row in known]) for end in ends)
         line: Row = {"measure": name, "count": len(known), "of": len(pressed)}
         if known:
             line |= {"median error": float(np.median(np.abs(errors)))}
             line |= {"of the best constant": float(np.median(np.abs(logs - np.median(logs))))}
-            line |= {"held": float(np.mean(np.abs(errors) <= NINETY * sds)), "bound": float(np.median(bounds))}
+            line["held"] = float(np.mean(np.abs(errors) <= NINETY * sds))
         lines.append(line)
     return pd.DataFrame(lines)
 

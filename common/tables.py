@@ -1,8 +1,8 @@
-"""Tables as text: CSV for programs, Markdown for people."""
+"""Tables as CSV."""
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 
 def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None, form: str = "") -> str:
@@ -26,9 +26,3 @@ def to_cell(value: object, form: str = "") -> str:
     if value is None or value != value:
         return ""
     return format(value, form) if isinstance(value, float) else str(value)
-
-
-def to_markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Rows as a GitHub-flavoured Markdown table, each as many cells as there are columns."""
-    lines = (columns, ["---"] * len(columns), *rows)
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)

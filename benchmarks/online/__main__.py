@@ -31,9 +31,7 @@ from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 
 DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
-STEP, STEP_OF_PAPER = "step on one core [s]", "the paper's step [s]"
-SECONDS = 0.9, 2.6
-"""The paper's of a shell and of a volume."""
+STEP = "step on one core [s]"
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
 
@@ -120,10 +118,8 @@ class Online(Experiment):
         for key, case in cases.items():
             cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in DISTANCES.items()]
             cells += [(*key, "rank correlation of distances", case.get("rank")), (*key, STEP, case["seconds"])]
-            cells += [(*key, STEP_OF_PAPER, SECONDS[SEQUENCES[key[0]].block])] if key[2] == "PBD-RM-ON" else []
         frame, gaps = pd.DataFrame(cells, columns=(*self.keys, "measure", "value")), table(cases)
-        steps = frame[frame["measure"].isin([STEP, STEP_OF_PAPER])]
-        steps = steps.pivot_table("value", ["method", "measure"], "sequence", "median").reset_index()
+        steps = frame[frame["measure"] == STEP].pivot_table("value", "method", "sequence", "median").reset_index()
         matched = f"Matched: {self.match}; {self.optimizer}."
         return Report({"table.csv": frame, "table_2.csv": gaps}, [gaps, steps], [(matched, "")])
 

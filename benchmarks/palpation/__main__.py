@@ -1,7 +1,9 @@
-"""Young's modulus and Poisson's ratio from palpations of bodies with known truth (Frank 2010, section VIII-A).
+"""Young's modulus and Poisson's ratio from palpations of bodies with known truth, as Frank 2010 does (section VIII-A).
 
     python -m benchmarks.palpation --output OUT [--body ball|slab]
 
+A ball and a slab of neo-Hookean tissue on a finer mesh are pressed and observed from one side by two sensors; E and ν
+are fitted by the co-rotational law, from starts a factor of thirty off; then E from each of the paper's six forces.
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
 
@@ -10,15 +12,111 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-from collections.abc import Sequence
+import functools
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
-from benchmarks.harness import run
-from benchmarks.palpation import surfaces
+import numpy as np
+
+from benchmarks.harness import Measurements, Row, run
+from benchmarks.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
+from palpate.estimators.palpation import FitSettings, Skin, fit_material
+from palpate.physics.fem import Equilibrium
+from palpate.physics.fem.meshing import around
+
+YOUNG, POISSON = 1e4, 0.42
+"""The truth [Pa]."""
+PLACE = {"ball": (0.35, 0.5), "slab": (0.6, 0.5)}
+"""Where is pressed, as `Body.contact` takes it: where the Cramér–Rao bound asks for the fewest pictures."""
+PICTURES = {("slab", "time of flight"): 5}
+"""Of every press, each with its own pose, as many as the bound asks for; else one."""
+FORCES = (0.3, 0.4, 0.5)
+"""Forces of the presses, one step after the other as the paper's robot does [N]: laws part where a body is dented by
+more."""
+SIX = (0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
+"""Forces of the paper's figure 5 [N]."""
+CELLS, TRUE_CELLS = {"ball": 6, "slab": 7}, {"ball": 8, "slab": 9}
+EDGE, TRUE_EDGE = {"ball": 0.7 * TOOL, "slab": 0.6 * TOOL}, {"ball": 0.5 * TOOL, "slab": 0.4 * TOOL}
+"""Longest edge of an element where the tool presses [m]; of the truth's as well."""
+SPACING, TRUE_SPACING = 1 / 56, 1 / 64
+"""Of the scanned surface, over the body's size."""
+STARTS = (30.0, 1 / 30)
+SEED = 73500
+"""Of the first press's noise; those after it follow."""
+
+Truth = tuple[Skin, Equilibrium, np.ndarray, np.ndarray]
+"""As `press` gives it."""
+
+
+@dataclass(frozen=True)
+class Frank(Measurements):
+    """The paper's experiments."""
+
+    body: Literal["ball", "slab"] | None = None
+    """that alone, without the six forces where it is the slab (default: both)"""
+
+    @property
+    def wanted(self) -> Mapping[str, Callable[[], Row]]:
+        """Fits from every start, then the six forces."""
+        found: dict[str, Callable[[], Row]] = {}
+        for body in (self.body,) if self.body else BODIES:
+            for sensor, start in itertools.product(SENSORS, STARTS):
+                pictures = len(FORCES) * PICTURES.get((body, sensor), 1)
+                name = f"{body}, {sensor}, {len(FORCES)} presses, {pictures} pictures, start E × {start:.3g}"
+                found[name] = functools.partial(fit_from, body, sensor, start, pictures)
+        if self.body != "slab":
+            found["ball, stereo, one palpation"] = functools.partial(fit_six, "ball")
+        return found
+
+
+@functools.cache
+def true_press(name: str, force: float) -> Truth:
+    """The truth of a body under a force [N]."""
+    body = BODIES[name]
+    spacing, edge = TRUE_SPACING * body.size, TRUE_EDGE[name]
+    return press(body, YOUNG, POISSON, force, PLACE[name], TRUE_CELLS[name], spacing=spacing, edge=edge)
+
+
+@functools.cache
+def fitted_mesh(name: str) -> tuple[Skin, np.ndarray]:
+    """Surface and mesh of the fits of a body, and what of it is held."""
+    body = BODIES[name]
+    return body.skin(CELLS[name], SPACING * body.size, around(body.contact(*PLACE[name])[0][None], TOOL, EDGE[name]))
+
+
+def fit_from(body: str, sensor: str, start: float, pictures: int) -> Row:
+    """Measures of a fit that begins at so many times the true E."""
+    truths = itertools.islice(itertools.cycle([true_press(body, force) for force in FORCES]), pictures)
+    palpations = [observe(*truth, sensor, SEED + number) for number, truth in enumerate(truths)]
+    fit = fit_material(*fitted_mesh(body), palpations, FitSettings(young=YOUNG * start))
+    return {
+        "E / truth - 1": fit.young / YOUNG - 1,
+        "E, standard deviation of its logarithm": fit.young_sd,
+        "ν - truth": fit.poisson - POISSON,
+        "ν, standard deviation": fit.poisson_sd,
+        "verdict": fit.verdict,
+        "equilibria a press": fit.solves / len(FORCES),
+    }
+
+
+def fit_six(name: str) -> Row:
+    """How far E differs between the six forces, one palpation each."""
+    fits = []
+    for number, force in enumerate(SIX):
+        observed = observe(*true_press(name, force), "stereo", SEED + 10 + number)
+        fits.append(fit_material(*fitted_mesh(name), [observed], FitSettings(young=YOUNG / 30)))
+    values = np.array([fit.young for fit in fits])
+    return {
+        "six forces: E, standard deviation / mean": float(values.std(ddof=1) / values.mean()),
+        "six forces: E, mean / truth - 1": float(values.mean() / YOUNG - 1),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiments; returns the exit status."""
-    return run(surfaces.Frank, arguments, "benchmarks.palpation", surfaces.__doc__)
+    return run(Frank, arguments, "benchmarks.palpation", __doc__)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,10 @@
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
 and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
-fitted included, and the seconds that the fit takes; `contact_frame_N` is the probability that tissue moves with the
+fitted included, and the seconds that the fit takes. A sheet that is fitted to the first half of the frames in which the
+tissue moves with the instrument predicts the others from the motion at the instrument alone: skill is 1 - error /
+motion, root mean squares over the points of a frame; 0 = as good as saying that nothing moves, 1 = exact.
+`contact_frame_N` is the probability that tissue moves with the
 instrument. Writes table.csv (clip, measure, value); the same command judges again what could not be judged. `infer.py`
 draws the same session's fit.png. Not a medical device.
 """
@@ -23,9 +26,61 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from benchmarks.harness import Measurements, Row, run
-from benchmarks.real.pulled import PulledClip, evaluate_pull
+from benchmarks.harness import OK, Measurements, Row, run
+from palpate.api import open_clip, open_estimator
 from palpate.common.provenance import ROOT
+from palpate.estimators.contract import ClipInfo
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.session import estimates_of
+
+
+@dataclass(frozen=True)
+class PulledClip:
+    """A clip as users have it."""
+
+    path: Path
+    """Folder of its files, or a video file."""
+    layout_file: Path | None = None
+    """YAML file that names a folder's files; None = CholecSeg8k's layout."""
+    masks: Path | None = None
+    """Outlines of its instruments, or a segmentation model; None = annotations where there are any, else automatic."""
+
+
+def evaluate_pull(clip: PulledClip) -> Row:
+    """Open the session and gather what it says, numbers and words by name.
+
+    `status` says why no run of contact tells anything as a grip. The probability of contact in every frame with an
+    instrument, by the frame's number, is there whatever becomes of the rest.
+
+    Raises:
+        InputError: the clip can't be read.
+    """
+    estimator = open_estimator("direct")
+    stream = open_clip(clip.path, estimator, layout=clip.layout_file, masks=clip.masks and str(clip.masks))
+    session = estimator.start(ClipInfo.of(stream))
+    outputs = list(estimates_of(session, stream))
+    frames = [item for item in outputs if isinstance(item, FrameEstimate)]
+    runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
+    measures: Row = {"status": OK, "frames": len(frames)}
+    measures["frames in contact"] = sum(item.contact is True for item in frames)
+    known = [item for item in frames if item.contact_probability is not None]
+    measures |= {f"contact_frame_{item.frame:04d}": item.contact_probability for item in known}
+    gripped = [(run, run.grip) for run in runs if run.grip is not None]
+    if not gripped:
+        return measures | {"status": " ".join(run.detail for run in runs) or "No run of contact was found."}
+    run, grip = max(gripped, key=lambda pair: len(pair[1].times))
+    measures |= {
+        "run from frame": run.onset_frame,
+        "frames that move": len(grip.times),
+        "verdict": grip.verdict,
+        "determined": ";".join(grip.determined),
+        "skill in frames kept back": grip.skill,
+        "skill if gripped elsewhere": grip.rival,
+        "seconds of following": session.seconds["follow"],
+        "seconds of the fit": session.seconds["grip"],
+    }
+    return measures
+
 
 KNOWN = {
     "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
@@ -51,26 +106,22 @@ class Real(Measurements):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
-        if self.layout is not None and self.pulled is None:
-            raise ValueError(f"--layout {self.layout} is of a clip of --pulled; give both, or leave it out.")
-        if self.masks is not None and self.pulled is None:
-            raise ValueError(f"--masks {self.masks} is of a clip of --pulled; give both, or leave it out.")
+        for name in ("layout", "masks"):
+            if (given := getattr(self, name)) is not None and self.pulled is None:
+                raise ValueError(f"--{name} {given} is of a clip of --pulled; give both, or leave it out.")
         if not self.clips:
             where = "" if self.data is None else f"; {self.data} holds none of {', '.join(KNOWN)}"
             raise ValueError(f"there is nothing to judge{where}. Give --data or --pulled.")
 
     @functools.cached_property
     def clips(self) -> dict[str, PulledClip]:
-        """By their names; a second one of a name is numbered."""
-        clips = []
+        """By their names."""
+        found: dict[str, PulledClip] = {}
         if self.data is not None:
             below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
-            clips += [(name, clip) for name, clip in below.items() if clip.path.exists()]
+            found = {name: clip for name, clip in below.items() if clip.path.exists()}
         if self.pulled is not None:
-            clips.append((self.pulled.resolve().name, PulledClip(self.pulled, self.layout, self.masks)))
-        found: dict[str, PulledClip] = {}
-        for name, clip in clips:
-            found[f"{name} (2)" if name in found else name] = clip
+            found[self.pulled.resolve().name] = PulledClip(self.pulled, self.layout, self.masks)
         return found
 
     @property

@@ -5,7 +5,7 @@
 Clips are made in memory and thrown away. Results are appended to DIR/results.jsonl as they come; the same command
 continues an interrupted run, and a later one may add suites, estimators or clips. Writes table.csv. A clip that can't
 be estimated is counted and shown. In table.csv constant_rmse_log is the error of the best constant for exactly the
-clips of a row; the estimator constant, whose θ is the mean over another split, can't reach it.
+clips of a row: nothing that ignores its input can do better.
 
 Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
 grips.csv has the answer (see `benchmarks.recovery.grips`).
@@ -25,20 +25,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from rich.progress import Progress
-
 from benchmarks.harness import OK, Experiment, Report, Row, run
-from benchmarks.recovery.estimators import CONSTANT, DIRECT, NAMES, Candidate, constant_estimate, describe
 from benchmarks.recovery.grips import grip_table
 from benchmarks.recovery.scores import Scores, score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
-from benchmarks.recovery.trial import Trial, run_trial
+from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.open import OF_THETA, EstimatorOptions
 
+DIRECT = "direct"
+"""The estimator that fits grips."""
+NAMES = tuple(sorted(OF_THETA))
+"""Estimators in the order of tables."""
 LARGEST_SIZE = 4096
 """Of pictures [px]."""
 LEAST_SEEN = 3
@@ -47,7 +48,7 @@ SHOWN_FAILURES = 8
 KINDS = ("press", "grip")
 """Of suites, in the order of tables."""
 DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
-Name = Literal["direct", "gan", "network", "constant"]
+Name = Literal["direct", "gan", "network"]
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Benchmark(Experiment):
     suite: tuple[str, ...] = ("clean",)
     """suites, or all of presses"""
     estimator: tuple[Name, ...] = (DIRECT,)
-    """direct, gan, network or constant, one or more"""
+    """direct, gan or network, one or more"""
     model: Path | None = None
     """ONNX file of the estimator network"""
     gan_model: Path | None = None
@@ -71,11 +72,8 @@ class Benchmark(Experiment):
     seen: int | Literal["press"] | None = None
     """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
-    """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
-    bound: Literal["depth", "contact"] = "depth"
-    """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
-    with
-    --onset between, of somebody who doesn't know the instants either"""
+    """when direct and network take a press to begin, and who knows the instants of the Cramér–Rao bound: at a frame's
+    stamp (as in most suites) or between"""
     size: str = "214x120"
     """width and height of the pictures; 854x480 is CholecSeg8k's"""
     workers: int = 2
@@ -118,11 +116,11 @@ class Benchmark(Experiment):
 
     @property
     def estimators(self) -> dict[str, EstimatorOptions]:
-        """What is compared but the constant, by name, in the order of tables."""
+        """What is compared, by name, in the order of tables."""
         models = {"network": self.model, "gan": self.gan_model, DIRECT: None}
         found = {}
         for name in NAMES:
-            if name in self.estimator and name != CONSTANT:
+            if name in self.estimator:
                 onset = None if name == "gan" else self.onset
                 found[name] = EstimatorOptions(name, models[name], onset, horizon=self.seen, threads=1)
         return found
@@ -131,7 +129,10 @@ class Benchmark(Experiment):
         """What the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
         found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
-        return found | {f"estimator {name}": describe(estimator) for name, estimator in self.estimators.items()}
+        for name, options in self.estimators.items():
+            network = getattr(opened(options), "model", None)
+            found[f"estimator {name}"] = {"model_sha256": getattr(network, "sha256", ""), "onset": options.onset}
+        return found
 
     def asked(self, suite: str, index: int) -> list[str]:
         """The estimators that a clip is for: of a grip, the one that fits grips."""
@@ -145,17 +146,15 @@ class Benchmark(Experiment):
         clips = itertools.product(range(self.clips), self.suites)
         return [(suite, index, name) for index, suite in clips for name in self.asked(suite, index)]
 
-    def cases(self, done: Mapping[tuple, Row], progress: Progress) -> tuple[list[Trial], int]:
+    def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Trial], int]:
         """Presses of one clip together, since most suites show the same motion; all others one by one."""
         left = [key for key in self.wanted if key not in done]
-        known: dict[str, Candidate] = {DIRECT: EstimatorOptions(DIRECT, threads=1), **self.estimators}
-        if any(name == CONSTANT for _, _, name in left):
-            known[CONSTANT] = constant_estimate(self.split, self.seed, self.workers, progress)
+        known = {DIRECT: EstimatorOptions(DIRECT, threads=1), **self.estimators}
 
         def group(key: tuple[str, int, str]) -> tuple[int, str]:
             return key[1], "" if EVERY[key[0]].of == "press" else key[0]
 
-        trials: dict[tuple[int, str], dict[str, dict[str, Candidate]]] = {}
+        trials: dict[tuple[int, str], dict[str, dict[str, EstimatorOptions]]] = {}
         for key in left:
             trials.setdefault(group(key), {}).setdefault(key[0], {})[key[2]] = known[key[2]]
         seeds = {index: suite_clip_seed(self.split, self.seed, index) for index, _ in trials}
@@ -168,7 +167,7 @@ class Benchmark(Experiment):
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
         presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
-        judged = score_all(presses, self.bound, self.onset)
+        judged = score_all(presses, self.onset)
         tables = {"table.csv": table(judged)} if judged else {}
         shown = [frame[frame["n"] > 0] for frame in tables.values()]
         if grips:
@@ -184,10 +183,7 @@ class Benchmark(Experiment):
 def _estimated(scores: Scores) -> list[tuple[str, str]]:
     """How many clips of a suite were estimated, and why others weren't."""
     count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
-    text = (
-        f"{scores.estimator} on {scores.suite}: {count}, tracking noise {scores.noise[0]:.3g} ({scores.noise[1]:.3g})"
-    )
-    return [(text, ""), *_failures(scores.failed)]
+    return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
 
 
 def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:

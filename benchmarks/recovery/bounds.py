@@ -1,4 +1,4 @@
-"""What a contact could have shown at best: Fisher information at the truth, of its point, its whole dent, its light.
+"""What a contact could have shown at best: Fisher information of its dent at the truth.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
 (`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them. Where the
@@ -17,34 +17,25 @@ from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
-from palpate.estimators.direct.problem import ContactProblem
-from palpate.estimators.direct.shading import OTHERS, ShadingProblem
-from palpate.estimators.direct.shading_fit import WITHIN
 from palpate.estimators.onset import BETWEEN
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED
 
-Problem = ContactProblem | SequenceProblem
 MECHANICS = FITTED
 """Simulator of the bounds."""
 DELAY_BOX = np.array([[-1.0], [1.0]])
 """Range of a delay in frames."""
 
 
-def contact_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray:
-    """Information of log θ and both delays of the press from the contact's observed instants, for σ = 1, shape [5, 5].
+def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
+    """Information of log θ and both delays from the sequence of a dent with its own noise, shape [5, 5].
+
+    None without a sequence.
 
     Args:
         contact: as observed; it must begin in the true onset's frame.
     """
-    truth, logs, within = _truth(contact, scene, motion)
-    problem = ContactProblem(truth, MECHANICS, 1.0, within, _kind(motion))
-    return _of_tissue(problem, logs, motion, contact.noise**2)
-
-
-def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
-    """The same from what the sequence of its dent shows, with the sequence's own noise; None without a sequence."""
     sequence = contact.sequence
     if sequence is None or len(sequence.times) < LEAST_OBSERVATIONS:
         return None
@@ -56,24 +47,6 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     problem = SequenceProblem(recentred, MECHANICS, within, kind=_kind(motion))
     problem.look(_all(problem, logs, motion))
     return _of_tissue(problem, logs, motion)
-
-
-def light_information(contact: Interaction, theta: np.ndarray, frame_seconds: float) -> np.ndarray:
-    """Information of log θ alone from the light around a press on a plane that faces the camera, shape [3, 3].
-
-    Its noise is that of still tissue, as if no two places or frames had any of it in common; where the dent lies, the
-    plane's tilt, the instants and the law of light are not known.
-
-    Args:
-        contact: with its shading sequence.
-        theta: true k_s, k_d and F, in lengths of the contact's mesh, shape [3].
-        frame_seconds: time from frame to frame [s].
-    """
-    problem = ShadingProblem(contact, MECHANICS.matched(frame_seconds), WITHIN * frame_seconds, np.zeros(2))
-    box = problem.box(RECOMMENDED.log_box)
-    press = np.concatenate([np.log(np.abs(theta)), np.zeros(box.shape[1] - OTHERS - 3)])
-    jacobian = problem.jacobian(problem.start(press, problem.darkest()))
-    return about_tissue(jacobian.T @ jacobian, box_information(box))
 
 
 def known(information: np.ndarray, onset: str) -> np.ndarray:
@@ -104,13 +77,13 @@ def _kind(motion: PressedMotion) -> type[PressMotion]:
     return PressMotion if motion.shape == PressShape() else PatchMotion
 
 
-def _all(problem: Problem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _all(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """True parameters of a problem, from φ and the delays."""
     press = problem.motion
     return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
 
 
-def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: float = 1.0) -> np.ndarray:
+def _of_tissue(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """Information of log θ and both delays at the truth, shape [5, 5], the press's shape being unknown.
 
     Of the second delay nothing is known where the release was not observed.
@@ -119,8 +92,7 @@ def _of_tissue(problem: Problem, logs: np.ndarray, motion: PressedMotion, unit: 
         problem: of the truth, with its
         logs: φ and delays.
         motion: the truth.
-        unit: how much information counts as 1 in the problem, about: what is expected of a shape counts as well.
     """
     information = problem.information(_all(problem, logs, motion))
-    prior = unit * box_information(problem.motion.box(RECOMMENDED.log_box))
+    prior = box_information(problem.motion.box(RECOMMENDED.log_box))
     return np.pad(about_tissue(information, prior, len(logs)), (0, 5 - len(logs)))

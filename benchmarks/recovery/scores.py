@@ -1,10 +1,8 @@
 """From results to numbers: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
 
 Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the sequence of its dent with
-the sequence's own noise (`field`), or that of its contact's true trajectory under the suite's measured tracking noise,
-which is pooled over all its clips (`contact`). `constant_rmse_log` is the error of the
-best constant for exactly the clips of a row, their own mean: nothing that ignores its input can do better. The
-estimator `constant` is fitted on another split and does worse. What doesn't exist is not a number.
+the sequence's own noise. `constant_rmse_log` is the error of the best constant for exactly the clips of a row, their
+own mean: nothing that ignores its input can do better. What doesn't exist is not a number.
 """
 
 import math
@@ -16,7 +14,6 @@ import pandas as pd
 
 from benchmarks.harness import OK, Row
 from benchmarks.recovery.bounds import known
-from palpate.data.contact.interaction import FIELD
 from palpate.data.synthetic.truth import REGIMES
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.onset import STAMP
@@ -32,10 +29,6 @@ NON_IDENTIFIABLE = "non-identifiable"
 """In the column of regimes: clips of any regime with a parameter whose bound is not below the limit."""
 EVERY = "every clip"
 """In the column of regimes, of a parameter: identifiable or not. Intervals are calibrated to hold over these."""
-CENTRAL = 0.6826894921370859
-"""Probability within one standard deviation."""
-ASTRAY = 4.0
-"""Tracking errors of more than this many standard deviations count as lost tracks, not as noise."""
 TO_QUANTITIES = np.vstack((np.eye(3), RATIOS))
 """From log θ to the logarithms of QUANTITIES, shape [5, 3]."""
 
@@ -50,8 +43,6 @@ class Scores:
     """Results with an estimate, shape [n]."""
     failed: list[Row]
     """Results without one."""
-    noise: tuple[float, float]
-    """Of the suite, as `measure_noise` gives it."""
     regimes: np.ndarray
     """Shape [n]."""
     truth: np.ndarray
@@ -88,34 +79,16 @@ class Scores:
         return found | {"all": used, extra: np.asarray(clips)}
 
 
-def measure_noise(rows: Sequence[Row]) -> tuple[float, float]:
-    """Measured error of the tracked contact of a suite [scene units], every clip once.
-
-    Returns:
-        Root mean square without the errors beyond ASTRAY times the width that holds the central 68 % (tracks that went
-        astray would raise the bound and so excuse the estimators), and the root mean square of all.
-    """
-    tracks = {row["index"]: row["tracking"] for row in rows if "tracking" in row}
-    if not tracks:
-        return math.nan, math.nan
-    sizes = np.abs(np.concatenate(list(tracks.values())))
-    return rms(sizes[sizes <= ASTRAY * np.quantile(sizes, CENTRAL)]), rms(sizes)
-
-
-def score(rows: Sequence[Row], noise: tuple[float, float], observation: str = FIELD, onset: str = STAMP) -> Scores:
+def score(rows: Sequence[Row], onset: str = STAMP) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
         rows: its results, one at least.
-        noise: of the suite.
-        observation: of what the Cramér–Rao bound is with which errors are compared: of the sequence (`FIELD`; nothing
-            where there is none) or of the tracked contact.
         onset: whether the instants of the press are known to that bound: one of `estimators.onset.ONSETS`.
     """
     kept = [row for row in rows if row["status"] == OK]
     truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))
-    name, unit = ("field_information", 1.0) if observation == FIELD else ("information", noise[0] ** 2)
-    information = np.array([row.get(name, np.zeros((5, 5))) / unit for row in kept]).reshape(-1, 5, 5)
+    information = np.array([row.get("field_information", np.zeros((5, 5))) for row in kept]).reshape(-1, 5, 5)
     unknown = np.full((3, 3), np.nan)
     given = np.array([row.get("covariance", unknown) for row in kept]).reshape(-1, 3, 3)
     return Scores(
@@ -123,7 +96,6 @@ def score(rows: Sequence[Row], noise: tuple[float, float], observation: str = FI
         suite=rows[0]["suite"],
         rows=kept,
         failed=[row for row in rows if row["status"] != OK],
-        noise=noise,
         regimes=np.array([row["regime"] for row in kept]),
         truth=truth @ TO_QUANTITIES.T,
         estimate=estimate @ TO_QUANTITIES.T,
@@ -137,13 +109,12 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,...jk,ik->...i", TO_QUANTITIES, covariances, TO_QUANTITIES))
 
 
-def score_all(rows: Sequence[Row], observation: str = FIELD, onset: str = STAMP) -> list[Scores]:
+def score_all(rows: Sequence[Row], onset: str = STAMP) -> list[Scores]:
     """Scores of every estimator and suite, in the order in which they first appear; arguments as of `score`."""
     found = []
     for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
-        observed = [row for row in rows if row["suite"] == suite]
-        own = [row for row in observed if row["estimator"] == estimator]
-        found.append(score(own, measure_noise(observed), observation, onset))
+        own = [row for row in rows if (row["estimator"], row["suite"]) == (estimator, suite)]
+        found.append(score(own, onset))
     return found
 
 

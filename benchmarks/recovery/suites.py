@@ -21,8 +21,6 @@ GRID_SIZE = (214, 120)
 """Width and height of pictures of the network's input size [px]."""
 SPLITS = {"training": 1, "validation": 2, "test": 3}
 """First number of each split's random stream."""
-FITTED_ON = {"test": "validation", "validation": "training", "training": "validation"}
-"""Split on which the constant is fitted that a split's clips are compared with."""
 LARGEST_SEED = 2**32 - 1
 _STREAM = 0x70A17A7E
 """Tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`."""

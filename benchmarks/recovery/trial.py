@@ -15,13 +15,9 @@ verdict, warned                 as estimated; whether the estimate says that its
 of a press:
 
 theta, estimate, covariance     true and estimated θ, shape [3], and the estimated covariance of log θ, shape [3, 3]
-information                     Fisher information of log θ and both delays from the contact's motion for σ = 1
-                                (`benchmarks.recovery.bounds`), shape [5, 5]
-field_information               the same from the sequence of its dent with the sequence's noise
-tracking                        tracked minus true displacement along the true direction, shape [M]
-onset_off, release_off          frames from the true onset, or release, to the one that was found
-place_off                       how far the contact was found from the true one [grid px]
-noise, misfit, at_bound         σ that the estimator believed in; its misfit; whether θ lies at its range's end, [3]
+field_information               Fisher information of log θ and both delays from the sequence of its dent with the
+                                sequence's noise (`benchmarks.recovery.bounds`), shape [5, 5]
+noise, misfit                   σ that the estimator believed in; its misfit
 
 of a grip:
 
@@ -31,7 +27,6 @@ curve                           force over that of the last frame: true, estimat
 """
 
 import functools
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,8 +35,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import OK, Row, attempted
-from benchmarks.recovery.bounds import MECHANICS, contact_information, field_information
-from benchmarks.recovery.estimators import Candidate, opened
+from benchmarks.recovery.bounds import MECHANICS, field_information
 from benchmarks.recovery.grip_truth import gripped
 from benchmarks.recovery.suites import EVERY, GRID_SIZE
 from palpate.common.doors import interruptible
@@ -54,14 +48,16 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import Estimate
 from palpate.estimators.oblique import is_oblique
+from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 
+opened = functools.cache(open_estimator)
+"""Every estimator is opened once a process."""
 Compare = Callable[[Any], Row]
-"""From what a session says of a clip, or a constant, to what is known then."""
+"""From what a session says of a clip to what is known then."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ class Trial:
     index: int
     seed: int
     """Seed of the clip."""
-    wanted: Mapping[str, Mapping[str, Candidate]]
+    wanted: Mapping[str, Mapping[str, EstimatorOptions]]
     """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
     horizon: Horizon = None
     """Frames after the onset that estimators and bound observe; None = one second."""
@@ -101,7 +97,7 @@ def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
     return draw_truth(settings, seed)
 
 
-def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Candidate]) -> list[Row]:
+def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, EstimatorOptions]) -> list[Row]:
     settings = EVERY[suite].settings(trial.index, trial.size)
     known: Row = {"suite": suite, "index": trial.index, "seed": trial.seed, "action": settings.action}
     if EVERY[suite].of == "press":
@@ -146,37 +142,29 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
         begun = ", ".join(map(str, contacts))
         reason = f"contact began in frame {begun} instead of {motion.onset_frame}."
         return {"status": "other onset", "reason": reason}, None
-    contact, scene = contacts[onset], clip.scene
-    known = _off(contact, clip.frames[onset], scene, motion)
-    known["tracking"] = tracking_errors(contact, scene, motion)
-    known["information"] = contact_information(contact, scene, motion)
-    known["field_information"] = field_information(contact, scene, motion)
+    known = {"field_information": field_information(contacts[onset], clip.scene, motion)}
     return known, functools.partial(_pressed, onset)
 
 
-def estimated(candidate: Candidate, clip: TrueClip, compare: Compare) -> Row:
+def estimated(candidate: EstimatorOptions, clip: TrueClip, compare: Compare) -> Row:
     """What becomes of an estimator's answer, or why there is none."""
     start = time.perf_counter()
 
     def answered() -> Row:
-        answer = candidate
-        if not isinstance(candidate, Estimate):
-            answer = list(estimates_of(opened(candidate).start(clip.info), clip.frames))
+        answer = list(estimates_of(opened(candidate).start(clip.info), clip.frames))
         seconds = time.perf_counter() - start
         return {"status": OK, "seconds": seconds, **compare(answer)}
 
     return attempted(answered)  # an estimator that breaks on a clip is a result, and the others go on
 
 
-def _pressed(onset: int, answer: Estimate | list) -> Row:
+def _pressed(onset: int, answer: list) -> Row:
     """What is estimated of the press whose contact begins in a frame."""
-    found = answer
-    if not isinstance(found, Estimate):
-        runs = [item for item in found if isinstance(item, InteractionEstimate)]
-        run = next((item for item in runs if item.onset == onset), None)
-        if run is None or run.estimate is None:
-            return {"status": "no estimate", "reason": "it doesn't see this contact." if run is None else run.detail}
-        found = run.estimate
+    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
+    run = next((item for item in runs if item.onset == onset), None)
+    if run is None or run.estimate is None:
+        return {"status": "no estimate", "reason": "it doesn't see this contact." if run is None else run.detail}
+    found = run.estimate
     if not np.isfinite(found.theta).all():
         return {"status": "no estimate", "reason": "its θ is not finite."}
     return {
@@ -185,20 +173,7 @@ def _pressed(onset: int, answer: Estimate | list) -> Row:
         "verdict": "" if found.given_verdict else found.verdict,
         "noise": found.noise,
         "misfit": found.misfit,
-        "at_bound": found.at_bound,
         "warned": None if found.given_verdict else not found.explained or is_oblique(found),
-    }
-
-
-def _off(contact: Interaction, onset: PreparedFrame, scene: Scene, motion: PressedMotion) -> Row:
-    """How far a contact was found from the true one."""
-    seconds = (motion.release_frame - onset.frame.index) / scene.settings.fps
-    released = contact.load_seconds - seconds if contact.released else math.nan
-    place = contact.mesh.pixels[contact.vertex] - scene.mesh.pixels[scene.vertex]
-    return {
-        "onset_off": float(onset.frame.index - motion.onset_frame),
-        "release_off": round(released * scene.settings.fps, 2),
-        "place_off": float(np.linalg.norm(place)),
     }
 
 
@@ -216,13 +191,3 @@ def observed_contacts(
     known = [(run.index, run.builder) for run in ended if run is not None]
     found = {index: builder.build(MECHANICS, horizon) for index, builder in known if builder is not None}
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}
-
-
-def tracking_errors(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray:
-    """Errors of a tracked contact along the true direction, shape [M] [scene units].
-
-    Args:
-        contact: as observed; it must begin in the true onset's frame.
-    """
-    frames = motion.onset_frame + np.rint(contact.observation.times * scene.settings.fps).astype(int)
-    return (contact.moved - motion.contact[frames]) @ scene.direction

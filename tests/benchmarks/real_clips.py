@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.real.pulled import PulledClip
+from benchmarks.real.__main__ import PulledClip
 from tests.inference_inputs import encode
 
 SIZE = 240, 176

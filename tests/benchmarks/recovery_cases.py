@@ -7,25 +7,20 @@ from benchmarks.recovery.suites import suite_clip_seed
 from palpate.data.synthetic.truth import REGIMES
 
 TRUTH = np.array([0.5, 0.05, -0.1])
-BY_CONTACT = "contact"
-"""The bound of the contact's point, which the clips below are made for."""
 
 
 def recovery(index: int = 0, **changes) -> Row:
-    """A clip whose θ was estimated exactly, with bounds of 0.1 for tracking noise of 0.001, and of 0.05 by its
-    sequence.
+    """A clip whose θ was estimated exactly, with bounds of 0.1.
 
     Information of log θ alone [3, 3] is taken to be that of a press whose delays have no part in it.
     """
     clip = {"suite": "clean", "index": index, "estimator": "direct", "seed": suite_clip_seed("test", 0, index)}
     truth = {"action": "press", "regime": REGIMES[index % 3], "status": "ok", "theta": TRUTH}
-    told = {"information": np.eye(3) * (0.001 / 0.1) ** 2, "field_information": np.eye(3) / 0.05**2}
-    told |= {"tracking": np.array([0.001, -0.001]), "noise": 0.001, "misfit": 1.0, "at_bound": np.zeros(3, bool)}
+    told = {"field_information": np.eye(3) / 0.1**2, "noise": 0.001, "misfit": 1.0}
     found = {"estimate": TRUTH, "covariance": np.eye(3) * 0.01, "verdict": "determined", "seconds": 1.0}
     fields = clip | truth | told | found | changes
-    for name in ("information", "field_information"):
-        if fields[name] is not None:
-            fields[name] = np.pad(fields[name], (0, 5 - len(fields[name])))
+    if (told := fields["field_information"]) is not None:
+        fields["field_information"] = np.pad(told, (0, 5 - len(told)))
     return {name: value for name, value in fields.items() if value is not None}
 
 

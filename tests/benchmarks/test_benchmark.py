@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.recovery import estimators
 from benchmarks.recovery.__main__ import Benchmark, main
 from benchmarks.recovery.scores import COLUMNS
 from benchmarks.recovery.suites import SUITES
@@ -28,7 +27,6 @@ def evaluated(monkeypatch):
         ]
 
     monkeypatch.setattr(Benchmark, "work", staticmethod(evaluate))
-    monkeypatch.setattr(estimators, "draw_log_theta", lambda task: np.array([-1.0, -3.0, -2.5]) + 0.1 * task[0])
     return seen
 
 
@@ -37,20 +35,12 @@ def run(output, *arguments, clips=6):
 
 
 def test_tables_are_written(tmp_path, evaluated):
-    assert run(tmp_path, "--suite", "clean", "8bit", "--estimator", "direct", "constant") == 0
+    assert run(tmp_path, "--suite", "clean", "8bit", "--estimator", "direct", "network", "--model", str(SHIPPED)) == 0
     rows = read_rows(tmp_path / "table.csv")
     assert tuple(rows[0]) == COLUMNS
     assert {(row["estimator"], row["suite"]) for row in rows} == {
-        (estimator, suite) for estimator in ("direct", "constant") for suite in ("clean", "8bit")
+        (estimator, suite) for estimator in ("direct", "network") for suite in ("clean", "8bit")
     }
-
-
-def test_the_constant_is_fitted_only_where_it_is_asked_for(tmp_path, evaluated, monkeypatch):
-    monkeypatch.setattr(estimators, "draw_log_theta", lambda task: pytest.fail("a truth was drawn"))
-    assert run(tmp_path) == 0
-    rows = read_rows(tmp_path / "table.csv")
-    # All stand-in clips have the same θ, which one constant hits.
-    assert [float(row["constant_rmse_log"]) for row in rows if row["n"] != "0"] == pytest.approx([0] * 23, abs=1e-9)
 
 
 def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):
@@ -68,7 +58,7 @@ def test_a_second_run_does_only_what_is_left(tmp_path, evaluated):
 
 
 def test_failed_clips_are_shown_and_no_error(tmp_path, monkeypatch, evaluated, capsys):
-    lost = {"estimate": None, "covariance": None, "information": None, "tracking": None}
+    lost = {"estimate": None, "covariance": None, "field_information": None}
 
     def evaluate(task):
         status = {} if task.index else {"status": "no contact", "reason": "no onset of contact was found.", **lost}
@@ -96,17 +86,6 @@ def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monk
     assert sizes == [(214, 120), (854, 480)]
     assert run(tmp_path, "--size", "854x480", clips=1) == 2
     assert "holds results of another size" in capsys.readouterr().err
-
-
-def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
-    """The depth-change sequence's is 0.05 and the contact's 0.1."""
-    found = []
-    for bound in ((), ("--bound", "depth"), ("--bound", "contact")):
-        assert run(tmp_path, *bound) == 0
-        rows = {(row["regime"], row["parameter"]): row for row in read_rows(tmp_path / "table.csv")}
-        found.append(float(rows["all", "damping"]["bound_log"]))
-    assert found == pytest.approx([0.05, 0.05, 0.1])
-    assert sorted(evaluated) == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
@@ -139,7 +118,6 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--size=-854x480",), "-854x480 is no size of pictures"),
         (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
         (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),
-        (("--bound", "sequence"), "sequence"),
     ],
 )
 def test_options_that_take_something_else_or_do_not_belong_together(tmp_path, arguments, sentence, capsys):
@@ -157,12 +135,9 @@ def test_all_suites_once_and_in_order():
 
 
 @pytest.mark.slow
-def test_two_real_clips_in_two_processes(tmp_path, monkeypatch):
-    """The constant's truths are drawn here: two more processes would take longer to start."""
-    monkeypatch.setattr(estimators, "CONSTANT_CLIPS", 3)
-    monkeypatch.setattr(estimators, "run_tasks", lambda work, tasks, *_, **__: map(work, tasks))
+def test_two_real_clips_in_two_processes(tmp_path):
     arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
-    assert main([*arguments, "--estimator", "network", "constant", "--model", str(SHIPPED)]) == 0
+    assert main([*arguments, "--estimator", "network", "--model", str(SHIPPED)]) == 0
     table = read_rows(tmp_path / "table.csv")
     rows = [row for row in table if row["regime"] == "all" and row["estimator"] == "network"]
     force = next(row for row in rows if row["parameter"] == "force/damping")

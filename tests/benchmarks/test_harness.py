@@ -77,22 +77,6 @@ def test_suites_and_estimators_may_be_added(tmp_path):
     assert {name for name in record if name.startswith("suite")} == {"suite clean", "suite 8bit"}
 
 
-def test_another_version_of_the_program_is_noticed(tmp_path, monkeypatch):
-    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    assert not harness.Store(tmp_path, WANTED, KEYS).outdated
-    monkeypatch.setattr("benchmarks.harness.code_digest", lambda: "other")
-    assert harness.Store(tmp_path, WANTED, KEYS).outdated
-
-
-def test_a_line_that_is_none_of_ours_is_not_cut_off(tmp_path):
-    harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    for content in ("{}\n", "mine", (tmp_path / harness.RESULTS).read_text() + "mine"):
-        (tmp_path / harness.RESULTS).write_text(content)
-        with pytest.raises(OutputError, match=r"results\.jsonl: line \d is not a result"):
-            harness.Store(tmp_path, WANTED, KEYS)
-        assert (tmp_path / harness.RESULTS).read_text() == content
-
-
 @pytest.mark.parametrize("name", ["table.csv", "details.csv"])
 def test_a_user_s_file_among_the_tables_stays(tmp_path, name):
     (tmp_path / name).write_text("precious")

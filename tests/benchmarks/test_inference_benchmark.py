@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from benchmarks import inference
-from benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second, one_contact
+from benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.models.onnx_session import open_model
@@ -27,12 +27,6 @@ def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
     assert open_model(file).window == configured["data"].get("samples", {}).get("window", 1)
     assert configured["model"]["width"] == 64
     assert 0.1 < encoder_and_head(file, 1) < 10_000
-
-
-def test_a_contact_is_timed_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference, "CONTACTS", 1)
-    median, network, longest = one_contact((214, 120), "stamp")
-    assert 0 < network < median == longest
 
 
 def test_a_rate_is_that_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from palpate.data.synthetic.clip import clip_seed
 def test_summary_counts_what_is_determined_and_held():
     frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
     frames["normal_error_deg"] = 7.5
-    known = {"force_determined": 1, "force_sd": 0.1, "force_bound": 0.02}
+    known = {"force_determined": 1, "force_sd": 0.1}
     true = iter((0.2, 0.6, 0.9))
     rows = [frames | known | {"force_error": error, "force_log_true": next(true)} for error in (0.05, -0.15, 0.4)]
     rows.append(frames)
@@ -24,16 +24,13 @@ def test_summary_counts_what_is_determined_and_held():
     assert found.loc["force", "median error"] == pytest.approx(0.15)
     assert found.loc["force", "of the best constant"] == pytest.approx(0.3)
     assert found.loc["force", "held"] == pytest.approx(2 / 3)
-    assert found.loc["force", "bound"] == pytest.approx(0.02)
     assert found.loc["damping", "count"] == 0
     assert math.isnan(found.loc["damping", "held"])
-    by_depth = [{name: value for name, value in row.items() if name != "force_bound"} for row in rows]
-    assert math.isnan(summarised(by_depth).set_index("measure").loc["force", "bound"])  # rows as they are read again
 
 
 def test_every_suite_has_settings_of_its_own(tmp_path):
     found = {suite: PlainVideo(output=tmp_path, suite=suite, look="endoscope", width=1280).settings for suite in SUITES}
-    assert len(set(map(str, found.values()))) == len(SUITES) == 7
+    assert len(set(map(str, found.values()))) == len(SUITES) == 6
     assert {(each.width, each.height, each.look, each.video_quality) for each in found.values()} == {
         (1280, 720, "endoscope", 23)
     }
@@ -48,7 +45,6 @@ def test_given_depth_tells_the_normal_and_all_quantities(tmp_path):
     assert found["normal_error_deg"] < 5
     for name in ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness"):
         assert found[f"{name}_determined"]
-        assert math.isnan(found[f"{name}_bound"])  # no light was gathered
         assert abs(found[f"{name}_error"]) < 3 * found[f"{name}_sd"] < 0.5
 
 

@@ -3,7 +3,7 @@
 import csv
 import io
 
-from palpate.common.tables import to_csv, to_markdown
+from palpate.common.tables import to_csv
 
 
 def test_csv_keeps_all_digits_unless_told_otherwise_and_leaves_empty_what_is_missing():
@@ -12,7 +12,3 @@ def test_csv_keeps_all_digits_unless_told_otherwise_and_leaves_empty_what_is_mis
     assert read == [["a|b", "<x>"], ["|F|", "0.1234567891"], ["x, y", ""], ["3", ""]]
     assert to_csv(rows[:1], ("<x>", "a|b", "c"), ".3g") == "<x>,a|b,c\n0.123,|F|,\n"
     assert to_csv([], ("a", "b")) == "a,b\n"
-
-
-def test_markdown_escapes_what_would_end_a_cell():
-    assert to_markdown(("a|b", "c"), [("|F|", "1")]) == "| a\\|b | c |\n| --- | --- |\n| \\|F\\| | 1 |"

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.palpation import surfaces
-from benchmarks.palpation.surfaces import POISSON, SIX, STARTS, YOUNG
+from benchmarks.palpation import __main__ as surfaces
+from benchmarks.palpation.__main__ import POISSON, SIX, STARTS, YOUNG
 from palpate.estimators.palpation import FitSettings
 
 

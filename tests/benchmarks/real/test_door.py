@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.harness import Row, write
-from benchmarks.real.__main__ import KNOWN, Real, main
-from benchmarks.real.pulled import PulledClip, evaluate_pull
+from benchmarks.real.__main__ import KNOWN, PulledClip, Real, evaluate_pull, main
 from palpate.common.options import options
 from palpate.common.output import LIST
 from tests.benchmarks.real_clips import pull_clip
@@ -146,11 +145,6 @@ def test_names_and_numbers_are_written_as_they_are(tmp_path: Path) -> None:
     write(tmp_path, report)
     lines = (tmp_path / "table.csv").read_text().splitlines()
     assert lines == ["clip,measure,value", "a|b <i>,status,ok", "a|b <i>,one,0.333333", "a|b <i>,two,"]
-
-
-def test_two_clips_of_one_name_are_both_judged(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = chosen(tmp_path, *known(monkeypatch, inputs, "pull"), "--pulled", "a/pull")
-    assert [*real.wanted] == ["pull", "pull (2)"]
 
 
 def chosen(output: Path, *arguments: str) -> Real:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.real.pulled import PulledClip, evaluate_pull
+from benchmarks.real.__main__ import PulledClip, evaluate_pull
 from palpate.data.source.layout import InputError
 from tests.benchmarks.real_clips import pull_clip
 

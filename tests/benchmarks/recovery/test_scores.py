@@ -8,11 +8,11 @@ from scipy.stats import norm
 
 from benchmarks.recovery import scores as scoring
 from palpate.estimators.estimate import NINETY
-from tests.benchmarks.recovery_cases import BY_CONTACT, off_by, recovery
+from tests.benchmarks.recovery_cases import off_by, recovery
 
 
-def table(rows, *bound):
-    frame = scoring.table(scoring.score_all(rows, *(bound or (BY_CONTACT,))))
+def table(rows, onset="stamp"):
+    frame = scoring.table(scoring.score_all(rows, onset))
     return {(row["regime"], row["parameter"]): row for row in frame.to_dict("records")}
 
 
@@ -43,10 +43,10 @@ def test_errors_bounds_and_coverage_by_hand():
 
 def test_the_best_constant_is_that_of_the_row_s_own_clips():
     # Clips 0 and 3 are under-damped, 1 is critical; of clip 2, which is over-damped, k_s is not identifiable.
-    vague = np.diag((0.001 / np.array([0.6, 0.1, 0.1])) ** 2)
+    vague = np.diag((1 / np.array([0.6, 0.1, 0.1])) ** 2)
     truths = [off_by([shift, 0, 0]) for shift in (0.0, 0.3, 1.2, 0.6)]
     rows = [recovery(index, theta=theta, estimate=theta) for index, theta in enumerate(truths)]
-    rows[2] = recovery(2, theta=truths[2], estimate=truths[2], information=vague)
+    rows[2] = recovery(2, theta=truths[2], estimate=truths[2], field_information=vague)
     found = table(rows)
     kept = np.array([0.0, 0.3, 0.6])
     assert found["all", "stiffness"]["constant_rmse_log"] == pytest.approx(np.sqrt(np.mean((kept - 0.3) ** 2)))
@@ -61,8 +61,8 @@ def test_the_best_constant_is_that_of_the_row_s_own_clips():
 def test_ratios_use_the_whole_covariance():
     # log k_s and log k_d share an error of 1 and differ by 0.1: the ratio's variance is 2·0.01·(1 − ρ) in closed form.
     common = np.ones((3, 3)) + 0.005 * np.eye(3)
-    information = np.linalg.inv(common) * 0.001**2
-    found = table([recovery(2, information=information, covariance=common, estimate=off_by([1.0, 0.9, 1.0]))])
+    information = np.linalg.inv(common)
+    found = table([recovery(2, field_information=information, covariance=common, estimate=off_by([1.0, 0.9, 1.0]))])
     assert found["all", "stiffness"]["n"] == 0  # a bound of 1 is beyond the limit
     for group in ("all", "over-damped", "non-identifiable"):
         row = found[group, "stiffness/damping"]
@@ -88,8 +88,8 @@ def test_deviations_of_ratios_in_closed_form():
 
 
 def test_identifiable_is_decided_for_each_parameter():
-    information = np.diag((0.001 / np.array([0.1, 0.6, 0.1])) ** 2)
-    found = table([recovery(0, information=information)])
+    information = np.diag((1 / np.array([0.1, 0.6, 0.1])) ** 2)
+    found = table([recovery(0, field_information=information)])
     assert [found["all", name]["n"] for name in scoring.QUANTITIES] == [1, 0, 1, 1, 1]
     assert [found["every clip", name]["n"] for name in scoring.QUANTITIES[:3]] == [1, 1, 1]
     assert found["every clip", "damping"]["coverage90"] == 1.0
@@ -114,54 +114,28 @@ def test_the_interval_is_the_normal_one():
     assert scoring.coverage(np.array([0.16, -0.17]), np.array([0.1, 0.1])) == 0.5
 
 
-def test_noise_is_pooled_over_clips_once_each():
-    rows = [recovery(0, tracking=np.full(10, 0.001)), recovery(0, estimator="constant", tracking=np.full(10, 0.001))]
-    rows += [recovery(1, tracking=np.full(10, -0.003))]
-    assert scoring.measure_noise(rows)[0] == pytest.approx(math.sqrt((1 + 9) / 2) * 1e-3)
-
-
-def test_lost_tracks_do_not_excuse_estimators():
-    errors = np.random.default_rng(0).normal(0, 0.001, 1000)
-    lost = np.concatenate((errors, np.full(10, 0.1)))
-    sigma, whole = scoring.measure_noise([recovery(tracking=lost)])
-    assert sigma == pytest.approx(0.001, rel=0.06)
-    assert whole == pytest.approx(0.01, rel=0.06)
-
-
-def test_a_suites_bound_follows_its_measured_noise():
-    rows = [recovery(0), recovery(0, suite="noisy", tracking=np.array([0.003, -0.003]))]
-    bounds = [scores.bounds[0, 0] for scores in scoring.score_all(rows, BY_CONTACT)]
-    assert bounds == pytest.approx([0.1, 0.3])
-    # The depth-change sequence knows its own.
-    assert [scores.bounds[0, 0] for scores in scoring.score_all(rows)] == pytest.approx([0.05, 0.05])
-
-
 def test_without_a_sequence_the_sequence_bounds_nothing():
     rows = [recovery(0), recovery(1, field_information=None)]
-    assert table(rows)["all", "stiffness"]["n"] == 2
-    assert table(rows, "depth")["all", "stiffness"]["n"] == 1
-    assert table(rows, "depth")["every clip", "stiffness"]["n"] == 2
+    assert table(rows)["all", "stiffness"]["n"] == 1
+    assert table(rows)["every clip", "stiffness"]["n"] == 2
 
 
-@pytest.mark.parametrize(("observation", "share"), [("contact", 1e-6), ("depth", 1.0)])
-def test_whoever_does_not_know_the_instants_pays_for_the_delays(observation, share):
+def test_whoever_does_not_know_the_instants_pays_for_the_delays():
     # Of log k_s and the first delay [[100, 60], [60, 45]]; a delay from -1 to 1 is known to 1/√3 beforehand. What is
     # left of k_s is 100 − 60²/(45 + 3) = 25; of k_d, which no delay looks like, 100.
     information = np.diag([100.0, 100.0, 100.0, 45.0, 0.0])
     information[0, 3] = information[3, 0] = 60.0
-    fields = {"information": None, "field_information": None}
-    fields["information" if observation == "contact" else "field_information"] = share * information
-    rows = [recovery(0, **fields)]
-    stamp, between = (table(rows, observation, onset) for onset in ("stamp", "between"))
+    rows = [recovery(0, field_information=information)]
+    stamp, between = (table(rows, onset) for onset in ("stamp", "between"))
     bounds = [[found["all", name]["bound_log"] for name in scoring.QUANTITIES[:2]] for found in (stamp, between)]
     assert bounds[0] == pytest.approx([0.1, 0.1])
     assert bounds[1] == pytest.approx([0.2, 0.1])
 
 
 def test_clips_without_estimate_are_kept_apart():
-    rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, information=None)]
-    scores = scoring.score(rows, scoring.measure_noise(rows), BY_CONTACT)
+    rows = [recovery(0), recovery(1, status="no contact", estimate=None, covariance=None, field_information=None)]
+    scores = scoring.score(rows)
     assert [row["index"] for row in scores.rows] == [0]
     assert [row["index"] for row in scores.failed] == [1]
-    failed = recovery(0, status="no contact", estimate=None, covariance=None, information=None, tracking=None)
+    failed = recovery(0, status="no contact", estimate=None, covariance=None, field_information=None)
     assert {row["n"] for row in table([failed]).values()} == {0}

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from benchmarks.recovery.suites import FITTED_ON, GRID_SIZE, SPLITS, SUITES, suite_clip_seed
+from benchmarks.recovery.suites import GRID_SIZE, SPLITS, SUITES, suite_clip_seed
 from palpate.data.synthetic.clip import clip_seed
 from palpate.data.synthetic.truth import REGIMES
 
@@ -51,8 +51,3 @@ def test_splits_share_no_seed_at_any_seed():
     seeds += [clip_seed(seed, index) for seed in range(20) for index in range(50)]
     assert len(set(seeds)) == len(seeds)
     assert suite_clip_seed("test", 3, 7) == suite_clip_seed("test", 3, 7)
-
-
-def test_the_constant_is_fitted_on_another_split():
-    assert all(split != other for split, other in FITTED_ON.items())
-    assert FITTED_ON["test"] == "validation"

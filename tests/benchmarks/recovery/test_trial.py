@@ -8,27 +8,38 @@ import numpy as np
 import pytest
 
 from benchmarks.harness import Row
-from benchmarks.recovery import estimators
 from benchmarks.recovery import trial as recovery
-from benchmarks.recovery.bounds import MECHANICS, contact_information, known
-from benchmarks.recovery.estimators import draw_log_theta
+from benchmarks.recovery.bounds import known
 from benchmarks.recovery.suites import SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, TrueClip, run_trial
-from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
 from palpate.estimators.estimate import Estimate
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.open import EstimatorOptions
 from palpate.estimators.records import InteractionEstimate
-from palpate.physics import Observation, Press, held
-from palpate.physics.identifiability import bounds, fisher_information, log_jacobian
-from palpate.physics.msd.simulation import simulate_sensitivities
+from palpate.physics.identifiability import bounds
 from tests.estimators.sessions import clip_info
 
-CONSTANT = Estimate(np.exp([-1, -3, -2.5]) * [1, 1, -1], np.eye(3), given_verdict="undetermined")
 SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
 DIRECT = EstimatorOptions("direct")
+FOUND = Estimate(np.array([0.4, 0.05, -0.1]), np.eye(3), given_verdict="undetermined")
+
+
+class Telling:
+    """An estimator that says the same at the end of every clip."""
+
+    def __init__(self, *said: InteractionEstimate) -> None:
+        self.said = said
+
+    def start(self, clip: object) -> "Telling":
+        return self
+
+    def push(self, frame: object) -> tuple[InteractionEstimate, ...]:
+        return ()
+
+    def finish(self) -> tuple[InteractionEstimate, ...]:
+        return self.said
 
 
 @pytest.fixture(scope="module")
@@ -44,60 +55,27 @@ def test_suites_that_only_observe_otherwise_share_a_truth():
     assert len(others) == 4
 
 
-def test_a_late_force_is_compared_and_bounded_at_its_own_instants():
-    """A delay of half a frame, eight steps of the simulator: a track without error, and the information it holds."""
-    settings = dataclasses.replace(SUITES["late-onset"].settings(2), onset_delay=(0.5, 0.5), release_delay=(0.5, 0.5))
-    scene, motion = draw_truth(settings, SEED)
-    after = np.arange(1, 26)
-    observed = motion.contact[motion.onset_frame + after] - 0.002 * scene.direction
-    step, times = MECHANICS.time_step, after / 25
-    load = Press.at(scene.vertex, scene.direction, held(round(motion.load_seconds / step), 400))
-    contact = Interaction(scene.mesh, load, Observation.of_point(scene.vertex, times, observed, 0.001), step)
-    np.testing.assert_allclose(recovery.tracking_errors(contact, scene, motion), -0.002, rtol=1e-4)
-    information = contact_information(contact, scene, motion)
-    assert information.shape == (5, 5)
-    _, slopes = simulate_sensitivities(motion.theta, scene.mesh, load, MECHANICS, dtype=np.float64)
-    slopes = log_jacobian(slopes, motion.theta)
-    expected, on_time = (fisher_information(slopes[16 * after - first], 1.0) for first in (9, 1))
-    # Instants are read between steps; those that lie on one do so to rounding.
-    np.testing.assert_allclose(information[:3, :3], expected, rtol=1e-9)
-    assert not np.allclose(information[:3, :3], on_time, rtol=0.01)
-    np.testing.assert_array_equal(known(information, STAMP), information[:3, :3])
-    # Before the force starts nothing is told.
-    late = dataclasses.replace(motion, delay=0.04)
-    blind = contact.observed(np.arange(1))
-    np.testing.assert_array_equal(contact_information(blind, scene, late), np.zeros((5, 5)))
-
-
 def test_a_clip_in_three_suites(monkeypatch, truth):
-    drawn = []
+    drawn, onset = [], truth[1].onset_frame
 
     def draw(settings, seed):
         drawn.append(settings)
         return truth
 
     monkeypatch.setattr(recovery, "draw_truth", draw)
-    monkeypatch.setattr(estimators, "draw_truth", draw)
+    monkeypatch.setattr(recovery, "opened", lambda _: Telling(InteractionEstimate(onset, onset, 0.0, estimate=FOUND)))
     recovery._truth.cache_clear()
-    wanted = {"clean": {"constant": CONSTANT}, "8bit": {"constant": CONSTANT}, "mismatch": {"constant": CONSTANT}}
+    wanted = {"clean": {"direct": DIRECT}, "8bit": {"direct": DIRECT}, "mismatch": {"direct": DIRECT}}
     clean, rounded, mismatch = run_trial(Trial(2, SEED, wanted | {"noisy": {}}))
     assert drawn == [SUITES[name].truth_settings(2) for name in ("clean", "mismatch")]
     assert (clean["status"], rounded["status"], mismatch["status"]) == ("ok", "ok", "ok")
-    assert (clean["estimator"], clean["suite"], rounded["suite"]) == ("constant", "clean", "8bit")
-    assert not np.array_equal(clean["tracking"], rounded["tracking"])
-    assert np.sqrt(np.mean(np.square(clean["tracking"]))) < 0.003
-    np.testing.assert_allclose(clean["estimate"], np.exp([-1, -3, -2.5]) * [1, 1, -1])
-    assert np.linalg.eigvalsh(clean["information"]).min() >= 0
-    np.testing.assert_allclose(draw_log_theta((2, SEED)), np.log(np.abs(clean["theta"])))
+    assert (clean["estimator"], clean["suite"], rounded["suite"]) == ("direct", "clean", "8bit")
+    np.testing.assert_allclose(clean["estimate"], [0.4, 0.05, -0.1])
     np.testing.assert_array_equal(clean["covariance"], np.eye(3))
     for row in (clean, rounded, mismatch):
-        for onset in (STAMP, BETWEEN):
-            # The dent tells more than its middle, and both tell less to somebody who doesn't know the instants.
-            contact = known(row["information"] / np.mean(np.square(row["tracking"])), onset)
-            assert (bounds(known(row["field_information"], onset)) < bounds(contact)).all()
-        for information in (row["information"], row["field_information"]):
-            assert information.shape == (5, 5)
-            assert (bounds(known(information, STAMP)) < bounds(known(information, BETWEEN))).all()
+        information = row["field_information"]
+        assert information.shape == (5, 5)
+        assert (bounds(known(information, STAMP)) < bounds(known(information, BETWEEN))).all()
     # Rounded depth has errors that stay, and other noise.
     assert not np.allclose(clean["field_information"], rounded["field_information"], rtol=0.01)
 
@@ -106,7 +84,7 @@ def run(monkeypatch, **replaced) -> Row:
     recovery._truth.cache_clear()
     for name, value in replaced.items():
         monkeypatch.setattr(recovery, name, value)
-    (row,) = run_trial(Trial(2, SEED, {"clean": {"constant": CONSTANT}}))
+    (row,) = run_trial(Trial(2, SEED, {"clean": {"direct": DIRECT}}))
     return row
 
 
@@ -121,8 +99,6 @@ def test_failures_become_results(monkeypatch):
     failing = raising(SceneError("nothing to draw."))
     row = run(monkeypatch, draw_truth=failing)
     assert (row["status"], row["reason"], "theta" in row) == ("no scene", "nothing to draw.", False)
-    monkeypatch.setattr(estimators, "draw_truth", failing)
-    assert draw_log_theta((2, SEED)) is None
 
 
 def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch, truth):
@@ -139,19 +115,6 @@ def test_a_broken_preparation_and_missing_contacts_become_results(monkeypatch, t
     assert row["status"] == "other onset"
     assert f"instead of {motion.onset_frame}" in row["reason"]
     np.testing.assert_array_equal(row["theta"], motion.theta)
-
-
-class Telling:
-    """An estimator that says the same at the end of every clip."""
-
-    def __init__(self, *said: InteractionEstimate) -> None:
-        self.said = said
-
-    def start(self, clip: object) -> "Telling":
-        return self
-
-    def finish(self) -> tuple[InteractionEstimate, ...]:
-        return self.said
 
 
 def told(monkeypatch, truth, estimator) -> Row:
@@ -192,7 +155,7 @@ def test_motions_that_are_not_explained_or_seen_aslant_are_warned_of(monkeypatch
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["warned"], row["verdict"]) == ("ok", warned, "undetermined")
     assert (row["noise"], row["misfit"]) == (0.001, misfit)
-    for name, value in (("estimate", theta), ("covariance", np.eye(3)), ("at_bound", at_bound)):
+    for name, value in (("estimate", theta), ("covariance", np.eye(3))):
         np.testing.assert_array_equal(row[name], value)
 
 

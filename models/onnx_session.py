@@ -17,7 +17,7 @@ import onnxruntime
 
 from palpate.common.files import as_json, read_file
 from palpate.common.onnx_devices import AUTO, DeviceError, open_session, opening_problem, provider_of
-from palpate.common.settings import fits
+from palpate.common.settings import fits, sound
 from palpate.models.calibration import Widths
 
 SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
@@ -231,22 +231,10 @@ def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[st
         problem = f"has format {reprlib.repr(version)} and this program reads up to {FORMAT_VERSION}"
         raise ModelFileError(f"{path} {problem}; update the program.")
     for name, value in metadata.items():
-        # Most levels of nested values within a field of the document; exports have four.
-        if not (_sound([name, value], 8) and fits(value, _FIELDS.get(name, Any))):
+        if not (sound([name, value]) and fits(value, _FIELDS.get(name, Any))):
             problem = f"has unusable metadata, {reprlib.repr(name)}: {reprlib.repr(value)}"
             raise ModelFileError(f"{path} {problem}; export it again with train.py export.")
     return metadata
-
-
-def _sound(value: Any, levels: int) -> bool:
-    """Whether a value read from JSON has at most so many levels, no huge number and no control characters."""
-    if isinstance(value, (dict, list)):
-        inner = (*value, *value.values()) if isinstance(value, dict) else value
-        return levels > 0 and all(_sound(each, levels - 1) for each in inner)
-    if isinstance(value, str):
-        return value.isprintable()
-    # Largest absolute value of a number in the document.
-    return value is None or abs(value) <= 1e9
 
 
 def _described(inputs: Mapping[str, tuple[int, ...]]) -> str:

@@ -90,15 +90,14 @@ def nested(levels: int) -> object:
         *(("preprocessing_version", value) for value in ("2", 1.5, None, 10**30)),
         *(("bridge_frames", value) for value in ("2", 2.5, True)),
         *(("track_seconds", value) for value in ("1", None, float("nan"), float("inf"), 1e300)),
-        *(("units", value) for value in (["s"], {"time": 1}, {"time": "\x1b[2J"}, {"\n": "s"}, {"time": "\ud800"})),
+        *(("units", value) for value in (["s"], {"time": 1})),
         *(("trained_on", value) for value in ({"noise": ["a"]}, {"depth": "stored"}, {"masks": [1]}, ["depth"])),
         *(("training", value) for value in (["x"], {"weights_sha256": 1})),
         *(("contact", {"press_seconds": value}) for value in (1.0, [1.0], [0.1, "0.2"], [0.1, float("nan")])),
         *(("calibration", value) for value in (None, [1], {"whole": None}, {"whole": [1.0]})),
-        ("anything", nested(9)),
         ("anything", nested(900)),
         ("anything", float("-inf")),
-        ("a" * 1000, 10**10),
+        ("a" * 1000, 10**16),
     ],
 )
 def test_metadata_of_odd_types_is_named_in_one_sentence(tmp_path, name: str, value: object):

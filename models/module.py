@@ -117,8 +117,6 @@ class PhysicsInformedGAN(LightningModule):
         self.discriminator_a = PatchDiscriminator(width)
         self.discriminator_b = PatchDiscriminator(width)
         self.noise = RandomGaussianNoise(std=noise, p=1.0) if noise else None
-        self.sample: tuple[Tensor, Tensor] | None = None
-        """Real and predicted next depth of the first validation pair, shape [H, W] each, for the tracked pictures."""
         self.test_records: list[dict[str, Any]] = []
         """One record a test pair; see `models.records.pair_records`."""
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
@@ -222,17 +220,12 @@ class PhysicsInformedGAN(LightningModule):
 
         Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
         """
-        features_a = self.generator_ab.encode(batch["window_a"])
-        ab = self._answer(self.generator_ab, features_a, batch, "a")
+        ab = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
         ba = self._answer(self.generator_ba, self.generator_ba.encode(batch["window_b"]), batch, "b")
         pairs = len(ab.theta)
         physics = self._physics(ab, ba, batch)
         self._validated += [physics] * pairs
         self._theta["val"].append(ab.theta)
-        if batch_index == 0:
-            start = shifted(batch["window_a"][:, -1:], self._change(ab.theta, batch, "a"))
-            predicted = self.generator_ab.decode(features_a[:1], ab.theta[:1], start[:1])
-            self.sample = (batch["window_b"][0, -1], predicted[0, 0])
 
     def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
         """Collect `test_records`."""

@@ -34,7 +34,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
-from palpate.common.output import ForeignFile, replacing_own, require_own
+from palpate.common.output import ForeignFile, require_own
 from palpate.common.settings import shown, sound
 from palpate.common.workers import WorkerLost
 from palpate.data.contact.features import FEATURES
@@ -47,7 +47,6 @@ from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError, export
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
-from palpate.results.paper.figures import draw_next_depth
 from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
 CHECKPOINTS: dict[str, dict[str, Any]] = {
@@ -97,7 +96,7 @@ class SentenceParser(LightningArgumentParser):
 
 
 class RunRecord(SaveConfigCallback):
-    """Saves a run's configuration (in every checkpoint, too), its data's digest and sample pictures."""
+    """Saves a run's configuration (in every checkpoint, too), and its data's digest."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         # Only rank 0 calls this.
@@ -112,20 +111,6 @@ class RunRecord(SaveConfigCallback):
         checkpoint["configuration"] = self.parser.dump(self.config)
         for logger in tracked(trainer):
             checkpoint[RUN_ID] = logger.run_id
-
-    def on_validation_end(  # ty: ignore[incompatible-method-override]  there is one module
-        self, trainer: Trainer, pl_module: PhysicsInformedGAN
-    ) -> None:
-        """Draw the first validation pair's next depth: real, predicted, and their difference."""
-        after_epoch = trainer.state.fn == TrainerFn.FITTING and not trainer.sanity_checking  # `validate` knows no epoch
-        if not after_epoch or not trainer.is_global_zero or pl_module.sample is None:
-            return
-        real, predicted = (picture.detach().float().cpu().numpy() for picture in pl_module.sample)
-        path = Path(trainer.default_root_dir) / "samples" / f"next_depth_epoch_{trainer.current_epoch:03d}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(ForeignFile), replacing_own(path) as partial:  # a user's picture stays
-            draw_next_depth(real, predicted).savefig(partial)
-        log_artifact(trainer, path, "samples")
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         if by_interrupt(exception) and trainer.state.fn == "fit":

@@ -1,4 +1,4 @@
-"""Figure 3 of Bini 2026, and a predicted next depth map next to the real one."""
+"""Figure 3 of Bini 2026."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,26 +60,4 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
         shown = mechanics.times, distance[order] / (peak or 1.0), release[order]
         _draw_heat_map(figure, left, *shown)
         _draw_fan(right, *shown)
-    return figure
-
-
-def draw_next_depth(real: np.ndarray, predicted: np.ndarray) -> Figure:
-    """Real next depth map, the predicted one, and their absolute difference, side by side.
-
-    Args:
-        real: D_t+1, shape [H, W] [scene units], 0 = invalid.
-        predicted: output of G_AB, same shape.
-    """
-
-    figure = Figure(figsize=(13, 2.9), layout="constrained", dpi=100)
-    highest = max(float(real.max()), float(predicted.max()))
-    panels = (
-        ("real next depth", real, "viridis", highest),
-        ("predicted", predicted, "viridis", highest),
-        ("|predicted − real|", np.abs(predicted - real), "magma", None),
-    )
-    for axes, (title, picture, colours, limit) in zip(figure.subplots(1, 3), panels, strict=True):
-        image = axes.imshow(picture, cmap=colours, vmin=0, vmax=limit)
-        axes.set(title=title, xticks=[], yticks=[])
-        figure.colorbar(image, ax=axes).set_label("scene units")
     return figure

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.mechanics import Mechanics
-from palpate.results.paper.figures import draw_next_depth, draw_response
+from palpate.results.paper.figures import draw_response
 
 MECHANICS = Mechanics(time_step=0.01, steps=100, load_steps=25)
 LOAD = np.clip(MECHANICS.times / 0.25, 0, 1) * np.where(
@@ -50,13 +50,3 @@ def test_nothing_to_show_is_still_drawn(value):
     figure = draw_response(np.full((2, 100, 3), value), np.full(2, 0.25), MECHANICS)
     assert "1 = highest peak, 0 scene units" in figure.get_suptitle()
     figure.canvas.draw()
-
-
-def test_next_depth_shows_both_on_one_scale_and_their_difference():
-    real, predicted = np.full((4, 6), 0.5), np.full((4, 6), 0.4)
-    panels = [axes for axes in draw_next_depth(real, predicted).axes if axes.images]
-    drawn = [axes.images[0] for axes in panels]
-    np.testing.assert_array_equal(drawn[0].get_array(), real)
-    np.testing.assert_array_equal(drawn[1].get_array(), predicted)
-    np.testing.assert_allclose(drawn[2].get_array(), 0.1)
-    assert drawn[0].get_clim() == drawn[1].get_clim() == (0, 0.5)

@@ -20,13 +20,13 @@ from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.doors import INTERRUPTED, interruptible, plain
-from palpate.common.files import as_json, read_file, replacing
+from palpate.common.files import as_json, read_file
 from palpate.common.options import options
 from palpate.common.output import require_own, write_own
 from palpate.common.provenance import code_digest
 from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
-from palpate.data.source.layout import InputError
+from palpate.data.source.layout import InputError, read_mapping
 from palpate.models.onnx_session import ModelFileError
 from palpate.results.store import OutputError, make_output, writing
 
@@ -154,13 +154,17 @@ class Store:
 
     Raises:
         OutputError: the folder can't be used, or holds results that depend on something else.
+        InputError: its record can't be read.
     """
 
     def __init__(self, output: Path, wanted: Mapping[str, Any], keys: tuple[str, ...]) -> None:
         self.output, self._keys, self._results = output, keys, output / RESULTS
         make_output(output)
         wanted = json.loads(as_json({"code": code_digest(), **wanted}))
-        recorded = self._recorded()
+        path = output / RECORD
+        with writing(output):
+            require_own(path)
+        recorded = read_mapping(path, "a record of a benchmark") if path.exists() else {}
         for name, value in wanted.items():
             if recorded.get(name, value) != value:
                 raise OutputError(f"{output}: holds results of another {name}; choose another --output.")
@@ -170,8 +174,8 @@ class Store:
             with writing(output):  # a killed run leaves a last line without its end
                 os.truncate(self._results, read_file(self._results, MOST_BYTES).rfind(b"\n") + 1)
             self.rows = read_results(self._results, keys)
-        with writing(output), replacing(output / RECORD) as partial:
-            partial.write_text(as_json({**recorded, **wanted}, indent=2) + "\n", encoding="utf-8")
+        with writing(output):
+            write_own(path, as_json({**recorded, **wanted}, indent=2) + "\n")
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, each in place of one of the same key; they are on disk when this returns."""
@@ -181,20 +185,6 @@ class Store:
             file.flush()
             os.fsync(file.fileno())
         self.rows |= dict(_parsed(line, self._keys) for line in lines)
-
-    def _recorded(self) -> dict[str, Any]:
-        path = self.output / RECORD
-        if not path.exists():
-            if self._results.exists():
-                raise OutputError(f"{self.output}: holds results without {RECORD}; choose another --output.")
-            return {}
-        try:
-            record = json.loads(read_file(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise OutputError(f"{path}: is not readable; remove the folder or choose another --output.") from error
-        if not isinstance(record, dict) or "code" not in record:
-            raise OutputError(f"{path}: belongs to something else; choose another --output.")
-        return record
 
 
 def _parsed(line: str | bytes, keys: tuple[str, ...]) -> tuple[tuple, Row]:
@@ -259,19 +249,15 @@ def attempted(work: Callable[[], Row]) -> Row:
         with interruptible():
             return work()
     except Exception as error:
-        reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
         return {"status": "error", "reason": reason}
 
 
 def measured(case: tuple[str, str, Callable[[], Row]]) -> list[Row]:
     """Measures of one case, by name, or the sentence that says why there are none: the other cases go on."""
     key, name, work = case
-    try:
-        with interruptible():
-            return [{key: name, **work()}]
-    except Exception as error:
-        reason = str(error) if isinstance(error, ValueError) else f"failed ({type(error).__name__}: {error})"
-        return [{key: name, "status": reason}]
+    row = attempted(work)
+    return [{key: name, **({"status": row["reason"]} if "reason" in row else row)}]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """How well θ is recovered on synthetic clips whose truth is known.
 
 suites      the kinds of clips, and their seeds
-trial       one clip against its truth, whatever moves its tissue; grip_truth: a grip against it
+trial       one clip against its truth, whatever moves its tissue
 bounds      what a contact, and its whole dent, could show at best
 scores      of presses, errors and coverage of many
-grips       the table of clips whose tool grips tissue
+grips       grips against their truth, and their table
 """

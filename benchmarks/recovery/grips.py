@@ -1,5 +1,9 @@
-"""Suites of grips: error and coverage of the relative force, skill, and whether contact is found (`direct`)."""
+"""Estimates of grips against the truth, and their table: error and coverage of the relative force, skill, contact.
 
+`trial` explains the rows' names.
+"""
+
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -8,10 +12,57 @@ import pandas as pd
 
 from benchmarks.harness import Row
 from benchmarks.recovery.scores import coverage, rms
+from palpate.data.synthetic.grip import GrippedMotion
+from palpate.data.synthetic.scene import Scene
+from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
 AVERAGES = {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}
 """Numbers of rows whose mean is in the table, and how it is called there."""
+STIRRED = 1.0
+"""Tool or tissue moves where either has gone so far since the frame before [px]."""
+
+
+def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
+    """Compare a grip with the truth."""
+    contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
+    moves = moving_frames(scene, motion)
+    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
+    runs = [item for item in answer if isinstance(item, InteractionEstimate)]
+    run = next((item for item in runs if item.grip is not None), None)
+    if run is None or run.grip is None:
+        return found | {"status": "no estimate", "reason": " ".join(item.detail for item in runs)}
+    grip = run.grip
+    found |= {"verdict": run.verdict, "skill": grip.skill}
+    if run.onset < motion.onset_frame:
+        return found
+    # In pixels, which needn't be square.
+    reaction = motion.reaction * np.array(scene.settings.cell)
+    return found | {"curve": force_curve(run.onset, grip, reaction, scene.settings.fps)}
+
+
+def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
+    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing shows contact."""
+    camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
+    held = vertex[:2] + motion.contact[:, :2]
+    place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
+    tip = place + motion.course * scene.settings.cell
+    steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
+    return np.append(False, steps > STIRRED)
+
+
+def force_curve(onset: int, grip: GripEstimate, reaction: np.ndarray, fps: float) -> np.ndarray:
+    """Force over that of the last frame: true, estimated, its standard deviation, shape [3, T].
+
+    Args:
+        onset: index of the run's first frame.
+        grip: the estimate.
+        reaction: true force in every frame, shape [F, A], in any unit.
+        fps: frames a second.
+    """
+    force = reaction[onset + np.rint(grip.times * fps).astype(int)]
+    return np.array([force @ force[-1] / (force[-1] @ force[-1]), grip.force, grip.force_sd])
 
 
 def grip_table(rows: Sequence[Row]) -> pd.DataFrame:

@@ -36,7 +36,7 @@ import numpy as np
 
 from benchmarks.harness import OK, Row, attempted
 from benchmarks.recovery.bounds import MECHANICS, field_information
-from benchmarks.recovery.grip_truth import gripped
+from benchmarks.recovery.grips import gripped
 from benchmarks.recovery.suites import EVERY, GRID_SIZE
 from palpate.common.doors import interruptible
 from palpate.data.contact.interaction import Horizon, Interaction

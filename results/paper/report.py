@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.common.output import ForeignFile, write_own
+from palpate.common.output import write_own
 from palpate.data.contact.interaction import Interaction
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.results.paper import simulated
@@ -37,7 +37,7 @@ FILES = "figure3.png", "table_2.csv", "comparisons.csv", "depth.csv", "motion.cs
 
 
 class EvaluationError(ValueError):
-    """The evaluation can't be computed or written; one sentence says what to do."""
+    """The evaluation can't be computed; one sentence says what to do."""
 
 
 @dataclass(frozen=True)
@@ -118,25 +118,16 @@ def write_evaluation(
         Paths by name: all of FILES.
 
     Raises:
-        EvaluationError: there are no records, the folder can't be written, or holds a user's file of such a name.
+        EvaluationError: there are no records.
+        ForeignFile: the folder holds a user's file of such a name.
     """
-    try:
-        found = analyse(records, training, mechanics, bounds)
-    except ValueError as error:
-        raise EvaluationError(str(error)) from error
+    found = analyse(records, training, mechanics, bounds)
     frames = found.tables["per_frame.csv"].reset_index()
     figure, buffer = draw_response(found.trajectories, frames["release_s"].to_numpy(), mechanics), io.BytesIO()
     figure.savefig(buffer, format="png")
     contents = {"figure3.png": buffer.getvalue()}
     contents |= {name: table.to_csv().encode() for name, table in found.tables.items()}
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            write_own(output / name, content)
-    except ForeignFile as error:
-        raise EvaluationError(str(error)) from error
-    except OSError as error:
-        raise EvaluationError(
-            f"{output}: the evaluation can't be written ({error.strerror}); choose a folder with space."
-        ) from error
+    output.mkdir(parents=True, exist_ok=True)
+    for name, content in contents.items():
+        write_own(output / name, content)
     return {name: output / name for name in FILES}

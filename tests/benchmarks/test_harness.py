@@ -86,18 +86,17 @@ def test_a_user_s_file_among_the_tables_stays(tmp_path, name):
     assert (tmp_path / name).read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["run.json", "results.jsonl"])
-def test_damaged_files_are_named(tmp_path, name):
+def test_damaged_results_are_named(tmp_path):
     harness.Store(tmp_path, WANTED, KEYS).append([recovery(0)])
-    (tmp_path / name).write_text("[" * 100_000 + "\n")
-    with pytest.raises(OutputError, match=rf"{name}: (is not readable|line 1 is not a result); remove"):
+    (tmp_path / "results.jsonl").write_text("[" * 100_000 + "\n")
+    with pytest.raises(OutputError, match=r"results.jsonl: line 1 is not a result; remove"):
         harness.Store(tmp_path, WANTED, KEYS)
 
 
 @pytest.mark.parametrize("content", ["[]", '{"seed": 0}'])
 def test_a_folder_of_something_else_is_refused(tmp_path, content):
     (tmp_path / "run.json").write_text(content)
-    with pytest.raises(OutputError, match="belongs to something else"):
+    with pytest.raises(OutputError, match="is not as this program wrote it"):
         harness.Store(tmp_path, WANTED, KEYS)
     assert (tmp_path / "run.json").read_text() == content
     (tmp_path / "file").write_text("")
@@ -172,7 +171,7 @@ def test_a_case_that_breaks_is_a_row(tmp_path: Path) -> None:
     row = harness.read_results(tmp_path / harness.RESULTS, ("number",))[0,]
     assert (row["status"], row["reason"]) == ("error", "ZeroDivisionError: division by zero")
     (row,) = harness.measured(("file", "a.csv", lambda: {"value": 1 / 0}))
-    assert row == {"file": "a.csv", "status": "failed (ZeroDivisionError: division by zero)"}
+    assert row == {"file": "a.csv", "status": "ZeroDivisionError: division by zero"}
 
 
 def test_cells_that_do_not_exist_are_empty_and_numbers_have_six_digits() -> None:

@@ -13,8 +13,7 @@ def test_summary_counts_what_is_determined_and_held():
     frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
     frames["normal_error_deg"] = 7.5
     known = {"force_determined": 1, "force_sd": 0.1}
-    true = iter((0.2, 0.6, 0.9))
-    rows = [frames | known | {"force_error": error, "force_log_true": next(true)} for error in (0.05, -0.15, 0.4)]
+    rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)]
     rows.append(frames)
     found = summarised(rows).set_index("measure")
     assert found.loc["pressed frames called contact", ["count", "of"]].tolist() == [32, 36]
@@ -22,7 +21,6 @@ def test_summary_counts_what_is_determined_and_held():
     assert found.loc["error of the normal [deg]", "median error"] == pytest.approx(7.5)
     assert found.loc["force", ["count", "of"]].tolist() == [3, 4]
     assert found.loc["force", "median error"] == pytest.approx(0.15)
-    assert found.loc["force", "of the best constant"] == pytest.approx(0.3)
     assert found.loc["force", "held"] == pytest.approx(2 / 3)
     assert found.loc["damping", "count"] == 0
     assert math.isnan(found.loc["damping", "held"])

@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.harness import Row
 from benchmarks.recovery import trial
-from benchmarks.recovery.grip_truth import moving_frames
-from benchmarks.recovery.grips import grip_table
+from benchmarks.recovery.grips import grip_table, moving_frames
 from benchmarks.recovery.suites import EVERY
 from benchmarks.recovery.trial import Trial, run_trial
 from palpate.data.synthetic.clip import draw_truth

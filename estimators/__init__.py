@@ -5,7 +5,7 @@ estimate        what is said of θ; records: of a frame and of a run of contact
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact
 grip            a sheet fitted to tissue that an instrument pulls, for runs without an onset
-palpation       measured forces: curves, regions, relaxation
+palpation       Young's modulus and Poisson's ratio from measured forces and surfaces
 online          stiffness place by place, of particles that are mapped to what every frame shows
 runs            runs of contact, frame by frame, and what all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight

@@ -7,7 +7,6 @@ compare_with_truth  results of `palpate infer` on synthetic clips
 real         real clips, judged on frames kept back from the fit
 online       Table II of Liang 2024: the online estimator on simulated pulls
 palpation    moduli from simulated palpations, as of Frank 2010
-model_errors errors of the fits beyond what residuals tell, for estimators/model_errors.yaml
 inference    time of networks, of a contact and of whole videos
 harness      what all share: an experiment gives rows for a case; resuming and tables
 """

@@ -153,10 +153,8 @@ def compared(found: InteractionEstimate, theta: np.ndarray, distance: float, fra
         row |= {f"{name}_error": float(off), f"{name}_determined": int(name in estimate.determined)}
         row[f"{name}_log_true"] = float(powers @ np.log(np.abs(true)))
         row[f"{name}_bound"] = math.nan if information is None else float(combination_bounds(information, [powers])[0])
-        for end, covariance in (("sd", estimate.covariance), ("model_sd", estimate.model_error)):
-            if covariance is None:
-                continue
-            row[f"{name}_{end}"] = float(math.sqrt(max(powers @ covariance @ powers, 0.0)))
+        if estimate.covariance is not None:
+            row[f"{name}_sd"] = math.sqrt(max(powers @ estimate.covariance @ powers, 0.0))
     return row
 
 

@@ -12,7 +12,6 @@ onset           unknown beginnings of a press; oblique: presses aslant to the li
 known_force     a force measured in a part of a motion, which tells it for the rest
 force_scale     newtons for scene units by a known force or stiffness; calibration_file: the file that says so
 palpated        Young's modulus from what a palpation left
-model_errors    what fits get wrong besides what residuals tell, as measured on drawn clips
 cloud_shape     the surface that a cloud shows, in sequences beside a robot
 model_settings  an exported network's preparation, and what both networks' estimators share
 session         runs a session over a clip: the one way in which frames become estimates

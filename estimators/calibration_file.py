@@ -20,9 +20,7 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import (
-    MASS,
     SHEET_FACTOR,
-    STIFFNESS,
     ClipLength,
     ForceScale,
     PressedRun,
@@ -67,9 +65,6 @@ class CalibrationFile:
     """Of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: float = 0.0
     """Its standard deviation [m]."""
-    homogeneous: Literal["mass", "stiffness"] = MASS
-    """What contacts have in common where a force is known: the mass of a vertex, as the simulator has it, or the
-    tissue's stiffness."""
     clip: str | None = None
     """Folder or file name of the clip in which the force is known, where there are several."""
     metres_per_depth: float | None = None
@@ -89,10 +84,7 @@ class CalibrationFile:
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        otherwise = given[0] not in ("force_N", "known_s")
-        if self.homogeneous == STIFFNESS and otherwise:
-            raise ValueError(f"homogeneous is for a known force; leave it out next to {given[0]}.")
-        if self.clip is not None and otherwise:
+        if self.clip is not None and given[0] not in ("force_N", "known_s"):
             raise ValueError(f"clip names that of a known force; leave it out next to {given[0]}.")
         deviations = ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd")
         values = ("force_N", "stiffness", "thickness_m", "metres_per_depth")
@@ -171,7 +163,7 @@ class Calibration:
                 )
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
-            return scale_by_force(runs, [(frame, given.force_N, log_sd)], given.homogeneous, source)
+            return scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
         if given.known_s is not None and self.measured is not None:
             forces = measured_presses(runs, self.measured, given.known_s)
             if not forces:
@@ -180,7 +172,7 @@ class Calibration:
                     "are known."
                 )
             frames = ", ".join(str(frame) for frame, *_ in forces)
-            return scale_by_force(runs, forces, given.homogeneous, f"forces measured at frame {frames}")
+            return scale_by_force(runs, forces, f"forces measured at frame {frames}")
         if given.stiffness is not None:
             source = f"known stiffness of {given.stiffness:g} {given.stiffness_unit}"
             log_sd, metric = given.stiffness_sd / given.stiffness, given.stiffness_unit == "N/m"

@@ -6,16 +6,8 @@ from scipy.spatial import KDTree
 from palpate.data.source.layout import InputError
 from palpate.physics.mesh import Mesh, grid_mesh
 
-DISTANCE = 10.0
-"""From which tissue is looked at, over its size."""
 NEIGHBOURS, SPARSE = 16, 4.0
 """Points of a cloud that tell the height of a place, at least; over their usual distance, how near one must be."""
-ONE_SIDED = 0.75
-"""How far the middle of these is away, over their mean distance, where a place lies outside of the cloud."""
-WIDEST = 20
-"""Area of a grid over that of the cloud on it: more has a cloud with some points far off."""
-STEEPEST = 3.0
-"""Longest edge of a triangle, over the distance of vertices across the line of sight."""
 
 
 def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -33,7 +25,8 @@ def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarr
     axes[1] *= np.sign(np.linalg.det(axes))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes, -axes @ middle
-    pose[2, 3] += DISTANCE * float(np.ptp(cloud @ axes.T, axis=0).max())
+    # From which tissue is looked at, over its size.
+    pose[2, 3] += 10.0 * float(np.ptp(cloud @ axes.T, axis=0).max())
     return pose
 
 
@@ -64,7 +57,8 @@ class CloudShape:
         """Along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
         away, near = self._tree.query(places, self._neighbours)
         middle = self._cloud[near, :2].mean(axis=-2)
-        beside = np.linalg.norm(middle - places, axis=-1) > ONE_SIDED * away.mean(axis=-1)
+        # How far the middle of these is away, over their mean distance, where a place lies outside of the cloud.
+        beside = np.linalg.norm(middle - places, axis=-1) > 0.75 * away.mean(axis=-1)
         heights = np.average(self._cloud[near, 2], axis=-1, weights=1 / (away**2 + self._apart**2))
         return heights, (away[..., 0] <= self._apart) & ~beside
 
@@ -72,12 +66,14 @@ class CloudShape:
         """A grid's triangles over what is covered, its places so far apart [m]."""
         low, high = self._tree.mins, self._tree.maxes
         counts = np.maximum(np.round((high - low) / wide), 1).astype(int) + 1
-        if counts.prod() * wide**2 > WIDEST * self.area:
+        # Area of a grid over that of the cloud on it.
+        if counts.prod() * wide**2 > 20 * self.area:
             raise self._sparse
         across = [np.linspace(*ends) for ends in zip(low, high, counts, strict=True)]
         nodes = np.stack(np.meshgrid(*across), axis=-1)
         heights, covered = self.heights(nodes)
-        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=STEEPEST * wide, alternating=True)
+        # Longest edge of a triangle, over the distance of vertices across the line of sight.
+        mesh = grid_mesh(np.dstack([nodes, heights]), covered, max_edge=3.0 * wide, alternating=True)
         if len(mesh.vertices) < 3:
             raise self._sparse
         return mesh

@@ -2,13 +2,12 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, covariance, describe, verdict
+from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, describe, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
@@ -28,9 +27,6 @@ LEAST_SKILL = 0.35
 """Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
 BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
-CONTRADICTION = 11.34
-"""Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times."""
-
 
 class NoEstimate(ValueError):
     """A contact can't be estimated; the message is a sentence that says why."""
@@ -44,9 +40,6 @@ class Estimate:
     """k_s, k_d and signed F, shape [3] [scene units (normalised)]."""
     covariance: np.ndarray | None = None
     """Covariance of φ = (log k_s, log k_d, log |F|), shape [3, 3]; None from an estimator that gives none."""
-    model_error: np.ndarray | None = None
-    """The part of `covariance` that residuals don't tell, what the model itself gets wrong (`estimators.model_errors`),
-    shape [3, 3]; None where it isn't kept apart."""
     information: np.ndarray | None = None
     """Fisher information of φ from the observed motion, at `theta`, shape [3, 3]."""
     noise: float = math.nan
@@ -165,25 +158,6 @@ class Estimate:
         return found
 
 
-def mixture(found: Sequence[Estimate]) -> Estimate:
-    """Several estimates of one contact that count equally as one, the moment-matched mixture.
-
-    What else it says is that of the one which explains the motion best.
-    """
-    best = min(found, key=lambda item: item.misfit)
-    if len(found) == 1:
-        return best
-    logs = np.log(np.abs([item.theta for item in found]))
-    apart = np.cov(logs, rowvar=False, bias=True)
-    expected = np.mean([covariance(item.verdict_information) for item in found], axis=0) + apart
-    return dataclasses.replace(
-        best,
-        theta=np.exp(logs.mean(axis=0)) * np.sign(best.theta),
-        covariance=np.mean([item.covariance for item in found], axis=0) + apart,
-        expected_information=np.linalg.inv(expected),
-    )
-
-
 def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     """Estimates of one contact by its depth and by its light as one: their information adds, as their errors differ.
 
@@ -197,7 +171,8 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
     logs = [np.log(np.abs(item.theta)) for item in (by_depth, by_light)]
     both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
     refuted = ""
-    if apart @ np.linalg.solve(sum(covariances), apart) > CONTRADICTION:
+    # Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times.
+    if apart @ np.linalg.solve(sum(covariances), apart) > 11.34:
         refuted = "The tissue's depth and its shading contradict each other."
     return dataclasses.replace(
         by_depth,

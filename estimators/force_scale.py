@@ -30,8 +30,6 @@ diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so
 MASS, STIFFNESS = "mass", "stiffness"
 EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
 """b by the property that contacts share."""
-FORCE_ROW = np.array([0.0, 0.0, 1.0])
-"""Row that picks log |F| from φ."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,8 @@ class ForceScale:
             if own is None:
                 return None
             # Where this run determined g, g = … - weight·(F's row)·φ.
-            shared = -weight * to_physical @ own @ (FORCE_ROW + EXPONENTS[self.homogeneous])
+            # [0, 0, 1] picks log |F| from φ.
+            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + EXPONENTS[self.homogeneous])
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
             return found + np.outer(length_error, length_error)
 
@@ -202,19 +201,18 @@ KnownPress = tuple[int, float, float]
 """First frame of a run, its force [N] and the standard deviation of the force's logarithm."""
 
 
-def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], homogeneous: str, source: str) -> ForceScale:
+def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source: str) -> ForceScale:
     """Scale from forces that are known in some runs.
 
     Args:
         runs: the runs of a clip.
         forces: those that are known.
-        homogeneous: the property that contacts share, MASS or STIFFNESS.
         source: where the forces come from, in words.
 
     Raises:
         NoEstimate: the estimated force of none of these runs is determined.
     """
-    by_frame, row = {run.onset_frame: run for run in runs}, FORCE_ROW + EXPONENTS[homogeneous]
+    by_frame = {run.onset_frame: run for run in runs}
     found: dict[int, tuple[float, float]] = {}
     why = "no press was estimated in the run of contact whose force is known"
     for frame, force, log_sd in forces:
@@ -224,12 +222,11 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], homogen
         if not run.explained:
             why = f"the model does not explain the motion of the run at frame {frame}, whose force is known"
             continue
-        if run.expected is not None and not row @ run.expected @ row < LIMIT**2:
-            name = "force" if homogeneous == MASS else "force over stiffness"
-            why = f"the estimated {name} of the run at frame {frame}, whose force is known, is not determined"
+        if run.expected is not None and not run.expected[2, 2] < LIMIT**2:
+            why = f"the estimated force of the run at frame {frame}, whose force is known, is not determined"
             continue
-        own = 0.0 if run.covariance is None else float(row @ run.covariance @ row)
-        found[frame] = math.log(force) - float(row @ run.logs), log_sd**2 + own
+        own = 0.0 if run.covariance is None else float(run.covariance[2, 2])
+        found[frame] = math.log(force) - float(run.logs[2]), log_sd**2 + own
     if not found:
         raise NoEstimate(f"No results in newtons: {why}.")
     precise = {frame: 1 / max(variance, 1e-12) for frame, (_, variance) in found.items()}
@@ -237,7 +234,7 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], homogen
     weights = {frame: value / total for frame, value in precise.items()}
     log = sum(weights[frame] * value for frame, (value, _) in found.items())
     variance = sum(weights[frame] ** 2 * spread for frame, (_, spread) in found.items())
-    return ForceScale(log, variance, homogeneous, source, weights)
+    return ForceScale(log, variance, MASS, source, weights)
 
 
 def measured_presses(runs: Sequence[PressedRun], measured: KnownForce, known: tuple[float, float]) -> list[KnownPress]:

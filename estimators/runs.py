@@ -31,8 +31,6 @@ OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would sh
 NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
-FULL_ARROW = 0.3
-"""Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth."""
 
 
 class Run:
@@ -361,7 +359,8 @@ def force_arrow(
     """Tail and tip (u, v), shape [2, 2] [px], of the drawn force: it ends at the contact, its length grows with |F|."""
     largest, camera = max(abs(value) for value in bounds.force), clip.camera
     tip = contact.tissue_point.astype(np.float64)
-    tail = tip - direction * (FULL_ARROW * tip[2] * float(theta[2]) / largest)
+    # Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth.
+    tail = tip - direction * (0.3 * tip[2] * float(theta[2]) / largest)
     if theta[2] == 0 or tail[2] <= 0:
         return None
     ends = np.stack([tail, tip])

@@ -20,16 +20,10 @@ LEVEL = 0.9
 """Share of truths that the calibrated intervals hold."""
 RADIUS = NormalDist().inv_cdf(0.5 + LEVEL / 2)
 """Half the width of such an interval, in standard deviations."""
-LEAST_SPREAD = 0.1
-"""Of a column of logarithms that can have a coefficient; the noise of one suite has none."""
 MIDDLE = 0.05, 0.95
 """Quantiles of log σ between which widths may bend."""
 LEAST_CLIPS = 100
 """Fewer validation estimates say too little about a 90 % quantile."""
-ROUNDS = 100
-"""Of a search for the most likely variance."""
-LEAST_VARIANCE = 1e-12
-"""No error is known better, so that none counts alone."""
 
 
 def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray, log_noise: np.ndarray) -> Widths:
@@ -64,7 +58,8 @@ def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
         known: shape [n, D]; a column without spread gets a coefficient of 0.
     """
     spread = known.std(axis=0)
-    used = spread > LEAST_SPREAD
+    # Of a column of logarithms that can have a coefficient; the noise of one suite has none.
+    used = spread > 0.1
     columns = np.column_stack([np.ones(len(errors)), (known[:, used] - known[:, used].mean(axis=0)) / spread[used]])
 
     def loss(coefficients: np.ndarray) -> tuple[float, np.ndarray]:
@@ -84,16 +79,3 @@ def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> float:
     count = len(errors)
     rank = min(math.ceil((count + 1) * LEVEL), count)
     return float(np.sort(np.abs(errors) / deviations)[rank - 1] / RADIUS)
-
-
-def mean_squares(errors: np.ndarray, variances: np.ndarray) -> tuple[float, float]:
-    """Means of squared errors and of what residuals tell of them [K], whose difference is the model's variance.
-
-    It is the most likely one, errors being normally distributed: a clip counts by how small its own variance is.
-    """
-    squares, model = np.square(errors), float(np.square(errors).mean())
-    for _ in range(ROUNDS):
-        weights = 1 / np.square(variances + model + LEAST_VARIANCE)
-        weights /= weights.sum()
-        model = max(float(weights @ (squares - variances)), 0.0)
-    return float(weights @ squares), float(weights @ variances)

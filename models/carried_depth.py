@@ -24,10 +24,6 @@ CARRIED_RADIUS = 12
 MAP_RADIUS = CARRIED_RADIUS + 3
 """The maps in which the vertices move reach this far from the contact; tissue shifts by a few pixels [grid px]."""
 MAP_SIDE = 2 * MAP_RADIUS + 1
-ORIGIN_ITERATIONS = 8
-"""Iterations that find the tissue a pixel shows: for a shift that changes by s a pixel the error is s to this power."""
-MIN_TISSUE_SHARE = 0.999
-"""The slope at rest counts where at least this share of the interpolated pixels is tissue."""
 
 
 def change(
@@ -58,7 +54,7 @@ def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mec
     """`change` from a map to the predicted one, for a decoder of this kind; None where it has no use for it.
 
     Args:
-        kind: direct, residual or physics.
+        kind: direct or physics.
         theta, mechanics: as in `change`.
         batch: a batch of the data module.
         side: a for forward in time, b for backward.
@@ -121,10 +117,12 @@ class _Surroundings:
         maps = maps.scatter(2, self._places[:, None].expand(-1, 3, -1), values).view(-1, 3, MAP_SIDE, MAP_SIDE)
         # The tissue that a pixel shows lay at rest where the shift leads to the pixel.
         origin = self._pixels
-        for _ in range(ORIGIN_ITERATIONS):
+        # Iterations that find the tissue a pixel shows.
+        for _ in range(8):
             origin = self._pixels - _at(maps[:, :2], origin)
         rest = _at(self._rest, origin)
-        on_tissue = (rest[:, 1:] > MIN_TISSUE_SHARE) & (self._rest[:, 1:] > 0)
+        # The slope at rest counts where at least this share of the interpolated pixels is tissue.
+        on_tissue = (rest[:, 1:] > 0.999) & (self._rest[:, 1:] > 0)
         sloping = torch.where(on_tissue, rest[:, :1] - self._rest[:, :1], 0.0)
         return _at(maps[:, 2:], origin) + sloping
 

@@ -79,8 +79,6 @@ SMALLEST_SIDE = 16
 """Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
 MAX_WIDTH, MAX_BLOCKS = 256, 64
 """Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
-LEAST_DEPTH = 1e-3
-"""Depths are kept this far from 0 and 1 before their logit is taken."""
 
 
 class HeadOutput(NamedTuple):
@@ -150,40 +148,38 @@ class Decoder(nn.Module):
     Source: Bini 2026, section 3.4.1.
     Upsampling resizes to a given size before a 3×3 convolution, so that odd sizes are met exactly.
     Instance norm removes the level and the spread of a depth map before the decoder gets it, and the tiled θ can't
-    bring them back. `residual` therefore adds the layers' output to the current frame, in logit space; `physics` adds
-    it to the current frame carried along by the rollout of θ (`models.carried_depth`). Its layers don't get θ as an
-    input: they would undo a part of the change that the rollout of θ predicts.
+    bring them back. `physics` therefore adds the layers' output to the current frame carried along by the rollout of θ
+    (`models.carried_depth`), in logit space. Its layers don't get θ as an input: they would undo a part of the change
+    that the rollout of θ predicts.
     """
 
-    def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "residual", "physics"]) -> None:
+    def __init__(self, width: int, residual_blocks: int, kind: Literal["direct", "physics"]) -> None:
         super().__init__()
         self.kind = kind
         channels = 4 * width
-        theta_channels = 0 if kind == "physics" else 3
         # No instance norm here: it would subtract a tiled constant, and θ would never reach the picture.
-        self.condition = nn.Sequential(nn.Conv2d(channels + theta_channels, channels, 1), nn.ReLU())
+        self.condition = nn.Sequential(nn.Conv2d(channels + 3 * (kind == "direct"), channels, 1), nn.ReLU())
         self.blocks = nn.Sequential(*(ResidualBlock(channels) for _ in range(residual_blocks)))
         self.up_half = normalised_block(nn.Conv2d(channels, 2 * width, 3, padding=1, padding_mode="reflect"))
         self.up_full = normalised_block(nn.Conv2d(2 * width, width, 3, padding=1, padding_mode="reflect"))
         self.output = nn.Conv2d(width, 1, 7, padding=3, padding_mode="reflect")
-        if kind != "direct":
-            with torch.no_grad():
-                # Training starts near the current frame, with a slope in tiled θ.
-                self.output.weight.mul_(0.1 if theta_channels else 0.0)
-                self.output.get_parameter("bias").zero_()
+        if kind == "physics":  # training starts at the carried frame
+            nn.init.zeros_(self.output.weight)
+            nn.init.zeros_(self.output.get_parameter("bias"))
 
     def forward(self, features: Tensor, scaled_theta: Tensor, current: Tensor) -> Tensor:
         """Features [B, 4·width, h, w], θ in [0, 1] [B, 3], current depth [B, 1, H, W] → the next, in (0, 1)."""
         size = (current.shape[2], current.shape[3])
-        if self.kind != "physics":
+        if self.kind == "direct":
             tiled = scaled_theta[:, :, None, None].expand(-1, -1, *features.shape[2:])
             features = torch.cat([features, tiled], dim=1)
         hidden = self.blocks(self.condition(features))
         hidden = self.up_half(functional.interpolate(hidden, size=(size[0] // 2, size[1] // 2)))
         hidden = self.up_full(functional.interpolate(hidden, size=size))
         change = self.output(hidden)
-        if self.kind != "direct":
-            change = change + torch.logit(current, eps=LEAST_DEPTH)
+        if self.kind == "physics":
+            # Depths are kept this far from 0 and 1 before their logit is taken.
+            change = change + torch.logit(current, eps=1e-3)
         return torch.sigmoid(change)
 
 
@@ -198,7 +194,7 @@ class Generator(nn.Module):
         width: channels after the first convolution; the features have four times as many.
         residual_blocks: residual blocks of the decoder.
         bounds: admissible box of θ and where the head starts in it.
-        decoder: direct (paper), residual or physics; see `Decoder`.
+        decoder: direct (paper) or physics; see `Decoder`.
         head: parameters (paper): θ from the window alone; posterior: a Gaussian over log θ from the contact's vector
             and the window; see `models.generator.ContactHead`.
         contact_features: length of the contact's vector; head posterior needs it.
@@ -210,7 +206,7 @@ class Generator(nn.Module):
         width: int = 64,
         residual_blocks: int = 9,
         bounds: Bounds | None = None,
-        decoder: Literal["direct", "residual", "physics"] = "direct",
+        decoder: Literal["direct", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
     ) -> None:

@@ -19,7 +19,7 @@ from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd import rollout, rollout_sensitivities
 from palpate.physics.msd.batch import DepthBatch, ObservationBatch
-from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
+from palpate.physics.msd.likelihoods import displacement_error, linearise_depth
 
 
 @dataclass(frozen=True)
@@ -101,22 +101,19 @@ def physics_loss(
 def posterior_physics_loss(
     mean: Tensor,
     factor: Tensor,
-    noise: Tensor,
     meshes: Sequence[Mesh],
     loads: Sequence[Press],
-    observation: ObservationBatch,
+    dent: DepthBatch,
     mechanics: Mechanics,
     box: tuple[Tensor, Tensor],
-    dent: DepthBatch | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The physics term of head posterior: the negative evidence bound of the observations up to the sample's frame.
 
     Args:
         mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
-        noise: σ of every observed coordinate, shape [B] [scene units].
-        meshes, loads, observation, mechanics: as in `physics_loss`.
+        meshes, loads, mechanics: as in `physics_loss`.
+        dent: observed depth of the tissue around the contact.
         box: φ's lower and upper bounds, shape [3] each.
-        dent: observed depth of the tissue around the contact, which replaces the motion of its point alone.
 
     Returns:
         The bound [nats], a scalar on the means' device, and the Fisher information at the means, shape [B, 3, 3], a
@@ -124,12 +121,8 @@ def posterior_physics_loss(
     """
     theta = torch.exp(mean.detach().to("cpu", torch.float64))
     theta = theta * theta.new_tensor(SIGNS)
-    if dent is None:
-        path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics)
-        misfit, gradient, information = linearise(path, slopes, theta, observation, noise)
-    else:
-        path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics, watch=dent.vertices)
-        misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
+    path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics, watch=dent.vertices)
+    misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
     return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 
 

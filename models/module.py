@@ -55,8 +55,8 @@ class PhysicsInformedGAN(LightningModule):
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
-        decoder: direct (paper): the next depth map from features and θ alone; residual: as a change of the current one;
-            physics: as a change of the current one carried along by the rollout of θ.
+        decoder: direct (paper): the next depth map from features and θ alone; physics: as a change of the current one
+            carried along by the rollout of θ.
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
@@ -77,7 +77,7 @@ class PhysicsInformedGAN(LightningModule):
         window: int = 1,
         width: int = 64,
         residual_blocks: int = 9,
-        decoder: Literal["direct", "residual", "physics"] = "direct",
+        decoder: Literal["direct", "physics"] = "direct",
         head: Literal["parameters", "posterior"] = "parameters",
         contact_features: int = 0,
         pretrained: str | None = None,
@@ -307,10 +307,9 @@ class PhysicsInformedGAN(LightningModule):
         if output.mean is None or output.factor is None:
             loads, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
             return losses.physics_loss(output.theta, meshes, loads, observation, self.mechanics)
-        noise, loads, observed = (batch[f"{name}_{side}"] for name in ("noise", "known_load", "known_observation"))
-        posterior, what = generator.posterior, (noise, meshes, loads, observed, self.mechanics)
-        box, dent = (posterior.lower, posterior.upper), batch.get(f"dent_{side}")
-        evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, box, dent)
+        posterior, what = generator.posterior, (meshes, batch[f"known_load_{side}"], batch[f"dent_{side}"])
+        box = posterior.lower, posterior.upper
+        evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, self.mechanics, box)
         if self.pretrained is not None:  # pretraining learnt the bound at better known θ
             return evidence
         expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])

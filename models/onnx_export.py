@@ -196,8 +196,6 @@ NAME_PREFIX = "calibration/"
 """Prefix of the names of nodes that calibration adds to a file."""
 UNCALIBRATED = f"{NAME_PREFIX}own"
 """Name within a calibrated file of the network's own covariance."""
-PARITY_BATCH = 7
-"""Samples on which the calibrated file is compared with torch."""
 
 
 class Widening(nn.Module):
@@ -243,7 +241,8 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     if plain.calibrated:
         raise ValueError(f"{source} is calibrated already; give the file that was exported from the training.")
     random = torch.Generator().manual_seed(0)
-    inputs = {name: torch.rand(PARITY_BATCH, *shape, generator=random) for name, shape in plain.inputs.items()}
+    # Samples on which the calibrated file is compared with torch.
+    inputs = {name: torch.rand(7, *shape, generator=random) for name, shape in plain.inputs.items()}
     contact, widening = inputs[CONTACT], Widening(calibration).eval()
     given = [inputs[name].numpy() for name in (CONTACT, INPUT) if name in inputs]
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(*given))

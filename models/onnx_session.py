@@ -24,8 +24,6 @@ SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 """The contact posterior that ships with the program; its model card lies in the same folder."""
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
-MAX_FILE_BYTES = 2**30
-"""Largest size of a model file; this program's networks are smaller, and ONNX allows no more than twice that."""
 FORMAT_VERSION = 1
 """Version of that document's layout; raised when a reader of the old layout would misread the new one."""
 POSTERIOR = "posterior"
@@ -35,10 +33,6 @@ CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
 EXPECTED_BOUND = "decisive_covariance"
 """Covariance by which verdicts are given, of `models.posterior.ExpectedBound`, under the name it has in files."""
 
-MAX_NUMBER = 1e9
-"""Largest absolute value of a number in the document."""
-MAX_LEVELS = 8
-"""Most levels of nested values within a field of the document; exports have four."""
 _SIZES = range(1, 4097)
 """Allowed sizes of the depth window: frames, and pixels along a side."""
 _FIELDS: dict[str, Any] = {
@@ -207,7 +201,8 @@ def _open_session(path: Path, threads: int | None, device: str) -> tuple[onnxrun
     if not path.is_file():
         raise ModelFileError(f"{path} is not a file; give the file that train.py export wrote.")
     try:
-        content = read_file(path, MAX_FILE_BYTES)
+        # Largest size of a model file; this program's networks are smaller, and ONNX allows no more than twice that.
+        content = read_file(path, (2**30))
         return open_session(content, threads or 0, device), hashlib.sha256(content).hexdigest()
     except DeviceError as error:
         raise ModelFileError(str(error)) from error
@@ -236,7 +231,8 @@ def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[st
         problem = f"has format {reprlib.repr(version)} and this program reads up to {FORMAT_VERSION}"
         raise ModelFileError(f"{path} {problem}; update the program.")
     for name, value in metadata.items():
-        if not (_sound([name, value], MAX_LEVELS) and fits(value, _FIELDS.get(name, Any))):
+        # Most levels of nested values within a field of the document; exports have four.
+        if not (_sound([name, value], 8) and fits(value, _FIELDS.get(name, Any))):
             problem = f"has unusable metadata, {reprlib.repr(name)}: {reprlib.repr(value)}"
             raise ModelFileError(f"{path} {problem}; export it again with train.py export.")
     return metadata
@@ -249,7 +245,8 @@ def _sound(value: Any, levels: int) -> bool:
         return levels > 0 and all(_sound(each, levels - 1) for each in inner)
     if isinstance(value, str):
         return value.isprintable()
-    return value is None or abs(value) <= MAX_NUMBER
+    # Largest absolute value of a number in the document.
+    return value is None or abs(value) <= 1e9
 
 
 def _described(inputs: Mapping[str, tuple[int, ...]]) -> str:

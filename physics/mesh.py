@@ -11,13 +11,6 @@ from scipy.ndimage import maximum_filter
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import Delaunay, KDTree
 
-OCCLUDER_REACH = 2
-"""Pixels around the occluder in which a boundary of the mesh counts as hidden, not as an edge of the tissue.
-
-Resizing leaves up to one invalid pixel between tool and tissue, so direct neighbourhood would miss some."""
-FOCAL_VERTICES = 1000
-"""Vertices that determine the focal lengths."""
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -210,7 +203,8 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
     rim = np.zeros(len(used), dtype=bool)
     rim[springs[counts == 1]] = True
     if occluder is not None and np.any(occluder):
-        reach = 2 * math.ceil(OCCLUDER_REACH * spacing) + 1
+        # A boundary within two pixels of the occluder is hidden: resizing leaves up to one invalid pixel between both.
+        reach = 2 * math.ceil(2 * spacing) + 1
         hidden = maximum_filter(np.asarray(occluder, dtype=bool).view(np.uint8), reach, mode="constant") > 0
         rim &= ~hidden[pixels[:, 0], pixels[:, 1]]
     vertices = points.reshape(-1, 3)[used]
@@ -219,7 +213,7 @@ def _compact(points: np.ndarray, triangles: np.ndarray, occluder: np.ndarray | N
 
 def focal_length(mesh: Mesh) -> np.ndarray:
     """Focal lengths along x and y, from the places of the mesh's vertices in its grid, shape [2] [grid pixels]."""
-    some = np.s_[:: max(1, len(mesh.vertices) // FOCAL_VERTICES)]  # all lie on the same two lines
+    some = np.s_[:: max(1, len(mesh.vertices) // 1000)]  # all lie on the same two lines
     rays = mesh.vertices[some, :2].astype(np.float64) / mesh.vertices[some, 2:]
     places = mesh.pixels[some, ::-1].astype(np.float64)
     rays, places = rays - rays.mean(axis=0), places - places.mean(axis=0)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from palpate.planning.press import PressCurve
-from palpate.planning.pressing import PressingCosts
 from palpate.planning.roadmap import MILLI, Plan
 from palpate.planning.scene import Placed, PlanScene
 
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 
 SAMPLES = 400
 """Of a way, in addition to the places where a simulated force is known."""
-ROUNDING = 1e-9
-"""Of places on a way [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,7 @@ def force_along(presses: Sequence[Pressed], way: float) -> tuple[np.ndarray, np.
     force = np.zeros(len(gone))
     for each in presses:
         pressed = gone - each.begin
-        let_by = min(each.length, each.curve.lengths[-1]) + ROUNDING
+        let_by = min(each.length, each.curve.lengths[-1]) + 1e-9
         force += np.where(pressed <= let_by, np.interp(pressed, each.curve.lengths, each.curve.force), 0)
     return gone, force
 
@@ -97,46 +94,4 @@ def draw_plan(scene: PlanScene, ways: Mapping[str, tuple[Plan, Sequence[Pressed]
     forces.set(xlabel="distance along the way [mm]", ylabel="force of the tip [N]", title="Force along both ways")
     forces.set_ylim(top=1.25 * forces.get_ylim()[1])  # room for the legend
     forces.legend(fontsize=8, loc="upper left")
-    return figure
-
-
-def draw_in_space(costs: PressingCosts, plan: Plan, straight: Plan, rows: np.ndarray) -> Figure:
-    """A figure: a plan in space seen along two axes, past the body's widest outline, and the forces along it.
-
-    Args:
-        costs: of the scene.
-        plan: what was found.
-        straight: start and goal joined.
-        rows: the plan's `waypoints`.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 4.5), layout="constrained")
-    *views, forces = figure.subplots(1, 3)
-    grid, tips, port = costs.known["values"], MILLI * rows[:, 1:4], MILLI * costs.port
-    lines = [
-        MILLI * (low + costs.known["step"] * np.arange(n)) for low, n in zip(costs.corners[0], grid.shape, strict=True)
-    ]
-    beside = f"cost {straight.cost:.1f}" if np.isfinite(straight.cost) else "force over the limit"
-    for view, (across, up, along) in zip(views, ((0, 2, 1), (1, 2, 0)), strict=True):
-        view.contourf(lines[across], lines[up], grid.min(axis=along).T, [grid.min() - 1, 0], colors=["mistyrose"])
-        view.plot(*MILLI * straight.places[:, [across, up]].T, "--", color="0.3", label=f"straight: {beside}")
-        for end, said, below in ((0, "start", -14), (-1, "goal", 8)):
-            view.plot([tips[end, across], port[across]], [tips[end, up], port[up]], ":", color="0.7")
-            view.annotate(said, tips[end, [across, up]], textcoords="offset points", xytext=(0, below), ha="center")
-        dots = view.scatter(
-            *tips[:, [across, up]].T, c=rows[:, 8], s=9, zorder=3, label=f"planned: cost {plan.cost:.1f}"
-        )
-        view.plot(port[across], port[up], "k^", label="port")
-        view.set(
-            xlabel=f"{'xyz'[across]} [mm]", ylabel="z [mm]", aspect="equal", title=f"Along {'xyz'[along]}; body shaded"
-        )
-    figure.legend(*views[0].get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=8)
-    figure.colorbar(dots, ax=views, label="expected force [N]")
-    gone = rows[:, 0] * costs.scene.speed * MILLI
-    forces.plot(gone, rows[:, 8], color="navy", label="expected")
-    forces.fill_between(gone, rows[:, 9], rows[:, 10], alpha=0.3, label="90 % interval")
-    forces.axhline(costs.scene.limit_N, color="firebrick", linestyle="--", label="limit")
-    forces.set(xlabel="distance along the way [mm]", ylabel="force on the instrument [N]", title="Force along the way")
-    forces.legend(fontsize=8)
     return figure

@@ -21,8 +21,6 @@ RADIUS = 0.01
 """Of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
-DEPTHS = 81
-"""Of a press: so many that the energy, which is between them as straight as the force, is off by little."""
 STEP = 0.25
 """Of places along an edge, over the radius."""
 BETWEEN = 0.95
@@ -36,7 +34,8 @@ SHAPE_SD, WORK_SD = 0.45, 0.56
 def unit_press(poisson: float) -> np.ndarray:
     """A tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
-    depth = np.linspace(0, found.lengths[-1], DEPTHS) / RADIUS
+    # So many that the energy, which is interpolated as the force is, is off by little.
+    depth = np.linspace(0, found.lengths[-1], 81) / RADIUS
     force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
     work = np.append(0.0, np.cumsum(np.diff(depth) * (force[1:] + force[:-1]) / 2))
     return np.stack([depth, force, work])

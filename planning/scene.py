@@ -41,8 +41,6 @@ class SoftObject:
     poisson: float = 0.45
     held: tuple[Side, ...] = ("top",)
     """Sides that don't move."""
-    tip_height: float | None = None
-    """Of the plane over the block's foot [m]; none = half of its height."""
     longest: float = 0.04
     """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
@@ -58,13 +56,11 @@ class SoftObject:
             raise ValueError("held names one side at least, longest is from 0 to 0.1 m.")
         if min(self.cells) < 1 or math.prod(self.cells) > MOST_CELLS:
             raise ValueError(f"cells are to be positive, and their product {MOST_CELLS} at most.")
-        if self.tip_height is not None and not 0 < self.tip_height < self.size[2]:
-            raise ValueError("tip_height lies between 0 and the height.")
 
     @property
     def height(self) -> float:
-        """Of the plane over the foot [m]."""
-        return self.size[2] / 2 if self.tip_height is None else self.tip_height
+        """Of the plane over the foot [m]: half of the block's."""
+        return self.size[2] / 2
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ class Placed:
         ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
         gone, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
         open_lines = np.arange(len(starts))
-        for _ in range(MOST_STEPS):
+        for _ in range(400):
             left = self.clearance(starts[open_lines] + gone[open_lines, None] * ways[open_lines]) - radius
             there = left < TOUCH
             touched[open_lines[there]] = gone[open_lines[there]]
@@ -135,7 +131,6 @@ class Placed:
 
 TOUCH = 1e-5
 """Distance that counts as contact [m]."""
-MOST_STEPS = 400
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,6 @@ from palpate.planning.surface import measure
 
 NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 """Places, lines from each, and lines from start and from goal."""
-AROUND = 8
-"""How far beyond the grid places are drawn, over the radius."""
 MOVES, FIRST, FINEST = 16, 4.0, 0.25
 """Places tried instead of one of the way's, and how far from it about, at first and at last, over the radius."""
 VERSION = 2
@@ -97,7 +95,7 @@ def _made(scene: SpaceScene) -> dict[str, Any]:
     """Content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges` [2, E]."""
     known = measure(Path(scene.mesh), scene.unit, scene.tip_radius) | {"press": unit_press(scene.poisson)}
     costs = PressingCosts(scene, known)
-    around = AROUND * scene.tip_radius * np.array([[-1.0], [1.0]])
+    around = 8 * scene.tip_radius * np.array([[-1.0], [1.0]])
     drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
     places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
     if len(places) < JOINED:

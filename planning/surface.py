@@ -15,13 +15,6 @@ from palpate.data.source.layout import InputError
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SIZES = (2e-3, 2.0)
 """Longest side of a body [m]."""
-MOST_VOXELS = 2_000_000
-COARSEST = 1.5
-"""Step of the grid over the tip's radius."""
-MOST_OPEN = 0.01
-"""Share of triangles with free space on both sides, from which on a surface with a rim is no body's."""
-THROUGH = 0.6
-"""Slope of the distance below which the nearest place of the surface leaps to another side of the body."""
 NO_WAY = -1e3
 """Distance of places that no instrument gets to [m]."""
 
@@ -63,8 +56,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         likely = " or ".join(each for each, length in metres.items() if SIZES[0] <= length <= SIZES[1])
         raise InputError(f"{printable(path)} is {size:.3g} m long in unit {unit}; give `unit: {likely or 'm'}`.")
     low, high = mesh.bounds[0] - 2 * radius, mesh.bounds[1] + 2 * radius
-    step = max(radius / 3, float((np.prod(high - low) / MOST_VOXELS) ** (1 / 3)))
-    if step > COARSEST * radius:
+    step = max(radius / 3, float((np.prod(high - low) / 2_000_000) ** (1 / 3)))
+    if step > 1.5 * radius:
         said = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
         raise InputError(f"{printable(path)} {said}")
     fine = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, step, max_iter=20))
@@ -85,7 +78,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     inwards = ndimage.distance_transform_edt(~outside)
     before, behind = (inwards[cells(places + side * 2 * step * normals)] for side in (1, -1))
     thin = np.maximum(before, behind) <= 1
-    if (np.bincount(mesh.edges_unique_inverse) % 2).any() and thin.mean() > MOST_OPEN:
+    # Share of triangles with free space on both sides, from which on a surface with a rim is no body's.
+    if (np.bincount(mesh.edges_unique_inverse) % 2).any() and thin.mean() > 0.01:
         raise InputError(f"{printable(path)} is not closed, so that nothing lies within; fill its holes.")
     normals = normals * np.where(thin, np.sign(fine.volume), np.sign(behind - before))[:, None]
     outer = np.minimum(before, behind) <= 2
@@ -97,7 +91,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     away = grid - places[nearest]
     far = np.linalg.norm(away, axis=-1)
     signed = np.where(wall, (away * normals[nearest]).sum(axis=-1), np.where(outside, far, -far))
-    through = (signed < step) & (np.linalg.norm(np.gradient(signed, step), axis=0) < THROUGH)
+    # Slope of the distance below which the nearest place of the surface leaps to another side of the body.
+    through = (signed < step) & (np.linalg.norm(np.gradient(signed, step), axis=0) < 0.6)
     if through.any():
         signed[step * ndimage.distance_transform_edt(~through) < radius / 2] = NO_WAY
     return {"low": low, "step": step, "values": signed.astype(np.float32)}

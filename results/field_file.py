@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.estimators.online.particle_field import YOUNG, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 
 
 class FieldFile:
@@ -13,8 +13,7 @@ class FieldFile:
 
     Of every run of contact `run_R/rest`, `run_R/faces` and, of a volume, `run_R/tetrahedra`, R its first frame's
     number; of every frame `frame_K/run` (R), `frame_K/positions`, `pixels`, `distance`, `shape`, `distance_log_sd`,
-    `shape_log_sd`, `known` and `shape_known`, as `ParticleField` has them, and where something tells E `young_kPa`,
-    `young_kPa_low` and `young_kPa_high`, reals as float32.
+    `shape_log_sd`, `known` and `shape_known`, as `ParticleField` has them, reals as float32.
 
     Args:
         path: the file.
@@ -35,8 +34,6 @@ class FieldFile:
         self._add(f"frame_{frame}/run", np.array(field.onset_frame))
         for name in ("positions", "pixels", "distance", "shape", "distance_log_sd", "shape_log_sd"):
             self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))
-        for name, values in () if field.young is None else zip(YOUNG, field.young, strict=True):
-            self._add(f"frame_{frame}/{name}", values.astype(np.float32))
         self._add(f"frame_{frame}/known", field.known)
         self._add(f"frame_{frame}/shape_known", field.shape_known)
 

@@ -24,7 +24,7 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
     """
     if field.verdict == "undetermined" or not field.known.any():
         return
-    stretch = field.distance if field.young is None else field.young[0]
+    stretch = field.distance
     faces = field.faces[field.known[field.faces].all(axis=1)]
     paint(canvas, (field.pixels + 0.5) * factor, faces, stretch / float(np.median(stretch[field.known])), labels)
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.online.particle_field import YOUNG, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import UNITS
 from palpate.results.field_overlay import RANGE, draw_field
@@ -129,11 +129,8 @@ def _notes(estimate: FrameEstimate) -> list[str]:
 
 
 def _described_field(field: ParticleField) -> str:
-    """What colours mean, and the median of Young's modulus where it is known."""
-    numbers = field.numbers()
-    young = "; the median is {:.3g} kPa ({:.3g} to {:.3g})" if "young_kPa" in numbers else ", relative units"
-    unit = young.format(*(numbers.get(name) for name in YOUNG))
-    return f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th{unit}."
+    """What colours mean."""
+    return f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units."
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

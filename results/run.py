@@ -98,14 +98,13 @@ class Batch:
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
-        online = self.estimator if isinstance(self.estimator, OnlineEstimator) else None
         wrong = {
-            "scale of online": online and known is not None and not known.every_clip,
-            "half of a sheet": online and (known is None) != (online.settings.sheet_m is None),
+            "scale of online": name == "online" and known is not None,
             "limit without force": limited and name not in WITH_FORCE,
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
+            "shard of a scale": options.shard and known is not None and known.of_one_clip,
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
@@ -230,9 +229,15 @@ class Batch:
         if self.options.topic is not None and not any(map(is_bag, found)):
             raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
         paths = self._ordered(list(found))
-        for path in paths if self.options.jobs > 1 or self.options.scheduler else ():
-            with suppress(ValueError):  # said when it is the clip's turn
-                self.folders[path] = self.store.folder(name_of(path), path)
+        if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
+            number, count = self.options.shard or (1, 1)
+            if count > len(paths):
+                raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
+            mine = set(paths[number - 1 :: count])
+            for path in paths:  # those of the others too, so that all agree which folder is whose
+                with suppress(ValueError):  # reported when it is the clip's turn
+                    self.folders[path] = self.store.folder(name_of(path), path, settled=path in mine)
+            paths = [path for path in paths if path in mine]
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:

@@ -17,14 +17,14 @@ from palpate.common.provenance import __version__, code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.sequence import Sequence
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.online.particle_field import YOUNG, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.results import columns as described
 from palpate.results import store
 from palpate.results.record import FORMAT_VERSION, sha256_of, versions
 
-PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "palpation", "camera")
+PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""
@@ -90,7 +90,7 @@ def write_sequence(
         record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": [empty] * (tissue.unseen > 0)}
         record["notice"] = "Research software, not a medical device."
         record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
-        record |= {"units": {"length": "m", "time": "s", "young": "kPa"}, "columns": {store.TABLE: texts}}
+        record |= {"units": {"length": "m", "time": "s"}, "columns": {store.TABLE: texts}}
         record |= {"timings_s": {"total": seconds}, "versions": versions()}
         store.write_record(partial, record)
         store.publish(partial, folder)
@@ -98,7 +98,7 @@ def write_sequence(
 
 
 def _values(field: ParticleField) -> dict[str, Any]:
-    """Of every particle: both stiffnesses with the ends of their intervals where they are known, and E."""
+    """Of every particle: both stiffnesses with the ends of their intervals where they are known."""
     found: dict[str, Any] = {}
     for name, fitted, log_sd, known in (
         ("stiffness", field.distance, field.distance_log_sd, field.known),
@@ -107,5 +107,4 @@ def _values(field: ParticleField) -> dict[str, Any]:
         value, factor = np.where(known, fitted, np.nan), np.exp(NINETY * log_sd)
         found |= {name: value, f"{name}_low": value / factor, f"{name}_high": value * factor}
         found[f"simulated_{name}"] = fitted
-    young = np.full((len(YOUNG), len(field.rest)), np.nan) if field.young is None else field.young
-    return found | dict(zip(YOUNG, young, strict=True))
+    return found

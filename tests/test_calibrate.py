@@ -99,7 +99,7 @@ def test_a_reversed_force_is_a_sentence(tmp_path, capsys):
     scene = write_scene(tmp_path, palpations=[right, turned])
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     said = " ".join(capsys.readouterr().err.split())
-    assert "scene.yaml: the surface moved against the force of palpation 2; give what the tool does to" in said
+    assert "scene.yaml: the force of palpation 2 points out of the body; give what the tool does to" in said
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 

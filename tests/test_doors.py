@@ -14,7 +14,6 @@ MODULES = [
     "benchmarks.compare_with_truth",
     "benchmarks.goldens",
     "benchmarks.inference",
-    "benchmarks.model_errors",
     "benchmarks.online",
     "benchmarks.palpation",
     "benchmarks.palpation.example",

@@ -72,8 +72,6 @@ class Benchmark(Experiment):
     """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
     """when direct and network take a press to begin: at a frame's stamp (as in most suites) or between"""
-    observation: Literal["depth", "contact"] | None = None
-    """what direct and network look at: the whole dent (depth, default), or the point that was touched (contact)"""
     bound: Literal["depth", "contact"] = "depth"
     """Cramér–Rao bound that errors are compared with: of the sequence of the whole dent, or of the contact's point;
     with
@@ -125,8 +123,8 @@ class Benchmark(Experiment):
         found = {}
         for name in NAMES:
             if name in self.estimator and name != CONSTANT:
-                contact = (None, None) if name == "gan" else (self.onset, self.observation)
-                found[name] = EstimatorOptions(name, models[name], *contact, horizon=self.seen, threads=1)
+                onset = None if name == "gan" else self.onset
+                found[name] = EstimatorOptions(name, models[name], onset, horizon=self.seen, threads=1)
         return found
 
     def record(self) -> Mapping[str, Any]:

@@ -13,7 +13,6 @@ from scipy.ndimage import shift
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
-from palpate.estimators.direct.contact_fit import Problem
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
@@ -26,6 +25,7 @@ from palpate.physics.identifiability import box_information
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED
 
+Problem = ContactProblem | SequenceProblem
 MECHANICS = FITTED
 """Simulator of the bounds."""
 DELAY_BOX = np.array([[-1.0], [1.0]])

@@ -58,7 +58,6 @@ def describe(options: EstimatorOptions) -> dict[str, Any]:
         "weights_sha256": "" if posterior is None else posterior.metadata.get("training", {}).get("weights_sha256", ""),
         "calibrated": None if posterior is None else posterior.calibrated,
         "noise": options.noise,
-        "observation": options.observation,
         "seen": options.horizon,
         "onset": options.onset,
     }

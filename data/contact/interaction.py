@@ -25,10 +25,8 @@ from palpate.physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
-FIELD, CONTACT, SHADING, BOTH = "depth", "contact", "shading", "both"
-OBSERVATIONS = (FIELD, CONTACT, SHADING, BOTH)
-"""What of a contact is looked at: the depth of all tissue around it, the motion of the point that was touched, the
-light of the tissue around it, or its depth and its light."""
+FIELD, SHADING, BOTH = OBSERVATIONS = ("depth", "shading", "both")
+"""What of a contact is looked at: the depth of all tissue around it, its light, or both."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 

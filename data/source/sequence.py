@@ -73,11 +73,7 @@ class SequenceFile:
     forces: str | None = None
     """CSV file with time_s, Fx, Fy, Fz [N]: what the tissue does to the tool, in the tool's frame."""
     thickness: float | None = None
-    """Of the tissue as a sheet, with which forces tell kilopascals; pressed, down to the flat support it lies on."""
-    palpation: str | None = None
-    """Or calibration.json of `palpate calibrate palpation`: E at one place."""
-    palpated_at: Place | None = None
-    """That place, in the robot's frame."""
+    """Of pressed tissue, down to the flat support it lies on."""
 
     def __post_init__(self) -> None:
         if (self.clouds is None) == (self.depth is None) or (self.depth is None) != (self.camera is None):
@@ -86,10 +82,6 @@ class SequenceFile:
             raise ValueError("give times or fps.")
         if any({*pin} != {"low", "high"} for pin in self.pins):
             raise ValueError("each of pins is to have low and high.")
-        if (self.palpation is None) != (self.palpated_at is None):
-            raise ValueError("palpation and palpated_at belong together; give both.")
-        if self.thickness is not None and (self.forces is None or self.palpation is not None):
-            raise ValueError("thickness is for forces, where no palpation tells kilopascals; leave it out.")
         require_numbers(self, positive=("fps", "depth_factor", "grip_radius", "thickness"))
         turn = np.array(self.hand_eye)[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:

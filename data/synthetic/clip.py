@@ -11,8 +11,9 @@ import numpy as np
 
 from palpate.common.files import as_json, read_file
 from palpate.common.output import list_folder, require_own_folder
+from palpate.data.source.camera import Camera
 from palpate.data.synthetic.endoscope import EndoscopeRenderer
-from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, stored_to_depth
+from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from palpate.data.synthetic.files import open_video, write_frame, write_truth
 from palpate.data.synthetic.grip import GrippedMotion, draw_grip
 from palpate.data.synthetic.render import Renderer
@@ -27,9 +28,11 @@ class SyntheticClip:
     """A clip in memory."""
 
     scene: Scene
-    """True geometry: sheet, mesh, contact vertex, direction, cameras."""
+    """True geometry: sheet, mesh, contact vertex, direction, true cameras."""
     motion: TrueMotion
     """True parameters of the tissue, what the tool does, and trajectories."""
+    camera: Camera
+    """Camera that the clip claims, with its focal-length error."""
     seed: int
     """Seed from which the clip was drawn."""
     images: np.ndarray
@@ -81,7 +84,8 @@ def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.nd
 def synthetic_clip(scene: Scene, motion: TrueMotion, seed: int) -> SyntheticClip:
     """A clip in memory of a truth that was drawn already, observed as the scene's settings state."""
     images, labels, stored = map(np.stack, zip(*observe(scene, motion, seed), strict=True))
-    return SyntheticClip(scene, motion, seed, images, labels, stored_to_depth(stored))
+    camera = reported_camera(scene.camera, scene.settings)
+    return SyntheticClip(scene, motion, camera, seed, images, labels, stored_to_depth(stored))
 
 
 def clip_seed(seed: int, index: int) -> int:

@@ -1,8 +1,11 @@
-"""Errors of observation put on a synthetic clip: noise, flicker, rounding and wrong outlines."""
+"""Errors of observation put on a synthetic clip: noise, flicker, rounding, wrong outlines and focal length."""
+
+import dataclasses
 
 import cv2
 import numpy as np
 
+from palpate.data.source.camera import Camera
 from palpate.data.synthetic.settings import SceneSettings
 
 
@@ -51,6 +54,12 @@ def observe_labels(labels: np.ndarray, settings: SceneSettings, generator: np.ra
         field = _noise((settings.grid_height, settings.grid_width), 6.0, generator)
         shifts.append(settings.mask_error * cell * cv2.resize(field, (width, height), interpolation=cv2.INTER_LINEAR))
     return cv2.remap(labels, columns + shifts[0], rows + shifts[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+
+
+def reported_camera(camera: Camera, settings: SceneSettings) -> Camera:
+    """The camera that the clip claims: the true one with its focal length off by a factor."""
+    factor = settings.focal_error
+    return dataclasses.replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
 def _noise(shape: tuple[int, int], correlation: float, generator: np.random.Generator) -> np.ndarray:

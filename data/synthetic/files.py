@@ -12,6 +12,7 @@ import numpy as np
 from palpate.common.files import as_json, read_beside
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.video import Video
+from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
@@ -45,7 +46,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
     """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
     settings, mesh = scene.settings, scene.mesh
-    camera = dataclasses.asdict(scene.camera)
+    camera = dataclasses.asdict(reported_camera(scene.camera, settings))
     clip = {"fps": settings.fps, "camera": camera, "depth_scale": 1.0, "times": motion.times.tolist()}
     own = TEXTS[type(motion).__name__]
     arrays: dict[str, Any] = {"trajectory": motion.contact, "in_contact": motion.in_contact, "times": motion.times}
@@ -62,7 +63,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "contact_vertex": scene.vertex,
         "contact_pixel": dict(zip(("row", "column"), mesh.pixels[scene.vertex].tolist(), strict=True)),
         "direction": scene.direction.tolist(),
-        "camera": camera,
+        "camera": dataclasses.asdict(scene.camera),
         "units": TEXTS["units"],
         "arrays": TEXTS["arrays"] | own,
         "settings": dataclasses.asdict(settings),

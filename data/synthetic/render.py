@@ -22,6 +22,10 @@ GREY = {name: entry.grey for name, entry in CLASSES.items()}
 """Grey code of every class."""
 ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdominal wall": (0.62, 0.30, 0.24)}
 """Linear RGB of the tissues."""
+FAT_ALBEDO = (0.78, 0.62, 0.25)
+"""Linear RGB of fat."""
+FAT_LIFT = 0.04
+"""How far the occluding piece of fat lies before the tissue [scene units]."""
 
 
 class Renderer:
@@ -34,6 +38,7 @@ class Renderer:
         self.rest_labels = rest_labels(scene, generator)
         self.albedo = reflectance(scene, self.rest_labels, generator)
         self.bumps = bumps(scene, generator)
+        self.fat_course = generator.uniform(size=(2, 2))
         camera = scene.camera
         self.rays = back_project(np.ones((camera.height, camera.width)), camera)
 
@@ -53,8 +58,11 @@ class Renderer:
         labels, light, depth = labels_in(view, self.rest_labels), self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
             light[view.region] = self._tissue_light(view, view.region)
+        if self.scene.settings.occlusion > 0:
+            self._add_fat(index, labels, light, depth)
         if self.scene.settings.tool_in_view:
-            draw_tool(self.scene, self.motion, index, view).paint(labels, light, depth)
+            tool = draw_tool(self.scene, self.motion, index, view).visible(labels != GREY["fat"], depth)
+            tool.paint(labels, light, depth)
         blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
         picture = encode_srgb(np.clip(blurred, 0, 1))
         if self.scene.settings.image_noise > 0:
@@ -87,6 +95,25 @@ class Renderer:
         # A wet surface mirrors the light within about 2 degrees (Phong).
         highlight = self.scene.settings.highlights * np.power(glance, 1500)
         return ((albedo * facing[..., None] + highlight[..., None]) * falloff[..., None])[inner]
+
+    def _add_fat(self, index: int, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
+        """Draw a drifting ellipse of fat that hides the wanted share of the tissue."""
+        settings, outline = self.scene.settings, self.scene.outline
+        course = index / max(settings.frames - 1, 1)
+        drift = (self.fat_course[0] * (1 - course) + self.fat_course[1] * course) * 2 - 1
+        center = (outline.center + 0.5 * drift * outline.axes + 0.5) * settings.cell - 0.5
+        # The ellipse has the organ's shape: its half-axes scale with the root of its share of the area.
+        axes = outline.axes * settings.cell * math.sqrt(settings.occlusion)
+        columns = (np.arange(settings.width) - center[0]) / axes[0]
+        rows = (np.arange(settings.height) - center[1]) / axes[1]
+        radius = np.square(columns) + np.square(rows)[:, None]
+        fat = radius < 1
+        labels[fat] = GREY["fat"]
+        thickness = FAT_LIFT * np.sqrt(1 - radius[fat])
+        depth[fat] -= 0.25 * FAT_LIFT + thickness
+        shade = np.sqrt(1 - 0.7 * radius[fat]) * np.square(EXPOSURE_DISTANCE / depth[fat])
+        speckle = self.albedo[..., 0][fat] / self.albedo[..., 0][fat].mean()
+        light[fat] = np.array(FAT_ALBEDO) * (shade * (0.5 + 0.5 * speckle))[:, None]
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:

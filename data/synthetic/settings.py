@@ -64,8 +64,8 @@ class SceneSettings:
     vertex alone."""
     force_tilt_deg: Annotated[Range, 0, 60] = (0.0, 0.0)
     """Angle between the force of a press and the normal of the tissue, drawn uniformly, to any side [degrees]."""
-    profile: Literal["step", "hold"] = "step"
-    """Force while in contact: constant, or rising, holding and falling."""
+    profile: Literal["step", "ramp", "hold"] = "step"
+    """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling."""
     rise: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
     """Share of the time in contact over which a force that holds rises, drawn uniformly."""
     fall: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
@@ -105,6 +105,10 @@ class SceneSettings:
     """Standard deviation of log of the factor on each frame's depth."""
     mask_error: Annotated[float, 0, 20] = 0.0
     """Standard deviation of the masks' outlines along each axis [grid px], new in each frame."""
+    focal_error: Annotated[float, 0.2, 5] = 1.0
+    """Reported focal length divided by the true one."""
+    occlusion: Annotated[float, 0, 0.8] = 0.0
+    """Share of the tissue hidden by a drifting piece of fat."""
     image_noise: Annotated[float, 0, 0.5] = 0.008
     """Standard deviation of the picture's noise, as a share of full scale."""
     highlights: Annotated[float, 0, 5] = 0.5
@@ -114,7 +118,7 @@ class SceneSettings:
     look: Literal["matte", "endoscope"] = "matte"
     """How pictures are lit: matte tissue, its light at the lens, which is the law that estimators assume; or rough,
     wet, translucent tissue under a ring of lamps that throw shadows, with vignetting, an exposure that follows, smoke,
-    and a camera's own response."""
+    and a camera's own response; `occlusion` is not drawn then."""
     turning_deg: Annotated[float, 0, 10] = 0.0
     """How far the camera turns to and fro about its lens within a second or two [degrees]; true
     places are those of the first frame's camera."""

@@ -71,4 +71,4 @@ class _Masks:
 
 def open_synthetic(clip: SyntheticClip, settings: PrepareSettings) -> ClipStream:
     """A synthetic clip as a stream of prepared frames, with its own depth, labels and camera."""
-    return ClipStream(SyntheticSource(clip), settings, masks=_Masks(clip), depth=_Depth(clip), camera=clip.scene.camera)
+    return ClipStream(SyntheticSource(clip), settings, masks=_Masks(clip), depth=_Depth(clip), camera=clip.camera)

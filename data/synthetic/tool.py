@@ -50,6 +50,17 @@ class Tool:
     light: np.ndarray
     """Reflected light before its falloff with distance, shape [P, 3], linear RGB."""
 
+    def visible(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
+        """The tool's pixels that nothing hides.
+
+        Args:
+            bare: pixels where nothing lies before the tissue, bool [H, W].
+            depth: depth of what else is in the picture, shape [H, W] [scene units].
+        """
+        pixels = self.rows, self.columns
+        kept = bare[pixels] | (self.depth < depth[pixels])
+        return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
+
     def paint(self, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
         """Draw it into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place."""
         labels[self.rows, self.columns] = CLASSES["grasper"].grey

@@ -249,7 +249,7 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     radius, tilt, rise, fall = (float(generator.uniform(*ends)) for ends in ranges)
     angle = generator.uniform(0, 2 * math.pi)
     lean = math.tan(math.radians(tilt))
-    course = (rise * load, fall * load) if settings.profile == "hold" else (0.0, 0.0)
+    course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
     return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
 
 

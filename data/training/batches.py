@@ -1,6 +1,5 @@
 """Samples as torch batches."""
 
-import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +11,6 @@ from torch.utils.data import Dataset
 
 from palpate.data.cache import PreparedClip
 from palpate.data.contact.depth_sequence import REACH, smooth_errors
-from palpate.data.contact.features import contact_features
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.data.contact.sequence_features import dent_features, network_noise
@@ -47,19 +45,18 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `course_a`, `course_b` [B, 2] int64,
         the rollout's steps at the window's last frame and at the predicted one; `clip` names; `frame` [B] int64.
         For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
-        sides: `contact_features_a`, … [B, FEATURES] float32 (`data.contact.features`), `noise_a`, … [B] float32
-        [scene units], `known_load_a`, … B presses and `known_observation_a`, … ObservationBatch. Where
-        depth-change sequences are asked for, these vectors describe them, too (`data.contact.sequence_features`), and
-        `dent_a`, … DepthBatch holds them.
+        sides: `contact_features_a`, … [B, FEATURES + SEQUENCE_FEATURES] float32 (`data.contact.sequence_features`),
+        `known_load_a`, … B presses and `dent_a`, … DepthBatch.
     """
     batch: dict[str, Any] = {"clip": [sample.clip for sample in samples]}
     batch["frame"] = torch.tensor([sample.frame for sample in samples])
     known = [sample.known for sample in samples if sample.known is not None]
     all_known = len(known) == len(samples)
-    with_sequence = all_known and any(interaction.sequence is not None for interaction in known)
-    features_of = functools.partial(dent_features, within=0.0) if with_sequence else contact_features
-    features = np.stack([features_of(interaction) for interaction in known]) if all_known else None
-    dents = join_sequences(known) if with_sequence else None
+    shared: dict[str, Any] = {}
+    if all_known:
+        features = np.stack([dent_features(interaction, within=0.0) for interaction in known])
+        shared["contact_features"] = torch.from_numpy(features)
+        shared |= {"known_load": [interaction.load for interaction in known], "dent": join_sequences(known)}
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -67,12 +64,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         batch[f"course_{side}"] = torch.tensor([getattr(sample, f"course_{side}") for sample in samples])
         batch[f"mesh_{side}"] = [interaction.mesh for interaction in interactions]
         batch[f"load_{side}"], batch[f"observation_{side}"] = _join(interactions)
-        if all_known:
-            batch[f"contact_features_{side}"] = torch.from_numpy(features)
-            batch[f"noise_{side}"] = torch.tensor([interaction.noise for interaction in known], dtype=torch.float32)
-            batch[f"known_load_{side}"], batch[f"known_observation_{side}"] = _join(known)
-        if dents is not None:
-            batch[f"dent_{side}"] = dents
+        batch |= {f"{name}_{side}": value for name, value in shared.items()}
     return batch
 
 

@@ -30,8 +30,9 @@ class SampleSettings:
     window: int = 1
     """Frames in the network's input, K; 1 is the paper's."""
     observation: Literal["final", "trajectory"] = "final"
-    """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: the contact's
-    whole motion since its onset is compared, at the frames' own time stamps."""
+    """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: all
+    motion since the onset is compared, the contact's or the depth-change sequence's around it, at the frames' own time
+    stamps."""
     horizon: int = 1
     """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
     noise. More need observation trajectory."""
@@ -43,9 +44,6 @@ class SampleSettings:
     """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window's length,
     beyond which a network has no input. A network that gets the contact's motion in addition to the window can use
     more."""
-    sequence: bool = False
-    """Whether the depth-change sequence of all tissue around the contact is a network's input and is compared, in
-    addition to the contact's own motion; needs observation trajectory."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     """Geometry settings, which decide the force's direction."""
     mechanics: Mechanics = field(default_factory=Mechanics)
@@ -60,8 +58,6 @@ class SampleSettings:
                 f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "
                 "with observation trajectory."
             )
-        if self.sequence and self.observation != "trajectory":
-            raise ValueError(f"sequence needs observation trajectory, not {self.observation}; choose that.")
         if self.onset_within is not None and self.onset_within < 1:
             raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
         require_numbers(self, not_negative=("min_clip_deformation",))
@@ -123,7 +119,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
         onward = course = 0, settings.mechanics.steps
     else:
         onset = int(clip.track_start[frame])
-        run = builder_of(clip, onset, settings, sequence_until=frame if settings.sequence else None)
+        run = builder_of(clip, onset, settings, sequence_until=frame)
         forward = replace(run.build(settings.mechanics), sequence=None)
         since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()

@@ -3,10 +3,9 @@
 estimator    the settings, the session, and the fit from start to verdict
 motion       how vertices move under a press that began and ended at its time stamps, or near them
 patch        the same under a press on a patch, in any direction, whose force rises and falls
-problem      one followed point by least squares from several starts; field: the whole dent
+problem      starts, optima and their evidence; field: a dent by least squares
 contact_fit  from there to an estimate
 lit_sheet    what a camera with a light next to it sees of a pressed plane
 shading      that light by least squares; shading_fit: from there to an estimate
 sampling     mean and covariance of the posterior by importance sampling
-error_model  how errors of a tracked contact belong together
 """

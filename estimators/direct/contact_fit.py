@@ -1,20 +1,17 @@
-"""A contact's followed point, or its whole dent, fitted from start to verdict: optima, the posterior, the estimate."""
+"""A contact's dent fitted from start to verdict: optima, the posterior, the estimate."""
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.error_model import log_likelihoods, variance_scale
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import (
     DELAYS,
     Combined,
-    ContactProblem,
     Optimum,
     apart,
     combine,
@@ -31,44 +28,17 @@ from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.mechanics import Mechanics
 
-Problem = ContactProblem | SequenceProblem
-LARGEST_MISFIT = 1.5
-"""The model does not explain what lies farther from its best fit than this many σ."""
 AT_BOUND = 1e-3
 """Best fits this near to the end of their range in φ lie at it."""
 DELAY_AT_END = 0.9
 """Delays beyond this share of their range lie at its end: the press may have begun outside of it."""
-LEAST_SHARE = 0.02
-"""Every optimum gets at least this share of the first draws, relative to the likeliest."""
-WIDER = 1.2
-"""The first draws are this much wider than the optima, in variance."""
-TOO_FEW = 10.0
-"""Fewer effective draws say less than the optima themselves."""
-JUDGES = 15
-"""Draws whose information is compared."""
 TRUST = 2 / 3
 """Share of the posterior that must agree that a contact determines its parameters. Half would trust the prior, which
 holds more pliable tissue than there is; two thirds and more gave the most right verdicts on validation clips."""
 
 
-def fit_contact(problem: ContactProblem, box: np.ndarray) -> Estimate:
-    """Fit a problem's parameters, those of θ first, within their box, shape [2, D]."""
-    low, high = box
-    prior = box_information(box)
-    candidates = evenly_spread(low, high)
-    paths = problem.coarse_paths(candidates)
-    starts = problem.best_starts(candidates, paths, low, high)
-    optima = distinct([find_optimum(problem, start, box) for start in starts])
-    draws = _sample(problem, optima, box, (candidates, paths))
-    if draws.effective < TOO_FEW:
-        # Most likely all starts have missed the best optimum, and some draw came near it.
-        optima = distinct([*optima, find_optimum(problem, draws.likeliest, box)])
-        draws = _sample(problem, optima, box, (candidates, paths))
-    return concluded(problem, box, optima, combine(optima, prior), draws if draws.effective >= TOO_FEW else None)
-
-
 def concluded(
-    problem: Problem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None, **more: Any
+    problem: SequenceProblem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
 ) -> Estimate:
     """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
@@ -78,15 +48,16 @@ def concluded(
         optima: all that were found.
         combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
         draws: of the posterior, which say them better; None = there are too few.
-        more: further fields of the estimate.
     """
     motion, prior, (mean, spread, best) = problem.motion, box_information(box), combined
     judges = mean[None]
     if draws is not None:
-        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(JUDGES)
+        # Draws whose information is compared.
+        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
     information = problem.information(mean)
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
     delays = mean[motion.delays]
+    # The model does not explain what lies farther from its best fit than this many σ.
     found = Estimate(
         theta=motion.theta(mean),
         covariance=spread[:3, :3],
@@ -96,39 +67,17 @@ def concluded(
         modes=count_modes(optima, prior),
         noise=problem.sigma,
         misfit=problem.misfit(best.logs),
-        largest_misfit=LARGEST_MISFIT,
+        largest_misfit=1.5,
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         delays=tuple((motion.within * delays).tolist()),
         delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
-        **more,
+        outliers=problem.outliers,
     )
     if not is_oblique(found):
         return found
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
-
-
-def _sample(
-    problem: ContactProblem, optima: list[Optimum], box: np.ndarray, known: tuple[np.ndarray, np.ndarray]
-) -> Draws:
-    """The posterior around its optima; known points [C, D] with their motions [C, N, 3] are draws as well."""
-    # The coarse step's error hardly varies over the posterior.
-    best = optima[0].logs
-    coarse_error = problem.coarse_paths(best[None])[0] - problem.path(best)
-    direction, sigma, prior = problem.direction, problem.sigma, box_information(box)
-    observed = (problem.moved + coarse_error) @ direction / sigma
-
-    def likelihoods(paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return log_likelihoods(observed, paths @ direction / sigma)
-
-    shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
-    # Less information where an optimum explains the motion badly.
-    trusted = [each.information / max(variance_scale(2 * each.cost, len(observed)), 1.0) for each in optima]
-    widths = [WIDER * np.linalg.inv(each + prior) for each in trusted]
-    start = Mixture(shares / shares.sum(), np.array([optimum.logs for optimum in optima]), np.array(widths))
-    before = known[0], likelihoods(known[1])
-    return sample_posterior(lambda logs: likelihoods(problem.coarse_paths(logs)), box, start, before)
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
@@ -142,16 +91,6 @@ def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
-FEW = 4
-"""Evaluations of a start in a round, after which it is decided anew what the pixels show. With 8 rounds took twice as
-long, and led no farther (five validation clips of presses on patches)."""
-REFUTED = 20.0
-"""Optima whose misfit is so much larger than the best one's are out [nats]."""
-ROUND = 64
-"""Draws of a round; a power of two."""
-ENOUGH = 100.0
-"""Effective draws that are enough: the mean is then within a tenth of a standard deviation. A draw takes as long as
-ten of a single point's."""
 TAIL = 3.0
 """Half of the first draws are spread so many times as far as the optima say, as far as the box allows (a defensive
 mixture, Hesterberg 1995). Only inertia tells the common scale of k_s, k_d and F, and the less the larger that is:
@@ -179,7 +118,8 @@ def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
     for _ in range(problem.motion.looks):
         problem.look(optima[0].logs, finer=True, outliers=True)
         optima = distinct([find_optimum(problem, optimum.logs, box) for optimum in optima])
-        optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + REFUTED]
+        # Optima whose misfit is so much larger than the best one's are out [nats].
+        optima = [optimum for optimum in optima if optimum.cost < optima[0].cost + 20.0]
     return optima
 
 
@@ -192,8 +132,9 @@ def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray)
     spread, draws = scale * spread, None
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
         found = _sample_field(problem, optima, best, box, scale)
-        draws = found if found.effective >= TOO_FEW else None
-    return concluded(problem, box, optima, (mean, spread, best), draws, outliers=problem.outliers)
+        # Fewer effective draws say less than the optima themselves.
+        draws = found if found.effective >= 10.0 else None
+    return concluded(problem, box, optima, (mean, spread, best), draws)
 
 
 def fit_press(
@@ -264,7 +205,8 @@ def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.n
         led = []
         for logs in starts:
             problem.look(logs)
-            found = find_optimum(problem, logs, box, FEW)
+            # Evaluations of a start in a round, after which it is decided anew what the pixels show.
+            found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
             led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
         led.sort(key=lambda pair: pair[0])
@@ -280,8 +222,10 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
         scale: σ² is so many times as large as the optima take it to be.
         prior: information of the admissible box, shape [D, D].
     """
-    shares = np.maximum(evidence_shares(optima, prior), LEAST_SHARE)
-    widths = [WIDER * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, TAIL) for o in optima]
+    # Every optimum gets at least this share of the first draws, relative to the likeliest.
+    shares = np.maximum(evidence_shares(optima, prior), 0.02)
+    # The first draws are this much wider than the optima, in variance.
+    widths = [1.2 * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, TAIL) for o in optima]
     places = np.array([optimum.logs for optimum in optima])
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 
@@ -293,14 +237,8 @@ def _sample_field(
     prior = box_information(box)
     error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
 
-    def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = []
-        for item in logs:
-            left = problem.left(problem.motion.quick(item) + error, item)
-            values.append(-0.5 * float(left @ left) / scale)
-        found = np.array(values).reshape(-1, 1)
-        return found, found
+    def log_likelihood(logs: np.ndarray) -> np.ndarray:
+        left = [problem.left(problem.motion.quick(item) + error, item) for item in logs]
+        return np.array([-0.5 * float(each @ each) / scale for each in left])
 
-    start = first_draws(optima, scale, prior)
-    none = np.empty((0, len(best.logs)))
-    return sample_posterior(likelihoods, box, start, (none, likelihoods(none)), ROUND, ENOUGH)
+    return sample_posterior(log_likelihood, box, first_draws(optima, scale, prior))

@@ -2,10 +2,9 @@
 
 The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
 finds what explains the sequence of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any
-shape (`estimators.direct.patch`), or the motion of its one followed point
-(`estimators.direct.problem`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the delays
-of the press (`estimators.direct.motion`). Around these optima the posterior is sampled (`estimators.direct.sampling`),
-with a uniform prior on the box of these: mean and covariance of φ are the estimate.
+shape (`estimators.direct.patch`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the
+delays of the press (`estimators.direct.motion`). Around these optima the posterior is sampled
+(`estimators.direct.sampling`), with a uniform prior on the box of these: mean and covariance of φ are the estimate.
 """
 
 import dataclasses
@@ -14,13 +13,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import BOTH, CONTACT, OBSERVATIONS, SHADING, Horizon, Interaction
+from palpate.data.contact.interaction import BOTH, OBSERVATIONS, SHADING, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.direct.contact_fit import fit_contact, fit_press
+from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.direct.problem import ContactProblem
 from palpate.estimators.estimate import Estimate, NoEstimate, combined
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
@@ -33,7 +31,7 @@ LEAST_SIGMA = 3e-5
 """A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
 which would be taken for motion of the tissue."""
 LEAST_OBSERVATIONS = 3
-"""Frames after the onset in which the tissue was followed."""
+"""Frames after the onset in which the tissue around the contact is visible."""
 
 
 class DirectEstimator:
@@ -107,7 +105,6 @@ class DirectSession(RunSession):
     def fit(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as of `simulated_motion`.
 
-        By the sequence of its dent where there is one and it is asked for; then the press may be of any shape, too.
         Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
         would be if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
         (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
@@ -115,22 +112,16 @@ class DirectSession(RunSession):
         Raises:
             NoEstimate: fewer than three observations, or no noise level.
         """
-        estimator, count = self.estimator, len(contact.observation)
-        within = self._within * contact.intervals
-        noise = contact.noise if estimator.noise is None else estimator.noise
-        if not (math.isfinite(noise) and noise > 0):
-            raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
+        estimator, within = self.estimator, self._within * contact.intervals
+        if contact.sequence is None:
+            raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0.")
+        count = min(len(contact.observation), len(contact.sequence.times))
         if count < LEAST_OBSERVATIONS:
             raise NoEstimate(
-                f"The contact was followed over {count} frames after its onset; {LEAST_OBSERVATIONS} are needed."
+                f"The tissue around the contact was followed over {count} frames after its onset; "
+                f"{LEAST_OBSERVATIONS} are needed."
             )
-        sequence = contact.sequence
-        with_sequence = sequence is not None and len(sequence.times) >= LEAST_OBSERVATIONS
-        if estimator.observation != CONTACT and with_sequence:
-            found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
-        else:
-            problem = ContactProblem(contact, self.mechanics, noise, within)
-            found = fit_contact(problem, problem.motion.box(estimator.log_box))
+        found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:

@@ -2,7 +2,7 @@
 
 What a pixel shows at a motion is `data.contact.patches`'; it is decided for a motion near the best and then kept.
 Errors are new in every frame, or stay where tissue is still and turn with it like a sawtooth where depth is rounded
-(`estimators.direct.error_model`); the rest surface's own error is smooth and the same in all frames. All of that is
+(`rounding_covariance`); the rest surface's own error is smooth and the same in all frames. All of that is
 one normal distribution, in which pixels that are far off count less, so that an outlier does not decide.
 """
 
@@ -17,9 +17,7 @@ import numpy as np
 from palpate.data.contact.depth_sequence import SequenceNoise, smooth_errors
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
-from palpate.estimators.direct.error_model import rounding_covariance
 from palpate.estimators.direct.motion import Kind, PressMotion
-from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.likelihood import LeastSquares, Linearised
 from palpate.physics.mechanics import Mechanics
 
@@ -30,10 +28,13 @@ MOVED, SEVERAL = 3.0, 3
 the model, or in so many by what is observed, as one outlier is no motion."""
 STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
-WALL = MODEL_ERRORS.dent_wall
+WALL = 0.08
 """Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
-HIDDEN = 1e6
-"""Standard deviation of what isn't seen [σ]."""
+STEP = math.sqrt(12)
+"""Rounding step whose error has a standard deviation of σ [σ]."""
+ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
+"""Depths farther apart than the first are taken to correlate less than the theory says [steps]; the second is the share
+of the rounding errors' variance that is taken to be independent."""
 
 
 class SequenceProblem(LeastSquares):
@@ -118,7 +119,8 @@ class SequenceProblem(LeastSquares):
         """Whitening of every pixel's errors over time [P, N, N], common errors as they leave it, what they cost."""
         noise, frames = self.sequence.noise, len(sunk)
         new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight - 1)
-        new = np.where(self.seen, new, (HIDDEN * noise.total) ** 2).T
+        # Standard deviation of what isn't seen [σ].
+        new = np.where(self.seen, new, (1e6 * noise.total) ** 2).T
         walls = np.sqrt(np.where(self.seen, self._walls, 0.0)).T
         # A patch's end stays where it is, more or less.
         covariance = new[:, :, None] * np.eye(frames) + 0.5 * walls[:, :, None] * walls[:, None]
@@ -186,3 +188,18 @@ class SequenceProblem(LeastSquares):
         found = copy.copy(self)
         found.motion = self.motion.coarser()
         return found
+
+
+def rounding_covariance(simulated: np.ndarray) -> np.ndarray:
+    """Covariance of rounding errors between frames, shape [n, M, M] [σ²].
+
+    In theory they correlate as 1 - 6u(1 - u) where depths differ by u steps of rounding.
+
+    Args:
+        simulated: displacement along the force, shape [n, M] [σ].
+    """
+    steps = (simulated[:, :, None] - simulated[:, None]) / STEP
+    part = np.abs(steps) % 1
+    # A product of positive definite functions of the depths is one too.
+    kernel = (1 - 6 * part * (1 - part)) * np.exp(-0.5 * np.square(steps / ROUNDING_REACH))
+    return (1 - INDEPENDENT) * kernel + INDEPENDENT * np.eye(simulated.shape[1])

@@ -20,8 +20,6 @@ from palpate.physics.jit import kernel
 from palpate.physics.mesh import Mesh, focal_length, grid_mesh
 from palpate.physics.shading import log_brightness, matt, mirrored
 
-ITERATIONS = 6
-"""To find where a pixel's tissue lay at rest; every one leaves a third or less of the error."""
 SIDE = 2 * (REACH + MARGIN) + 1
 """Rows and columns of vertices around a contact."""
 
@@ -162,7 +160,8 @@ def _rested(still, pixels, aside, shift, focal, plane, normal):
         field = still[frame]
         for index in range(len(pixels)):
             row, column = pixels[index, 0], pixels[index, 1]
-            for _ in range(ITERATIONS):
+            # To find where a pixel's tissue lay at rest; every one leaves a third or less of the error.
+            for _ in range(6):
                 near_row, top = corner(row - aside[0], last)
                 near_column, left = corner(column - aside[1], last)
                 down, right = near_row - top, near_column - left

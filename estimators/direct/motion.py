@@ -20,14 +20,8 @@ from palpate.physics.msd.simulation import simulate, simulate_tangent
 
 FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
-COARSE_STEP = 0.005
-"""Time step of simulations without derivatives [s]: off by up to 0.1 σ for the stiffest tissue."""
-QUICK_ERROR = 1e-5
-"""Window error of simulations that a whole dent's posterior is sampled with."""
 FINER = 4
 """Parts into which a step is divided to see its error."""
-LATER = 0.5
-"""Change of the load's duration whose effect gives the derivative by it [time steps]."""
 _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 2.0]])
 """Of four nodes in a row, the three others of each one."""
 _SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
@@ -145,7 +139,8 @@ class PressMotion:
             return path[self.steps], np.concatenate([slopes[self.steps], others], axis=-1)
         curves = [path[..., None], slopes]
         if self.contact.released:
-            longer = LATER * step
+            # Change of the load's duration whose effect gives the derivative by it [time steps].
+            longer = 0.5 * step
             later = self._path(logs, self.mechanics, self.longest, np.float64, longer)
             curves.append((later - path)[..., None] / longer)
         found, slopes = self.seen(curves, step, logs)
@@ -187,7 +182,8 @@ class PressMotion:
 
     def quick(self, logs: np.ndarray) -> np.ndarray:
         """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
-        mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, QUICK_ERROR))
+        # Window error of simulations that a whole dent's posterior is sampled with.
+        mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, 1e-5))
         path = self._path(logs, mechanics, self.longest, np.float32)
         return self._shown(path, self.steps + 1, mechanics, logs)
 
@@ -208,7 +204,8 @@ class PressMotion:
 
     def coarse_mechanics(self) -> tuple[Mechanics, int]:
         """The simulator with a coarse time step, and how many of its own steps that is."""
-        ratio = max(1, round(COARSE_STEP / self.mechanics.time_step))
+        # Time step of simulations without derivatives [s].
+        ratio = max(1, round(0.005 / self.mechanics.time_step))
         if not self.within and ((self.steps + 1) % ratio).any():
             ratio = 1
         time_step = ratio * self.mechanics.time_step

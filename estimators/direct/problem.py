@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import Kind, PressMotion, between_steps
+from palpate.estimators.direct.motion import Kind, PressMotion
 from palpate.physics.identifiability import fisher_information
 from palpate.physics.likelihood import LeastSquares, Likelihood, Linearised
 from palpate.physics.mechanics import Mechanics
@@ -24,10 +24,6 @@ APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
 TOLERANCE = 1e-6
 MOST_EVALUATIONS = 60
-SAME = 0.05
-"""Optima nearer to each other than this in every log-parameter are one."""
-NEGLIGIBLE = 1e-3
-"""Optima with less than this share of the likeliest one's evidence are left out."""
 LEAST_MODE, MODES_APART = 0.05, 3.0
 """Optima are modes of the posterior from such a share of the likeliest one's evidence on, if they lie so many standard
 deviations of their difference from all likelier ones."""
@@ -57,51 +53,20 @@ class ContactProblem(Likelihood):
         self.direction = np.asarray(contact.direction, np.float64)
 
     def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """φ of the candidates with the smallest misfit, shape [at most STARTS, 3]."""
-        candidates = evenly_spread(low, high)
-        return self.best_starts(candidates, self.coarse_paths(candidates), low, high)
+        """Parameters of the candidates with the smallest misfit, their delays 0, shape [at most STARTS, D].
 
-    def best_starts(self, candidates: np.ndarray, paths: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Starts among candidates [C, 3] whose motions [C, N, 3] are known.
-
-        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best;
-        and with the delay that does, of the release likewise.
+        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best.
         """
-        if self.motion.within:
-            candidates, paths = self._delayed(candidates)
-        logs = candidates.copy()
-        logs[:, 2], misfits = suiting_forces(paths, self.moved, candidates[:, 2], low[2], high[2])
-        return apart(logs, misfits, low, high, STARTS)
-
-    def _delayed(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Candidates [C, D], each delayed as suits it best, and their motions, shape [C, N, 3]."""
-        within, settled = self.motion.within, candidates.copy()
-        since = self.motion.times - within * DELAYS[:, None]
-        settled[:, 3:] = 0
-        moved = np.empty((len(settled), *self.moved.shape))
-        for index, candidate in enumerate(settled):
-            path, ratio = self.motion.coarse_path(candidate)
-            tried = between_steps(path[:, 0], ratio * self.mechanics.time_step, since.ravel())[0]
-            tried = tried.reshape(len(DELAYS), *self.moved.shape)
-            along = np.einsum("tmd,md->t", tried, self.moved)
-            explained = np.square(np.maximum(along, 0)) / np.maximum(np.square(tried).sum(axis=(1, 2)), 1e-30)
-            best = int(np.argmax(explained))
-            candidate[3:], moved[index] = DELAYS[best], tried[best]
-        return settled, moved
+        candidates = evenly_spread(low, high)
+        candidates[:, 3:] = 0
+        paths = self.coarse_paths(candidates)
+        candidates[:, 2], misfits = suiting_forces(paths, self.moved, candidates[:, 2], low[2], high[2])
+        return apart(candidates, misfits, low, high, STARTS)
 
     def coarse_paths(self, logs: np.ndarray) -> np.ndarray:
         """Motion at the observations for all parameters [n, D], with a coarse time step, shape [n, N, 3]."""
         paths = [self.motion.coarse(item)[:, 0] for item in logs]
         return np.array(paths, np.float64).reshape(-1, *self.moved.shape)
-
-    def path(self, logs: np.ndarray) -> np.ndarray:
-        """Motion at the observations for one φ, with the problem's own time step, shape [N, 3]."""
-        return self.simulated(logs).reshape(-1, 3)
-
-    def misfit(self, logs: np.ndarray) -> float:
-        """Root mean square of what a φ leaves of the motion along the force, in standard deviations."""
-        residual = (self.path(logs) - self.moved) @ self.direction
-        return float(np.sqrt(np.square(residual).mean())) / self.sigma
 
     def _linearise(self, logs: np.ndarray) -> Linearised:
         moved, slopes = (values[:, 0] for values in self.motion.at(logs))
@@ -203,7 +168,8 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
         prior: information of the admissible box, which limits that volume, shape [3, 3].
     """
     shares = evidence_shares(optima, prior)
-    shares = np.where(shares < NEGLIGIBLE, 0.0, shares)
+    # Optima with less than this share of the likeliest one's evidence are left out.
+    shares = np.where(shares < 1e-3, 0.0, shares)
     shares /= shares.sum()
     places = np.array([optimum.logs for optimum in optima])
     mean = shares @ places
@@ -234,6 +200,7 @@ def distinct(optima: Sequence[Optimum]) -> list[Optimum]:
     """The optima without those that another start found as well, the best first."""
     kept: list[Optimum] = []
     for optimum in sorted(optima, key=lambda item: item.cost):
-        if all(np.abs(optimum.logs - other.logs).max() > SAME for other in kept):
+        # Optima nearer to each other than this in every log-parameter are one.
+        if all(np.abs(optimum.logs - other.logs).max() > 0.05 for other in kept):
             kept.append(optimum)
     return kept

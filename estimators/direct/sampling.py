@@ -17,24 +17,17 @@ from scipy.special import gammaincinv, gammaln, logsumexp, ndtri
 
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student distributions: tails heavier than the posterior's."""
-ROUND = 128
+ROUND = 64
 """Points of a round; a power of two, as Sobol points want."""
-ENOUGH = 150.0
-"""Effective draws after which, usually, no further round is made: a mean is then within a twelfth of a standard
-deviation."""
+ENOUGH = 100.0
+"""Effective draws after which no further round is made: a mean is then within a tenth of a standard deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
-WIDER = 1.2
-"""Moved components are this much wider than the draws that they follow, in standard deviations."""
 GUIDES = 40.0
 """Effective draws that a mixture is moved by: where fewer count, a flattened posterior is followed. Bounded errors cut
 jagged pieces out of a posterior, and a mixture that jumps to the first piece found misses the others."""
 KEPT = 0.1
 """Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
-
-LogLikelihoods = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""From points in the box, shape [n, D], to log-likelihoods under H hypotheses, each up to a constant, by which points
-are weighed, and to those by which hypotheses are, all up to the same constant, shapes [n, H]."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,8 @@ class Mixture:
         means = parts.T @ points
         apart = points[:, None] - means
         spreads = np.einsum("nk,nki,nkj->kij", parts, apart, apart)
-        shape = WIDER**2 * (FREEDOM - 2) / FREEDOM
+        # Moved components are this much wider than the draws that they follow, in standard deviations.
+        shape = 1.2**2 * (FREEDOM - 2) / FREEDOM
         return Mixture(shares, means, (1 - KEPT) * shape * spreads + KEPT * self.scales[used])
 
 
@@ -89,8 +83,6 @@ class Draws:
     """Shape [N, D]."""
     weights: np.ndarray
     """Shape [N], sum 1."""
-    likeliest: np.ndarray
-    """The one with the largest likelihood, shape [D]."""
 
     @property
     def effective(self) -> float:
@@ -116,40 +108,29 @@ class Draws:
         return self.points[order[np.minimum(chosen, len(order) - 1)]]
 
 
-def sample_posterior(
-    log_likelihoods: LogLikelihoods,
-    box: np.ndarray,
-    start: Mixture,
-    known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]],
-    count: int = ROUND,
-    enough: float = ENOUGH,
-) -> Draws:
+def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np.ndarray, start: Mixture) -> Draws:
     """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
     Args:
-        log_likelihoods: called with points inside the box only.
+        log_likelihood: of points inside the box, shapes [n, D] to [n], up to a constant.
         box: lower and upper ends, shape [2, D].
         start: where the first points are drawn: around the modes.
-        known: evenly spread points of the box, or none, [U, D] whose log-likelihoods ([U, H], [U, H]) are known
-            already: modes that `start` has missed.
-        count: draws of a round, a power of two.
-        enough: effective draws after which no further round is made.
     """
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
     low, high = box
     sequence = Sobol(box.shape[1] + 2, rng=1)
-    points, (values, evidences) = known
-    uniform = (math.log(len(points)) if len(points) else -math.inf) - float(np.log(high - low).sum())
-    mixtures = [start]
+    points, values, mixtures = np.empty((0, box.shape[1])), np.empty(0), [start]
     while True:
-        found = mixtures[-1].draw(np.clip(sequence.random(count), 1e-9, 1 - 1e-9))
+        found = mixtures[-1].draw(np.clip(sequence.random(ROUND), 1e-9, 1 - 1e-9))
         found = found[((found >= low) & (found <= high)).all(axis=1)]
-        points, more = np.concatenate((points, found)), log_likelihoods(found)
-        values, evidences = (np.concatenate(pair) for pair in zip((values, evidences), more, strict=True))
-        draws = _weigh(points, values, evidences, uniform, mixtures, count)
+        points, values = np.concatenate((points, found)), np.concatenate((values, log_likelihood(found)))
+        densities = [logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
+        logs = values - logsumexp(densities, axis=0)
+        weights = np.exp(logs - logs.max())
+        draws = Draws(points, weights / weights.sum())
         rounds = len(mixtures)
-        if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= enough):
+        if rounds >= ROUNDS[1] or (rounds >= ROUNDS[0] and draws.effective >= ENOUGH):
             return draws
         mixtures.append(mixtures[-1].moved(draws.points, _flattened(draws.weights)))
 
@@ -161,17 +142,3 @@ def _flattened(weights: np.ndarray) -> np.ndarray:
         if 1 / np.square(flat).sum() >= GUIDES:
             break
     return flat
-
-
-def _weigh(
-    points: np.ndarray, values: np.ndarray, evidences: np.ndarray, uniform: float, mixtures: list[Mixture], count: int
-) -> Draws:
-    """Points weighed by likelihood over the density of all draws, `uniform` being the log of the known ones'."""
-    drawn = [np.full(len(points), uniform)]
-    drawn += [math.log(count) + logsumexp(mixture.log_densities(points), axis=1) for mixture in mixtures]
-    density = logsumexp(drawn, axis=0)
-    shares = [logsumexp(logs - density[:, None], axis=0) for logs in (evidences, values)]
-    likelihoods = logsumexp(values + shares[0] - shares[1], axis=1)
-    logs = likelihoods - density
-    weights = np.exp(logs - logs.max())
-    return Draws(points, weights / weights.sum(), points[np.argmax(likelihoods)])

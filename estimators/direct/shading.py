@@ -29,13 +29,8 @@ from palpate.physics.observation import Observation
 
 FREEDOM = 3.0
 """Degrees of freedom of Student's errors: highlights that moved and wrong outlines are no normal errors."""
-RELATIVE = 0.1
-"""Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts: shadows, light from
-other tissue, walls so steep that the surface between vertices decides."""
 AMPLITUDE = 0.25
 """The same of every place, common to all frames: its gloss and albedo are its own."""
-GAIN = 0.02
-"""Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells."""
 LEAST_NOISE = 0.004
 """Of the logarithm of light: a level of 8 bits in brightly lit tissue."""
 ASIDE, TILT = 2.0, 0.2
@@ -64,8 +59,6 @@ STEP = 1e-4
 """Step of the derivatives."""
 OTHERS = len(PRIOR_MEAN)
 """Parameters in addition to those of the press."""
-LEAST_LIGHT = 1e-3
-"""No tissue is darker than this share of its light at rest."""
 LAGS, CHANCE = 8, 0.05
 """Residuals farther apart, in places or frames, are independent, and so are those that correlate less."""
 MOVED = 4.0
@@ -158,7 +151,8 @@ class ShadingProblem(LeastSquares):
         residual, weight = self.compared(light)
         slopes = np.where(weight[..., None] > 0, np.nan_to_num(slopes), 0.0)
         # A gain that is unknown takes the weighted mean off, as far as it may reach.
-        root, total = np.sqrt(weight)[..., None], weight.sum(axis=1) + 1 / GAIN**2
+        # Standard deviation of the logarithm of a frame's gain at the contact, in addition to what far tissue tells.
+        root, total = np.sqrt(weight)[..., None], weight.sum(axis=1) + 1 / 0.02**2
         both = np.concatenate([residual[..., None], slopes], axis=-1)
         both = root * (both - (np.einsum("np,npd->nd", weight, both) / total[:, None])[:, None])
         both = without_amplitude(both, AMPLITUDE * self._law[..., None] * root)
@@ -185,7 +179,8 @@ class ShadingProblem(LeastSquares):
             residual = np.where(known, residual - np.nanmedian(residual, axis=1, keepdims=True), 0.0)
         law = np.where(known, law, 0.0)
         self.noise = max(median_sd(residual[known]), LEAST_NOISE)
-        inflated = 1 + np.square(RELATIVE * law / self.noise)
+        # Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts.
+        inflated = 1 + np.square(0.1 * law / self.noise)
         squares = np.square(residual / self.noise) / inflated
         student = (FREEDOM + 1) / (FREEDOM + squares)
         # What doesn't show now counts for nothing until the next look, so that the sum of squares has no steps.
@@ -218,7 +213,8 @@ def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
 def _light(shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Logarithm of the light, and the law's part of it, [N, P] each; a share reaches tissue in any tilt."""
     gloss, response, ambient = logs[-LAW:]
-    light = np.maximum((1 - ambient) * shown.matt + ambient + gloss * shown.gloss, LEAST_LIGHT)
+    # No tissue is darker than this share of its light at rest.
+    light = np.maximum((1 - ambient) * shown.matt + ambient + gloss * shown.gloss, 1e-3)
     law = math.exp(response) * np.log(light / (1 + gloss * shown.gloss_at_rest))
     return shown.rest + law, law
 

@@ -18,7 +18,6 @@ from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
 from palpate.estimators.direct.shading import OTHERS, ShadingProblem
 from palpate.estimators.estimate import Estimate, NoEstimate
-from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
@@ -28,20 +27,12 @@ MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
 TISSUE = RECOMMENDED.log_box
 """The box of φ, shape [2, 3]."""
-CANDIDATES = 64
-"""Points of a Sobol sequence over the box among which the starts are chosen."""
 DEPTHS = (0.03, 0.06, 0.1)
 """Largest displacements with which every one of them is tried, in shares of the tissue's distance."""
 ASIDE = (-1.5, 0.0, 1.5)
 """How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
 TILTS = 0.3 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 """Tilts with which every one of these places is tried, right and down, as tangents."""
-TILTED = 0.9
-"""A tilt is taken where it leaves less than this share of what is left without one."""
-STARTS = 3
-"""Fits, begun at the candidates that explain the light best."""
-THINNED = 8
-"""Frames with which starts are chosen."""
 FEW, MORE = 5, 8
 """Evaluations in a round of a start, and of the best one, after which residuals are weighed anew."""
 ROUNDS = 2, 1, 2
@@ -52,18 +43,15 @@ CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
-LEAST_SKILL = 0.6
-"""A press that leaves a larger share of the change of light, root mean square, is no explanation."""
 USUALLY_LEFT, TOGETHER = 0.2, 40.0
 """Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
 the more wrong is the law; coding errs as much where it is less."""
+LAW_ERROR, SCALE_ERROR = (0.19, 0.3), 0.25
+"""Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
+which inertia alone tells (synthetic clips of `make demo`'s kind, seed 47712)."""
 FEWEST_FRAMES = 3
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
-ENOUGH_SKILL = 0.85
-"""A press on a patch is not tried where a step on a point explains more: it never does when the press is none."""
-PATCHED = 0.8
-"""A press on a patch is taken where it leaves less than this share of what a step on a point leaves."""
 Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5
@@ -91,7 +79,8 @@ def fit_shading(
     if sequence is None or len(sequence.times) < FEWEST_FRAMES:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
     mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
-    some = np.unique(np.linspace(0, len(sequence.times) - 1, THINNED).round().astype(int))
+    # Frames with which starts are chosen.
+    some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
     thin = dataclasses.replace(contact, shading=sequence.chosen(some))
     problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
@@ -102,7 +91,8 @@ def fit_shading(
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
     problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[2])[1]
-    if problem.skill < ENOUGH_SKILL:
+    # A press on a patch is not tried where a step on a point explains more.
+    if problem.skill < 0.85:
         problem, logs = _patched(problem, logs, some)
     return problem.press, _concluded(problem, logs), _simulated(problem, logs)
 
@@ -132,7 +122,8 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
         return point, logs
     problem = ShadingProblem(contact, *what, PatchMotion)
     misfit, found = _led(problem, found, MORE, ROUNDS[2])
-    return (problem, found) if 1 + misfit < PATCHED * (1 - point.skill) else (point, logs)
+    # A press on a patch is taken where it leaves less than this share of what a step on a point leaves.
+    return (problem, found) if 1 + misfit < 0.8 * (1 - point.skill) else (point, logs)
 
 
 def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
@@ -160,7 +151,8 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
         left = problem.compared(problem.predicted(start, moved)[0])[0]
         return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
-    for candidate in evenly_spread(*TISSUE, CANDIDATES):
+    # Points of a Sobol sequence over the box among which the starts are chosen.
+    for candidate in evenly_spread(*TISSUE, 64):
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
         moved = problem.motion.coarse(press)
         largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
@@ -171,14 +163,16 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
                 start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
-    chosen = apart(np.array(found), np.array(misfits), low, high, STARTS)
+    # Fits, begun at the candidates that explain the light best.
+    chosen = apart(np.array(found), np.array(misfits), low, high, 3)
     places = middle + np.stack(np.meshgrid(ASIDE, ASIDE), axis=-1).reshape(-1, 2)
 
     def placed(start: np.ndarray) -> np.ndarray:
         moved = problem.motion.coarse(start[:-OTHERS])
         starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
         left = np.array([tried(each, moved) for each in starts])
-        left[: len(places)] *= TILTED
+        # A tilt is taken where it leaves less than this share of what is left without one.
+        left[: len(places)] *= 0.9
         return starts[int(np.argmin(left))]
 
     return np.array(_on_threads(placed, chosen))
@@ -206,17 +200,16 @@ def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
     # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
     left = max((1 - problem.skill) / USUALLY_LEFT, 1.0) ** 2
     wrong = left * max(problem.together / TOGETHER, 1.0)
-    model_error = np.diag(np.square([0.0, MODEL_ERRORS.shading_damping, MODEL_ERRORS.shading_force]))
-    model_error = wrong * (model_error + MODEL_ERRORS.shading_scale**2)
+    model_error = wrong * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
     refuted = ""
-    if problem.skill < LEAST_SKILL:
+    # A press that leaves a larger share of the change of light, root mean square, is no explanation.
+    if problem.skill < 0.6:
         refuted = (
             f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
         )
     return Estimate(
         theta=motion.theta(mean),
         covariance=covariance[:3, :3] + model_error,
-        model_error=model_error,
         information=about_tissue(best.information, prior),
         noise=problem.noise,
         misfit=problem.noise / max(problem.sequence.noise, 1e-9),

@@ -16,8 +16,9 @@ from palpate.data.tracks.following import PointFollower
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate, force_error
 from palpate.estimators.grip.lattice import LEAST_GRIPPED, LEAST_MOTION, GripFrame, fit_sheets
-from palpate.estimators.model_errors import MODEL_ERRORS
 
+PULL_FORCE = 0.32
+"""Standard deviation of the relative force over `force_error`: on 21 synthetic pulls (docs/reports/real.md)."""
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
 ELSEWHERE = 100.0
@@ -98,7 +99,7 @@ class GripRecorder:
         fit = fit_sheets(points, self._follower.spacing, gripped, moved, background)
         force, spread = fit.relative_force()
         found = fit.skill(half)
-        force_sd = np.hypot(spread, MODEL_ERRORS.pull_force * force_error(force, found))
+        force_sd = np.hypot(spread, PULL_FORCE * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
         rival = self._rival_skill(seen, int(gripped.sum()), own)
         return GripEstimate(found, rival, times, force, force_sd)

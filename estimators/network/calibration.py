@@ -3,13 +3,13 @@
     python -m estimators.network.calibration --weights runs/contact/posterior.pt --output runs/contact/uncalibrated.onnx
     python -m estimators.network.calibration --model runs/contact/uncalibrated.onnx \
         --output models/weights/contact.onnx --validation runs/contact/validation runs/contact/fine \
-        --pressed runs/contact/pressed [--between runs/contact/between]
+        --pressed runs/contact/pressed --between runs/contact/between
 
 The first exports the posterior that `train.py fit -c configs/contact.yaml` wrote. The second calibrates any exported
 posterior, also one that `train.py export` wrote, by results of the benchmark with that file.
 
 `models.calibration_fit` fits the widths once for whole contacts, once for contacts before their release (--pressed),
-and, for a network with an input for how well the instants are known, once for unknown instants (--between). The truth
+and once for unknown instants (--between). The truth
 of validation clips is used for this and nothing else; no weight of the network changes.
 """
 
@@ -44,12 +44,10 @@ from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
 from palpate.models.checkpoint import load_posterior
 from palpate.models.onnx_export import calibrate, export
-from palpate.models.onnx_session import CONTACT, PosteriorModel
+from palpate.models.onnx_session import PosteriorModel
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 """Files that the benchmark writes into its folder."""
-MAX_RESULTS_BYTES = 2**27
-"""Largest size of a file of results."""
 
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
@@ -101,21 +99,12 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
     Raises:
         ValueError: as `check_record` does, or results can't be read.
     """
-    for folder in folders:
-        check_record(folder, model_sha256, seen, onset)
-    return rows_in(folders)
-
-
-def rows_in(folders: Sequence[Path]) -> list[dict[str, Any]]:
-    """Results that an evaluation wrote into some folders.
-
-    Raises:
-        ValueError: they can't be read.
-    """
     rows = []
     for folder in folders:
+        check_record(folder, model_sha256, seen, onset)
         try:
-            rows += map(json.loads, read_file(folder / RESULTS, MAX_RESULTS_BYTES).splitlines())
+            # Largest size of a file of results.
+            rows += map(json.loads, read_file(folder / RESULTS, (2**27)).splitlines())
         except (OSError, ValueError, RecursionError) as error:
             raise ValueError(f"{folder / RESULTS} holds no results; run the evaluation into {folder} anew.") from error
     return rows
@@ -151,15 +140,8 @@ def calibration_of(options: argparse.Namespace) -> Calibration:
     model = PosteriorModel(options.model)
     whole = widths_of(results_of(options.validation, model.sha256, None))
     pressed = widths_of(results_of(options.pressed, model.sha256, PRESS))
-    found = Calibration(
-        whole=whole, pressed=pressed, noise_features=LOG_NOISE, known_features=KNOWN, loaded_features=LOADED
-    )
-    if options.between is None:
-        return found
-    if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
-        raise ValueError(f"{options.model} has no input for the instants; leave --between out.")
     between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
-    return dataclasses.replace(found, between=between, within_features=(FEATURES + WITHIN,))
+    return Calibration(whole, pressed, between, LOG_NOISE, KNOWN, LOADED, (FEATURES + WITHIN,))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -170,10 +152,10 @@ def main(arguments: list[str] | None = None) -> int:
     add_listed(parser.add_mutually_exclusive_group(required=True), listed["source"], {"path": path_option})
     add_listed(parser, listed["options"], {"path": path_option}, pressed=PRESS)
     options = parser.parse_args(arguments)
-    results = options.validation, options.pressed
+    results = options.validation, options.pressed, options.between
     if options.model is not None and None in results:
-        parser.error("give --validation and --pressed with --model.")
-    if options.weights is not None and (*results, options.between) != (None, None, None):
+        parser.error("give --validation, --pressed and --between with --model.")
+    if options.weights is not None and results != (None, None, None):
         parser.error("give --model with results; --weights are exported as they are.")
     try:
         if options.model is not None:

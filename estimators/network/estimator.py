@@ -7,28 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.contact.features import FEATURES, contact_features
-from palpate.data.contact.interaction import CONTACT as POINT
+from palpate.data.contact.features import FEATURES
 from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import Chosen, ClipInfo, Output
-from palpate.estimators.estimate import Estimate, NoEstimate, mixture
+from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.model_settings import ModelEstimator
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
-from palpate.estimators.onset import onset_error, onset_perturbations
+from palpate.estimators.onset import onset_error
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
-from palpate.models.onnx_session import CONTACT, PosteriorModel
+from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
-LEAST_OBSERVATIONS = 2
-"""Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer."""
 FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
@@ -42,8 +39,6 @@ NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
-BOUND_MARGIN = 0.02
-"""A mean closer to a bound than this share of the box (in logarithms) counts as at the bound."""
 
 
 class NetworkEstimator(ModelEstimator):
@@ -53,8 +48,8 @@ class NetworkEstimator(ModelEstimator):
         model: the exported network.
         onset: when a press begins, one of `estimators.onset.ONSETS`.
         horizon: how much of a whole contact counts.
-        observation: FIELD, or POINT: the network then gets no depth-change sequence, and depth windows are blank.
-            None = FIELD; presses in RGB video without depth are fitted by their shading when they have ended.
+        observation: FIELD: presses in RGB video without depth are not fitted by their shading; None: they are, when
+            they have ended.
         rate: one of RATES.
 
     Raises:
@@ -74,9 +69,11 @@ class NetworkEstimator(ModelEstimator):
         rate: str = FULL,
     ) -> None:
         super().__init__(model)
-        if observation not in (None, FIELD, POINT):
+        if observation not in (None, FIELD):
             raise ValueError(f"--observation {observation} is for --estimator direct; take that, or leave it out.")
-        self.onset, self.horizon, self.observation = onset, horizon, observation or FIELD
+        if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
+            raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")
+        self.onset, self.horizon = onset, horizon
         self.by_light = observation is None
         """Whether presses without depth are fitted by their shading."""
         self.described = {
@@ -87,8 +84,6 @@ class NetworkEstimator(ModelEstimator):
             "rate": rate,
         }
         """The settings that are not in the model's file."""
-        self.sees_sequence = model.inputs[CONTACT] == (FEATURES + SEQUENCE_FEATURES,)
-        """Whether the network takes the depth-change sequence, and how well the instants of the press are known."""
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
@@ -114,18 +109,13 @@ class NetworkEstimator(ModelEstimator):
         """
         if not (math.isfinite(contact.noise) and contact.noise > 0):
             raise NoEstimate(NO_NOISE)
-        if self.observation != FIELD:
-            contact = dataclasses.replace(contact, sequence=None)
         load, (shortest, longest) = contact.load_seconds, self.press_seconds
         if not shortest - TIME_TOLERANCE <= load <= longest + TIME_TOLERANCE:
             contact = contact.observed(contact.observation.times <= min(load, longest) + TIME_TOLERANCE)
-        if len(contact.observation) < LEAST_OBSERVATIONS:
+        # Fewest frames after the onset in which the tissue was followed; the network was trained on no fewer.
+        if len(contact.observation) < 2:
             raise NoEstimate(TOO_EARLY)
         return contact
-
-    def features(self, contact: Interaction, within: float) -> np.ndarray:
-        """The network's input for a contact whose instants are known to `within` [s], shape [features]."""
-        return dent_features(contact, within) if self.sees_sequence else contact_features(contact)
 
     def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> Estimate:
         """The estimate of a contact from the network's outputs, with how well it explains the motion.
@@ -138,8 +128,9 @@ class NetworkEstimator(ModelEstimator):
         """
         box, (mean, covariance, expected) = self.bounds.log_box, outputs
         misfit, information = compared(contact, mechanics, mean, covariance, within)
-        noise = network_noise(contact) if self.sees_sequence else contact.noise
-        at_bound = np.minimum(mean - box[0], box[1] - mean) < BOUND_MARGIN * (box[1] - box[0])
+        noise = network_noise(contact)
+        # A mean closer to a bound than this share of the box (in logarithms) counts as at the bound.
+        at_bound = np.minimum(mean - box[0], box[1] - mean) < 0.02 * (box[1] - box[0])
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
         known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
         return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
@@ -163,8 +154,6 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         depth = self._window.push(frame) if self.estimator.model.takes_depth else None
-        if depth is not None and self.estimator.observation != FIELD:
-            depth = np.zeros_like(depth)  # no pixel has a depth
         ended = self._pushed(frame)
         run = self._runs.current
         yield from self._ended(ended)
@@ -187,16 +176,12 @@ class NetworkSession(RunSession):
         Raises:
             ModelFileError: the network gives a number that is not finite.
         """
-        estimator, contacts, within = self.estimator, [contact], self._onset_error * contact.intervals
-        if not estimator.sees_sequence:
-            contacts, within = onset_perturbations(contact, within, LEAST_OBSERVATIONS), 0.0
+        estimator, within = self.estimator, self._onset_error * contact.intervals
         with self.timed("network"):
-            features = [estimator.features(each, within) for each in contacts]
-            window = None if depth is None else np.repeat(depth[None], len(contacts), axis=0)
-            found = estimator.model(np.stack(features), window)
+            features = dent_features(contact, within)[None]
+            mean, covariance, bound = estimator.model(features, None if depth is None else depth[None])
         with self.timed("simulation"):
-            parts = zip(contacts, *found, strict=True)
-            whole = mixture([estimator.judged(each, self.mechanics, within, *own) for each, *own in parts])
+            whole = estimator.judged(contact, self.mechanics, within, mean[0], covariance[0], bound[0])
         error = effective_misfit(whole)
         unsure = is_oblique(whole) or error > whole.largest_misfit
         return widened(whole, error, estimator.bounds.log_box) if unsure else whole

@@ -164,12 +164,8 @@ REST_SHARE = 0.1
 """Error of the rest position, in σ: the rest surface is an average of many depths (`estimators.direct.error_model`)."""
 CUT_SHARES = 0.5, 0.2
 """Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
-SEQUENCE_SHARE = 0.85
-"""Share of samples whose features include the depth-change sequence."""
 DELAY_RANGE = 2.0
 """Width of every delay's range, from -1 to 1, in units of `within`."""
-MAX_REST_SLOPE = 0.004
-"""Largest slope of the resting tissue whose depth is rounded [scene units a pixel]."""
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -230,7 +226,8 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
     slopes = fits.slopes[index] * (known / noise[:, None])[..., None]
     information = np.einsum("btp,btq->bpq", slopes, slopes)
     pull = np.einsum("btp,bt->bp", slopes, error * known / noise[:, None])
-    with_sequence = generator.random(count) < SEQUENCE_SHARE
+    # Share of samples whose features include the depth-change sequence.
+    with_sequence = generator.random(count) < 0.85
     amount_errors, middle_errors = draw_sequence_errors(fits, index, noise, generator)
     # The contact's own pixel belongs to the depth-change sequence: it has the sequence's error, and may show
     # neighbouring tissue as well.
@@ -277,7 +274,8 @@ def draw_sequence_errors(
     if len(rounded):
         change = sequences.change[index[rounded]].astype(np.float32)
         side = math.isqrt(change.shape[2])
-        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * MAX_REST_SLOPE
+        # Largest slope of the resting tissue whose depth is rounded [scene units a pixel].
+        slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * 0.004
         places = np.mgrid[:side, :side].reshape(2, 1, -1)
         depth = (
             change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]

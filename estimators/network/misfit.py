@@ -27,18 +27,12 @@ LARGEST_MISFIT = 1.5
 covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
 TAIL_PROBABILITY = 3.5e-4
 """Probability that noise alone takes 25 observations so far away; fewer may lie farther."""
-RECHECKED_MISFIT = 1.2
-"""Presses of unknown instants that seem farther from their motion than this many σ are simulated again."""
 PIXEL_RADIUS = 2
 """Pixels up to this many rows and columns from the contact are compared."""
 MAX_ITERATIONS = 5
 """Most iterations that find the delays, each to first order."""
-DELAY_TOLERANCE = 0.05
-"""The iteration ends once delays change by less than this, in units of the largest delay."""
 MAX_DELAY_STEP = 0.5
 """Largest change of a delay in one iteration, in units of the largest delay."""
-MAX_FRAMES = 8
-"""Most frames, evenly chosen, that are compared: finding the tissue that pixels show takes longer than the rollout."""
 
 
 class _PointComparison:
@@ -81,7 +75,8 @@ class _PixelComparison:
         self._shown, self.observed = own[clear], np.full(len(sequence.times), np.nan)
         if clear.any():
             self.observed = self._change[:, clear].mean(axis=1)
-        frames = np.unique(np.linspace(0, len(sequence.times) - 1, MAX_FRAMES).round().astype(int))
+        # Most frames, evenly chosen, that are compared.
+        frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
         self.compared_times, self._change = sequence.times[frames], self._change[frames]
 
     def signal(self, path: np.ndarray) -> np.ndarray:
@@ -153,7 +148,8 @@ def compared(
     lasting = _lasting(motion, pressed)
     delays = _best_delays(comparison.signal(lasting[..., 0]), comparison, pressed, step, within)
     misfit, delays = _with_delays(lasting, comparison, pressed, step, delays, within, prior)
-    if pressed and misfit > RECHECKED_MISFIT:
+    # Presses of unknown instants that seem farther from their motion than this many σ are simulated again.
+    if pressed and misfit > 1.2:
         # Large motions are not quite additive.
         motion = simulated(contact.load_seconds + delays[1] - delays[0])
         misfit = min(misfit, _with_delays(motion, comparison, 0, step, delays, within, prior)[0])
@@ -211,7 +207,8 @@ def _with_delays(
             moved, rates = moved - ended, [*rates, rate[..., :1]]
         residual, slopes = comparison.residual(moved[..., 0], np.concatenate([*rates, moved[..., 1:]], axis=-1))
         later = _nearest(residual, slopes, whole)
-        settled = np.abs(later[:count]).max() < DELAY_TOLERANCE * within
+        # The iteration ends once delays change by less than this, in units of the largest delay.
+        settled = np.abs(later[:count]).max() < 0.05 * within
         first, last = np.append(np.clip(later[:count], -MAX_DELAY_STEP * within, MAX_DELAY_STEP * within), 0.0)[:2]
         later_delays = delays[0] + float(first), delays[1] + float(last)
         if settled:

@@ -18,15 +18,12 @@ costs more than the network:
 import contextlib
 import dataclasses
 import itertools
-import json
 import math
 import os
-import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -36,9 +33,8 @@ from torch import Tensor, nn
 
 from palpate.common.ahead import ahead
 from palpate.common.command_line import LARGEST_NUMBER, progress_bars
-from palpate.common.files import as_json, read_file
-from palpate.common.output import ForeignFile, replacing_own, require_own
-from palpate.common.provenance import code_digest
+from palpate.common.files import as_json
+from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.settings import require_between
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
@@ -63,19 +59,13 @@ from palpate.models.evidence import bound_loss, box_prior, covering, preconditio
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.likelihood import Likelihood, Linearised
 
-WEIGHTS, LOG, PREPARED = "posterior.pt", "training.jsonl", "prepared.pt"
-"""Files of the output folder; at the end the first appears and the last is removed."""
+WEIGHTS, LOG = "posterior.pt", "training.jsonl"
+"""Files of the output folder; the first appears at the end."""
 CONTACTS_A_SCENE = 8
-LEAST_STEPS = 4
-"""Fewest steps of a stage: its learning rate rises over three steps, and falls."""
 ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
 """Samples a step of the rough stage, and its largest learning rate."""
-SEED_OFFSET = 1_000_003
-"""Number added to the seed for contacts whose instants are unknown."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
 """Samples a step of the last two stages, and their largest learning rate."""
-COVARIANCE_WEIGHT = 0.3
-"""Weight of the covariance's loss relative to the means'; the two share the network, and nothing else."""
 SCALE_SAMPLES, LEAST_SCALE = 2000, 0.02
 """Samples that set the inputs' centre and scale, and the least scale of the depth-change sequence's inputs."""
 BLUR_SHARES = 0.3, 0.03
@@ -105,7 +95,8 @@ class ContactSettings:
     def __post_init__(self) -> None:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
-        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (LEAST_STEPS, LARGEST_NUMBER))
+        # Fewest steps of a stage.
+        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST_NUMBER))
         any_number = 0, LARGEST_NUMBER
         require_between(self, contacts=(1, LARGEST_NUMBER), seed=any_number, workers=any_number, **steps)
 
@@ -213,7 +204,8 @@ def fine_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
     prior, middle = (values.double() for values in box_prior(*box))
     whole = information + prior
     best = logs + torch.linalg.solve(whole, pull - (logs - middle) @ prior)
-    return moved + COVARIANCE_WEIGHT * covering(mean.detach(), factor, best.to(mean), whole)
+    # Weight of the covariance's loss relative to the means'; the two share the network, and nothing else.
+    return moved + 0.3 * covering(mean.detach(), factor, best.to(mean), whole)
 
 
 def expected_loss(posterior: ContactPosterior, drawn: Drawn) -> Tensor:
@@ -281,30 +273,22 @@ def train_contact(options: ContactSettings) -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
     start = time.time()
-    require_own(options.output / WEIGHTS, options.output / PREPARED)
-    _require_log(options.output / LOG)
-    with progress_bars(Console()) as progress, (options.output / LOG).open("a") as log:
-        posterior = new_posterior()
+    require_own(options.output / WEIGHTS, options.output / LOG)
+    rows: list[str] = []
+    with progress_bars(Console()) as progress:
 
         def stage(name: str, network: nn.Module, loss_of: Callable[[int], Tensor], steps: int, rate: float) -> None:
             losses = progress.track(descend(network, loss_of, steps, rate), steps, description=name)
             for step, loss in enumerate(losses, start=1):
                 if step % max(1, steps // 10) == 0:
                     row = {"stage": name, "step": step, "seconds": round(time.time() - start), "loss": loss}
-                    log.write(as_json(row) + "\n")
-                    log.flush()
+                    rows.append(as_json(row) + "\n")
+            write_own(options.output / LOG, "".join(rows))
 
-        prepared, by = options.output / PREPARED, made_by(options, "contacts", "rough_steps", "seed")
-        kept = read_kept(prepared, by)
-        if kept is not None:
-            fits = Fits(**kept[0])
-            posterior.load_state_dict(kept[1]["posterior"])
-        else:
-            trainer, steps = _trainer(options, progress), options.rough_steps
-            posterior = trainer.posterior
-            stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
-            fits = trainer.fit(progress, options.workers)
-            keep(prepared, by, vars(fits), posterior=posterior.state_dict())
+        trainer, steps = _trainer(options, progress), options.rough_steps
+        posterior = trainer.posterior
+        stage("rough", posterior, lambda step: trainer.rough_loss(step / steps), steps, ROUGH_RATE)
+        fits = trainer.fit(progress, options.workers)
         torch.manual_seed(options.seed)
         generator = np.random.default_rng([options.seed, 19])
         draws = (draw_observed(fits, FINE_BATCH, generator) for _ in itertools.count())
@@ -314,50 +298,16 @@ def train_contact(options: ContactSettings) -> None:
             stage("bound", bound, lambda _: expected_loss(posterior, next(drawn)), options.bound_steps, FINE_RATE)
     with replacing_own(options.output / WEIGHTS) as weights:
         torch.save(posterior.state_dict(), weights)
-    require_own(prepared)
-    prepared.unlink(missing_ok=True)
     print(f"{options.output}/{WEIGHTS} written after {(time.time() - start) / 3600:.2f} h")
-
-
-def _require_log(path: Path) -> None:
-    """Raise a ForeignFile where a file is at the path that is no training log; every training appends to its log."""
-    if os.path.lexists(path):
-        try:
-            is_log = all("stage" in json.loads(line) for line in read_file(path).splitlines())
-        except (OSError, ValueError, TypeError, RecursionError):
-            is_log = False
-        if not is_log or path.is_symlink():
-            raise ForeignFile(path)
 
 
 def _trainer(options: ContactSettings, progress: Progress) -> Trainer:
     """The trainer, with depth-change sequences on contacts of which half have unknown instants."""
     half = -(-options.contacts // 2)
+    # Number added to the seed for contacts whose instants are unknown.
     parts = [
         make_contacts(half, options.seed + offset, progress, options.workers, within)
-        for offset, within in ((0, 0.0), (SEED_OFFSET, FRAME_S))
+        for offset, within in ((0, 0.0), (1_000_003, FRAME_S))
     ]
     within = [0.0] * len(parts[0]) + [FRAME_S] * len(parts[1])
     return Trainer([*parts[0], *parts[1]], within, options.seed)
-
-
-def made_by(options: object, *names: str) -> dict[str, object]:
-    """Everything that what a training prepares depends on: the code, and some of its options."""
-    return {"code": code_digest(), **{name: getattr(options, name) for name in names}}
-
-
-def keep(path: Path, by: Mapping[str, object], arrays: Mapping[str, np.ndarray], **more: object) -> None:
-    """Store what a training has prepared, so that an interrupted one goes on from there."""
-    tensors = {name: torch.from_numpy(values) for name, values in arrays.items()}
-    with replacing_own(path) as partial:
-        torch.save({"by": by, "arrays": tensors, **more}, partial)
-
-
-def read_kept(path: Path, by: Mapping[str, object]) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-    """The arrays that `keep` stored and all else; None where none were prepared by the same."""
-    try:
-        kept = torch.load(path, map_location="cpu", weights_only=True)
-        arrays = {name: values.numpy() for name, values in kept["arrays"].items()}
-        return (arrays, kept) if kept["by"] == by else None
-    except (OSError, RuntimeError, EOFError, KeyError, TypeError, pickle.UnpicklingError):
-        return None

@@ -24,7 +24,6 @@ import numpy as np
 
 from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
-from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.online.knots import knot_shares
 from palpate.estimators.online.objective import Objective
 from palpate.physics.identifiability import LIMIT
@@ -41,6 +40,8 @@ BENDINGS = (0.02, 0.3, 1.0)
 tried."""
 Answer = Callable[[np.ndarray], np.ndarray]
 """From values of the particles to values of points."""
+ROUGHNESS = 0.55
+"""Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -267,7 +268,7 @@ class Determined:
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        stray = MODEL_ERRORS.stiffness_roughness * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:

@@ -21,31 +21,8 @@ Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
 LEAST_GRIPPED = 3
 """Fewer points followed near the instrument don't tell how it moves the tissue."""
-NEIGHBOURS = 6
-"""Followed points that tell how a gripped particle moves."""
-CAUGHT_UP = 2
-"""Frames that are taken in once more with every one to come, until all are: at once they would take seconds."""
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
-
-
-@dataclasses.dataclass
-class _Taking:
-    """What taking frames in by some settings has come to; G gripped particles, N particles."""
-
-    settings: OnlineSettings
-    session: Session
-    alone: Determined
-    learns: bool
-    """Whether the fields are the likeliest by what is followed, whatever the session steps frames along by."""
-    places: np.ndarray
-    """Of the gripped particles, shape [G, 3] [scene units]."""
-    moving: np.ndarray
-    """Particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
-    past: deque[np.ndarray] = dataclasses.field(default_factory=lambda: deque(maxlen=PAST))
-    """Places of the gripped particles in the last frames."""
-    seen: deque[np.ndarray] = dataclasses.field(default_factory=lambda: deque(maxlen=PAST))
-    """Displacement of all followed points in these frames."""
 
 
 class DrivenTissue:
@@ -59,6 +36,7 @@ class DrivenTissue:
         distance: theirs from the tool there, shape [P] [px].
         settings: how.
         spacing: of the points' grid [px]; None = they lie on none, and no sheet of one number can be made of them.
+        led: whether every step is given where the gripped particles are.
     """
 
     def __init__(
@@ -68,6 +46,7 @@ class DrivenTissue:
         distance: np.ndarray,
         settings: OnlineSettings,
         spacing: int | None = None,
+        led: bool = False,
     ) -> None:
         self.surface = surface
         self._lattice = None if spacing is None else Lattice(points, spacing, distance)
@@ -75,64 +54,50 @@ class DrivenTissue:
         body = surface.body
         self.fit: Fit | None = None
         """What was fitted to the first frames, if anything was."""
-        self._first: deque[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = deque()
+        self._first: list[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = []
         """What the first frames tell, as `step` takes it."""
-        self._better: _Taking | None = None
-        """The same as `_now` by what was fitted, until it has taken all frames in."""
+        self._led = led
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
-        if settings.path is not None:  # which needn't begin at the instrument's mask
+        if led:
             around = ~np.isin(shares.indices.reshape(-1, 3), surface.gripped).any(axis=1)
         self.around = inside[around]
-        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or with a
-        path in triangles without a gripped corner."""
+        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or where
+        that is led in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
         self._driving = np.flatnonzero(distance < surface.reach)
         self._points = np.asarray(points, np.float64)
         self._free = body.inverse_mass(surface.gripped) > 0
         self._fitting: Fitting | None = None
-        self._now = self._begin(settings)
+        self._begin(settings)
         if settings.fitted > 0:
             allowed = [bending for bending in BENDINGS if bending * settings.start.distance < settings.bounds.shape]
             allowed = allowed or [settings.start.shape / settings.start.distance]
             self._fitting = Fitting(self.session.objective, self.session.fields, allowed, self.shown)
 
-    @property
-    def settings(self) -> OnlineSettings:
-        """As given, or what was fitted, once all frames are taken in by that."""
-        return self._now.settings
-
-    @property
-    def session(self) -> Session:
-        """State and fields by these."""
-        return self._now.session
-
-    @property
-    def alone(self) -> Determined:
-        """What the instrument alone explains by these."""
-        return self._now.alone
-
-    @property
-    def past(self) -> deque[np.ndarray]:
-        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
-        return self._now.past
-
-    def _begin(self, settings: OnlineSettings) -> _Taking:
-        """At rest."""
+    def _begin(self, settings: OnlineSettings) -> None:
+        """Begin at rest."""
         body, rest = self.surface.body, self.surface.body.rest
         how = settings.stepping, settings.mapping, settings.elastic, settings.weights, settings.bounds
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
-        learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
-        session = Session(objective, begun, settings.method)
-        alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
-        return _Taking(settings, session, alone, learns, rest[self.surface.gripped], np.zeros(len(rest), bool))
+        self.settings = settings
+        """As given, or what was fitted."""
+        self.session = Session(objective, begun, settings.method)
+        self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
+        """What the instrument alone explains."""
+        self._learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
+        self._places = rest[self.surface.gripped]
+        self._moving = np.zeros(len(rest), bool)
+        self.past = deque[np.ndarray](maxlen=PAST)
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
+        self._seen = deque[np.ndarray](maxlen=PAST)
 
     @property
     def stretched(self) -> np.ndarray:
         """Free particles at edges that have once changed their length by more than `strain`, shape [N], bool."""
-        return self._now.moving & self._free
+        return self._moving & self._free
 
     def determined(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean where tissue has stretched, and where that is determined.
@@ -159,95 +124,71 @@ class DrivenTissue:
         if len(seen) < LEAST_GRIPPED:
             return None
         pixels = self.surface.pixels[self.surface.gripped]
-        count = min(NEIGHBOURS, len(seen))
+        count = min(6, len(seen))
         away, near = KDTree(self._points[seen]).query(pixels, k=count)
         weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
         motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
-        return self.led_places(motion, nearer)
-
-    def led_places(self, motion: np.ndarray, nearer: float) -> np.ndarray:
-        """Where the gripped particles are, shape [G, 3] [scene units].
-
-        Args:
-            motion: in the picture since rest, of each, shape [G, 2] [px].
-            nearer: to the camera than at rest [scene units].
-        """
         surface, gripped = self.surface, self.surface.gripped
         return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2] - nearer)
 
     def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
-        With the last of the frames that are fitted to, what one number each says of the tissue is chosen. All are then
-        taken in once more by that, some with every frame to come, and until they are the state is that without it.
+        With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
+        taken in once more by that.
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
             cloud: of the frame, where clouds are compared.
-            led: with settings of a path, where that takes the gripped particles, shape [G, 3] [scene units]; None
-                where it doesn't tell.
+            led: where tissue is led, places of the gripped particles, shape [G, 3] [scene units].
         """
-        frame = moved, cloud, led
-        found = self._taken(self._now, *frame)
-        if self._fitting is not None or self._better is not None:
-            self._first.append(frame)
-        if self._better is not None:
-            return self.finish(CAUGHT_UP) or found
-        if self._fitting is not None and len(self._first) == self.settings.fitted:
-            self._begin_by(self._fitting.best)
+        found = self._taken(moved, cloud, led)
+        if self._fitting is None:
+            return found
+        self._first.append((moved, cloud, led))
+        if len(self._first) == self.settings.fitted:
+            fit, self._fitting = self._fitting.best, None
+            if fit is not None:
+                self.fit = fit
+                self._begin(self._fitted(fit))
+                for frame in self._first:
+                    found = self._taken(*frame)
+            self._first.clear()
         return found
 
-    def finish(self, most: int = MOST_FITTED) -> Frame | None:
-        """Take so many frames in once more that are awaiting it; the last one by what was fitted, once none is."""
-        found, better = None, self._better
-        if better is not None:
-            for _ in range(min(most, len(self._first))):
-                found = self._taken(better, *self._first.popleft())
-            if not self._first:
-                self._now, self._better = better, None
-                return found
-        return None
-
-    def _begin_by(self, fit: Fit | None) -> None:
-        """Begin anew by what the first frames say, if they say anything."""
-        self.fit, self._fitting = fit, None
-        if fit is None:
-            self._first.clear()
-            return
+    def _fitted(self, fit: Fit) -> OnlineSettings:
+        """Settings by what the first frames say."""
         settings, stiffness = self.settings, self.settings.start.distance
-        shape = fit.bending * stiffness
-        bounds = dataclasses.replace(
-            settings.bounds, shape=min(settings.bounds.shape, fit.bending * settings.bounds.distance)
-        )
+        most = min(settings.bounds.shape, fit.bending * settings.bounds.distance)
+        bounds, start = dataclasses.replace(settings.bounds, shape=most), Start(stiffness, fit.bending * stiffness)
         stepping = fit.stepping(settings.stepping, stiffness)
-        start = Start(stiffness, shape)
-        self._better = self._begin(dataclasses.replace(settings, start=start, bounds=bounds, stepping=stepping))
+        return dataclasses.replace(settings, start=start, bounds=bounds, stepping=stepping)
 
-    def _taken(self, now: _Taking, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
-        if now.settings.path is None:
+    def _taken(self, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
+        if not self._led:
             places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud[0]))
         matches: list[Match] = []
         if places is not None:
-            now.places = places
-            if now.settings.match != "chamfer":
-                matches += self._tracks(moved, now.session.positions)
+            self._places = places
+            if self.settings.match != "chamfer":
+                matches += self._tracks(moved, self.session.positions)
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
-        fields = now.session.fields
-        now.alone.step(fields, now.places, seen_around)
+        fields = self.session.fields
+        self.alone.step(fields, self._places, seen_around)
         if self._fitting is not None:
-            self._fitting.step(now.places, seen_around)
-        found = now.session.step(now.places, matches)
-        now.past.append(now.places)
-        now.seen.append(moved)
+            self._fitting.step(self._places, seen_around)
+        found = self.session.step(self._places, matches)
+        self.past.append(self._places)
+        self._seen.append(moved)
         body = self.surface.body
-        strained = np.abs(body.strains(found.positions)) > now.settings.strain
-        learnt = now.learns and found.gap is not None
+        strained = np.abs(body.strains(found.positions)) > self.settings.strain
+        learnt = self._learns and found.gap is not None
         if learnt:
-            now.session.fields = now.alone.likeliest(fields)
+            self.session.fields = self.alone.likeliest(fields)
         if learnt or found.terms is not None:
-            now.moving[body.edges[strained]] = True
+            self._moving[body.edges[strained]] = True
         return found
 
     def skills(self) -> dict[str, float]:
@@ -256,11 +197,10 @@ class DrivenTissue:
         Simulations begin at rest and follow the instrument's way: a state that was mapped to what was observed is none
         of the model's, and would fall back.
         """
-        self.finish()
         path, rest, gripped = np.stack(self.past), self.surface.body.rest, self.surface.gripped
         states = self.session.objective.stepped(self.session.fields, rest, path).positions[0, 1:]
         past = telling(len(path))
-        frames, models = np.stack(self._now.seen)[past], {FIELD: self.shown(states[past])}
+        frames, models = np.stack(self._seen)[past], {FIELD: self.shown(states[past])}
         lattice = self._lattice
         if lattice is not None:
             near = lattice.distance < DRIVEN

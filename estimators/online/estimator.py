@@ -9,38 +9,26 @@ them.
 import dataclasses
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from palpate.common.files import file_sha256
 from palpate.common.robust import affine_motion
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import back_project
-from palpate.data.source.images import printable
-from palpate.data.source.layout import InputError
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.given import read_path, read_pins
-from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
-from palpate.estimators.online.settings import FILES, OnlineSettings
-from palpate.estimators.online.surface import facing, make_surface, uncovered
-from palpate.estimators.palpated import palpated_young
+from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.surface import facing, make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
-
-FIELD_ALONE = (
-    "Relative stiffness place by place (fields.npz) is told, kPa by a known force or palpation; no k_s, k_d or F."
-)
-UNDRIVEN = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
 
 NUMBERS = (
     *("skill", "field_known", "shape_known"),
@@ -54,22 +42,13 @@ class OnlineEstimator:
 
     Args:
         settings: how.
-
-    Raises:
-        InputError: a file that they name can't be used.
     """
 
     name = "online"
 
     def __init__(self, settings: OnlineSettings) -> None:
         self.settings = settings
-        self.pins = None if settings.pins is None else read_pins(Path(settings.pins))
-        self.path = None if settings.path is None else read_path(Path(settings.path))
-        self.palpated = None if settings.palpation is None else palpated_young(Path(settings.palpation))
-        named = {name: getattr(settings, name) for name in FILES}
-        paths = {name: Path(path) for name, path in named.items() if path is not None}
-        files = {name: {"path": str(path.resolve()), "sha256": file_sha256(path)} for name, path in paths.items()}
-        self.described = {"name": self.name, **dataclasses.asdict(settings), **files}
+        self.described = {"name": self.name, **dataclasses.asdict(settings)}
         """All that the fields depend on besides the clip."""
 
     def preparation(self, chosen: Chosen) -> PrepareSettings:
@@ -77,13 +56,7 @@ class OnlineEstimator:
         return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
-        """Open a session.
-
-        Raises:
-            InputError: a mask of pins that is not of the pictures' size.
-        """
-        if self.pins is not None:
-            self.pins.require_size(clip.size)
+        """Open a session."""
         return OnlineSession(self, clip)
 
 
@@ -97,22 +70,13 @@ class _Followed:
     def __init__(self, first: PreparedFrame, clip: ClipInfo, estimator: OnlineEstimator) -> None:
         if not first.visible:
             raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
-        settings, self._path = estimator.settings, estimator.path
+        settings = estimator.settings
         self._number, self._clip, self._settings = first.frame.number, clip, settings
-        self._origin = None if self._path is None else self._path.begun(first.frame)
         picture, labels = first.view
-        chosen = settings.particles, settings.thickness, estimator.pins, estimator.path
-        surface = make_surface(first, clip.camera, clip.geometry, *chosen)
+        surface = make_surface(first, clip.camera, clip.geometry, settings.particles, settings.thickness)
         self._follower = PointFollower(picture, labels == TOOL)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
-        anchor: Palpated | float | None = settings.sheet_m
-        if estimator.palpated is not None:
-            place = grid_to_picture(
-                np.array([settings.palpated_at]), clip.size[::-1], (surface.camera.width, surface.camera.height)
-            )
-            anchor = (*estimator.palpated, surface.particle(place))
-        self.kilopascals = Kilopascals(self._driven, anchor)
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._times = [first.frame.time_s]
@@ -133,28 +97,8 @@ class _Followed:
                 self._background = affine_motion(follower.points, motion, known, places)
             moved = still
         cloud = None if self._settings.match == "tracks" else self._cloud(frame)
-        self._gap = self._driven.step(moved, cloud, self._led(frame.frame.time_s)).gap
-        if self._gap is not None and self._clip.force is not None:
-            self.kilopascals.add(abs(float(self._clip.force.at(np.array(frame.frame.time_s)))))
+        self._gap = self._driven.step(moved, cloud).gap
         self._times.append(frame.frame.time_s)
-
-    def _led(self, time: float) -> np.ndarray | None:
-        """Where the path takes the gripped particles by a time [s], shape [G, 3] [scene units]; None = it isn't known.
-
-        Raises:
-            InputError: behind the camera.
-        """
-        place = None if self._path is None else self._path.at(time)
-        if self._path is None or place is None or self._origin is None:
-            return None
-        surface = self._driven.surface
-        motion = place - self._origin
-        shrunk = np.divide((surface.camera.width, surface.camera.height), self._clip.size)
-        places = self._driven.led_places(motion[:2] * shrunk - self._background[surface.gripped], -motion[2])
-        if not (places[:, 2] > 0).all():
-            said = f"takes tissue behind the camera by {time:g} s"
-            raise InputError(f"{printable(self._path.path)} {said}; give z in scene units, as the clip's depth is.")
-        return places
 
     @property
     def fitted(self) -> str:
@@ -170,7 +114,6 @@ class _Followed:
     def estimate(self) -> FieldEstimate:
         """What the run tells by now."""
         driven = self._driven
-        driven.finish()
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         skills = driven.skills() if len(times) > 2 else {}
@@ -192,8 +135,7 @@ class _Followed:
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
-        found = ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
-        return self.kilopascals.anchored(found, None if self._clip.metres is None else self._clip.metres())
+        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
 
     def _cloud(self, frame: PreparedFrame) -> Cloud:
         """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
@@ -208,7 +150,7 @@ class _Followed:
         inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
         column, row = np.clip(pixels, 0, (width - 1, height - 1)).astype(int).T
         shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
-        shown &= facing(states, surface.body.rest, surface.faces)[upper] & uncovered(states, surface.body.faces)[upper]
+        shown &= facing(states, surface.body.rest, surface.faces)[upper]
         return cloud[some], upper[shown]
 
 
@@ -259,7 +201,8 @@ class OnlineSession(RunSession):
         said, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
-            kilopascals = self._driven.kilopascals.said if found.determined else ""
-            said = " ".join(filter(None, (found.explanation or UNDRIVEN, kilopascals, self._driven.fitted)))
-        detail = " ".join(filter(None, (run.detail, said, FIELD_ALONE)))
+            undriven = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
+            said = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
+        alone = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
+        detail = " ".join(filter(None, (run.detail, said, alone)))
         return run.estimate(interaction=contact, field=found, detail=detail)

@@ -16,8 +16,6 @@ from palpate.physics.sheet import equilibrium
 FIELD, SHEET = "field", "sheet of one number"
 RATIOS = np.geomspace(1e-4, 1, 17)
 """Of foundation to springs that a sheet of one number is tried with."""
-NEARBY = 35.0
-"""Nearby points began nearer to the tool than this percentile of those that are followed [%]."""
 MOST_FRAMES = 8
 """So many frames, evenly spread, say how well models predict: the motion grows steadily, and sheets take time."""
 
@@ -75,7 +73,8 @@ class Lattice:
     def nearby(self, frame: GripFrame) -> GripFrame:
         """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
         around = frame.around
-        nearby = around & (self.distance < np.percentile(self.distance[around | frame.gripped], NEARBY))
+        # Nearby points began nearer to the tool than this percentile of those that are followed [%].
+        nearby = around & (self.distance < np.percentile(self.distance[around | frame.gripped], 35.0))
         shown = frame.gripped | (nearby if nearby.any() else around)
         return replace(frame, moved=np.where(shown[:, None], frame.moved, np.nan))
 

@@ -17,46 +17,12 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from palpate.common.settings import require_numbers
-from palpate.physics.jit import kernel
 from palpate.physics.load import Grip
 from palpate.physics.mesh import incidence
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
 from palpate.physics.pbd.simulation import Motion, Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
-
-NEAR = 5
-"""So many are looked at for the nearest one, before all are."""
-
-
-class _Nearest:
-    """Of other points to each of some: one of those that were near, or looked for anew."""
-
-    def __init__(self, points: np.ndarray, others: np.ndarray) -> None:
-        self._near = np.zeros((len(points), min(NEAR, len(others))), np.int64)
-        self._beyond = np.full(len(points), -np.inf)
-
-    def find(
-        self, points: np.ndarray, others: np.ndarray, gone: np.ndarray | float, tree: KDTree | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points [P, 3] to the nearest of others [Q, 3], and which, shape [P].
-
-        Where these are no nearer than another may have come since, as far as any has gone.
-
-        Args:
-            points: as many as ever.
-            others: likewise.
-            gone: how far either can have moved from where it began, of all, or of each point, shape [P].
-            tree: of the others, if they stay where they are.
-        """
-        apart, which = np.empty(len(points)), np.empty(len(points), np.int64)
-        _nearest_of(others, points, self._near, apart, which)
-        old = np.flatnonzero(apart > self._beyond - gone)
-        if len(old):
-            away, near = (tree or KDTree(others)).query(points[old], list(range(1, self._near.shape[1] + 1)))
-            apart[old], which[old] = away[:, 0], near[:, 0]
-            self._near[old], self._beyond[old] = near, away[:, -1] - np.broadcast_to(gone, len(points))[old]
-        return apart, which
 
 
 class Chamfer:
@@ -80,9 +46,7 @@ class Chamfer:
         if len(seen) == 0:
             raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
-        # It is asked little, so that one made in half the time will do.
-        self._tree, self._began = KDTree(self.cloud, leafsize=24, compact_nodes=False, balanced_tree=False), None
-        self._out, self._back = _Nearest(self.seen, self.cloud), _Nearest(self.cloud, self.seen)
+        self._tree = KDTree(self.cloud)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Value, gradient and second derivatives, which are a diagonal [N].
@@ -93,11 +57,8 @@ class Chamfer:
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
-        if self._began is None:
-            self._began = shown
-        gone = np.linalg.norm(shown - self._began, axis=1)
-        out, there = self._out.find(shown, self.cloud, gone, self._tree)
-        back, here = self._back.find(self.cloud, shown, float(gone.max()))
+        out, there = self._tree.query(shown)
+        back, here = KDTree(shown).query(self.cloud)
         own, others = len(shown), len(self.cloud)
         counts = np.bincount(here, minlength=own)
         drawn = np.stack([np.bincount(here, axis, minlength=own) for axis in self.cloud.T], axis=1)
@@ -105,20 +66,6 @@ class Chamfer:
         gradient[self.seen] = 2 * (shown - self.cloud[there]) / own + 2 * (counts[:, None] * shown - drawn) / others
         weight[self.seen] = 2 / own + 2 * counts / others
         return float(np.square(out).mean() + np.square(back).mean()), gradient, weight
-
-
-@kernel
-def _nearest_of(others, points, near, apart, which):
-    """Distance of points [P, 3] to the nearest of others [Q, 3] that are near each [P, k], and which, shape [P]."""
-    for point in range(len(points)):
-        least = np.inf
-        for other in near[point]:
-            away = 0.0
-            for axis in range(3):
-                away += (others[other, axis] - points[point, axis]) ** 2
-            if away < least:
-                least, which[point] = away, other
-        apart[point] = np.sqrt(least)
 
 
 class Tracks:

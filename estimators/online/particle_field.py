@@ -10,16 +10,13 @@ from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
 
-YOUNG = ("young_kPa", "young_kPa_low", "young_kPa_high")
-"""Names of `ParticleField.young`."""
-
 
 @dataclass(frozen=True, eq=False)
 class ParticleField:
     """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
 
     Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
-    contact, not clips, and no force follows from it. E does where a force or a palpation tells it.
+    contact, not clips, and no force follows from it.
     """
 
     onset_frame: int
@@ -50,8 +47,6 @@ class ParticleField:
     """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
-    young: np.ndarray | None = None
-    """E and the ends of its 90 % interval, shape [3, N] [kPa]; not known = NaN; None = nothing anchors the field."""
 
     def numbers(self) -> dict[str, float]:
         """Columns of a frame: quantiles over what is known, and how much and how well that is."""
@@ -70,8 +65,6 @@ class ParticleField:
                 low, middle, high = np.quantile(values[known], (0.1, 0.5, 0.9)).tolist()
                 found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
                 found[f"{name}_log_sd"] = float(np.median(log_sd[known]))
-        if self.young is not None and self.known.any():
-            found |= zip(YOUNG, np.median(self.young[:, self.known], axis=1).tolist(), strict=True)
         return found
 
     @property

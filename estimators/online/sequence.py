@@ -12,20 +12,18 @@ import numpy as np
 from palpate.data.source.camera import Camera
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import UNITS, Sequence, moved
+from palpate.data.source.sequence import Sequence, moved
 from palpate.data.tracks.background import FAR
 from palpate.estimators.cloud_shape import CloudShape, view_across
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.kilopascals import Kilopascals, Palpated
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
-from palpate.estimators.palpated import palpated_young
 from palpate.physics.pbd.body import make_body
 
 PIXELS = 12.0
 """Between particles: followed points of a video at 600 particles have about as many."""
-OF_VIDEO = ("match", "background", "pins", "path", "sheet_m", "palpation", "palpated_at")
+OF_VIDEO = ("match", "background")
 """Settings that a sequence's own file stands for."""
 
 
@@ -55,12 +53,9 @@ class SequenceTissue:
         rest = np.empty((0, 3)) if self._points is None else self._points[self._begin]
         self._followed = np.flatnonzero(np.isfinite(rest).all(axis=1))
         match = "both" if len(self._followed) else "chamfer"
-        how = dataclasses.replace(settings, match=match, background="keep", path=str(sequence.path))
+        how = dataclasses.replace(settings, match=match, background="keep")
         pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
-        if sequence.given.thickness is not None and settings.thickness is not None:
-            raise InputError(f"thickness in {where} is a sheet's, and --settings make a volume; leave one of them out.")
-        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how)
-        self._kilopascals = Kilopascals(self.driven, self._known())
+        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how, led=True)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
@@ -70,26 +65,7 @@ class SequenceTissue:
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
             gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
-            if frame == self._sequence.held[-1]:
-                self.driven.finish()
-            if self._sequence.forces is not None:
-                self._kilopascals.add(float(np.linalg.norm(self._sequence.forces[frame])))
-            yield frame, self._kilopascals.anchored(self._field(gap))
-
-    def _known(self) -> Palpated | float | None:
-        """E where it was palpated, or the thickness of the sheet whose forces are known [m]; None = nothing.
-
-        Raises:
-            InputError: the palpation's file can't be used, or nothing is tissue there.
-        """
-        given, scale = self._sequence.given, UNITS[self._sequence.given.unit]
-        if given.palpation is None or given.palpated_at is None:
-            return None if given.thickness is None else scale * given.thickness
-        at = self.surface.particle(self.surface.project(moved(scale * np.array([given.palpated_at]), self._view)))
-        if at is None:
-            where = printable(self._sequence.path)
-            raise InputError(f"palpated_at in {where} lies beside the tissue; give a place on it, in the poses' frame.")
-        return (*palpated_young(self._sequence.path.parent / given.palpation), at)
+            yield frame, self._field(gap)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""

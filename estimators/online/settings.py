@@ -1,6 +1,6 @@
 """Everything that the online estimator can be given; `configs/online.yaml` holds the same with the reasons."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -11,8 +11,6 @@ from palpate.estimators.online.session import Method
 from palpate.physics.pbd.simulation import Stepping
 
 LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
-FILES = ("pins", "path", "palpation")
-"""Settings that name files."""
 MOST_FITTED = 50
 """Frames that can be fitted to; every one is kept until then."""
 
@@ -47,18 +45,6 @@ class OnlineSettings:
     """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
     thickness: float | None = None
     """Of the tissue along its surface's normal [scene units]; None = a sheet."""
-    pins: str | None = None
-    """Mask picture of the clip's size whose white tissue is pinned, next to the settings' file; None = the tissue's
-    edge far from instruments."""
-    path: str | None = None
-    """CSV file of the gripper's way, likewise, with the columns time_s, x_px, y_px and z [scene units]; None = as the
-    points move that are followed at the instrument."""
-    sheet_m: float | None = None
-    """How thick the sheet is [m], with which a force that is known tells kilopascals; None = none does."""
-    palpation: str | None = None
-    """What `palpate calibrate` wrote of the tissue at one place, likewise: E, which tells kilopascals, too."""
-    palpated_at: tuple[float, float] | None = None
-    """That place: column and row in the frame in which contact begins, free of lens distortion [px]."""
     match: Literal["tracks", "chamfer", "both"] = "tracks"
     """What the state is taken to: followed points across the line of sight, the cloud of its depth, or both. What is
     reported of stiffness comes of followed points whatever this is."""
@@ -94,18 +80,11 @@ class OnlineSettings:
             raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
         if self.thickness is not None and not self.thickness > 0:
             raise ValueError(f"thickness is {self.thickness}; give a positive length, or null for a sheet.")
-        if (self.palpation is None) != (self.palpated_at is None):
-            raise ValueError("palpation and palpated_at belong together; give both.")
-        if self.sheet_m is not None and (self.thickness is not None or self.palpation is not None):
-            raise ValueError("sheet_m is for a sheet of which no palpation tells kilopascals; leave it out.")
-        for name in FILES:
-            if "\0" in (getattr(self, name) or ""):
-                raise ValueError(f"{name} holds a NUL, which no file's name does; leave it out.")
         if self.points < 1:
             raise ValueError(f"points is {self.points}; give 1 at least.")
         if not 0 <= self.fitted <= MOST_FITTED:
             raise ValueError(f"fitted is {self.fitted}; give 0 to {MOST_FITTED} frames.")
-        require_numbers(self, positive=("sheet_m",), not_negative=("strain", "elastic"))
+        require_numbers(self, not_negative=("strain", "elastic"))
         for name in ("distance", "shape"):
             begun, bound = getattr(self.start, name), getattr(self.bounds, name)
             if not begun < bound:
@@ -117,12 +96,9 @@ class OnlineSettings:
 
 
 def load_settings(path: Path) -> OnlineSettings:
-    """Settings of a YAML file; what it leaves out keeps its default, and files that it names lie next to it.
+    """Settings of a YAML file; what it leaves out keeps its default.
 
     Raises:
         InputError: unreadable file, an unknown key, or an impossible value.
     """
-    values = read_mapping(path, "a file of settings")
-    settings = from_mapping(OnlineSettings, values, str(path))
-    files = {name: str(path.parent / name_of) for name in FILES if (name_of := getattr(settings, name)) is not None}
-    return replace(settings, **files)
+    return from_mapping(OnlineSettings, read_mapping(path, "a file of settings"), str(path))

@@ -5,7 +5,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.spatial import KDTree
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.surface import smooth_surface
@@ -13,20 +12,13 @@ from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
-from palpate.data.source.images import printable
 from palpate.data.tracks.background import FAR
 from palpate.data.tracks.following import shrunk, tool_distance
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.recorder import DRIVEN
-from palpate.estimators.online.given import GripperPath, Pins
 from palpate.physics.fem.solid import outer_faces
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, holding
 from palpate.physics.pbd.body import Body, layered, make_body
-
-NEAREST = 8
-"""Triangles around a point that are looked at for the one that holds it."""
-LEAST_SEEN = 30
-"""Particles that the surface of a volume has at least, before it gets more than one layer below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +65,12 @@ class Surface:
         """
         corners = self.pixels[self.faces]
         sized = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) > 0
-        which, shares = holding(corners[sized], points, NEAREST)
+        which, shares = holding(corners[sized], points, 8)
         members = self.faces[sized][which]
         inside = np.flatnonzero(shares.min(axis=1) > -1e-9)
         starts = 3 * np.arange(len(inside) + 1)
         shape = len(inside), self.body.count
         return inside, csr_array((shares[inside].ravel(), members[inside].ravel(), starts), shape=shape)
-
-    def particle(self, place: np.ndarray) -> int | None:
-        """The one nearest to a place, shape [1, 2] [px], in the triangle around it; None = beside the tissue."""
-        shares = self.places(place)[1]
-        return int(shares.indices[shares.data.argmax()]) if shares.nnz else None
 
 
 def make_surface(
@@ -92,14 +79,12 @@ def make_surface(
     geometry: GeometrySettings,
     particles: int,
     thickness: float | None = None,
-    pins: Pins | None = None,
-    path: GripperPath | None = None,
 ) -> Surface:
     """Mesh the tissue of a frame with about so many particles (Liang 2024, section III), evenly over the picture.
 
-    Gripped are those of the surface near a tool, or where a path begins. Pinned are, with all below them, those where
-    the pins are, or else those at the tissue's edge that lie as far from any tool as what counts as background
-    (`data.tracks.background`). The edge near a tool is mostly the picture's border, across which tissue moves.
+    Gripped are those of the surface near a tool. Pinned are, with all below them, those at the tissue's edge that lie
+    as far from any tool as what counts as background (`data.tracks.background`). The edge near a tool is mostly the
+    picture's border, across which tissue moves.
 
     Args:
         frame: with picture, labels and depth.
@@ -107,12 +92,10 @@ def make_surface(
         geometry: how meshes are made.
         particles: about how many.
         thickness: of a volume below the surface [scene units]; None = a sheet.
-        pins: what is pinned, of the picture's size; None = by the rule.
-        path: of the gripper; None = the tissue near the tool is gripped.
 
     Raises:
-        NoEstimate: no tool or no tissue with depth, none of it near the tool (with a path, where that is by then), or
-            none where the pins are; a thickness of which no volume can be made.
+        NoEstimate: no tool or no tissue with depth, or none of it near the tool; a thickness of which no volume can be
+            made.
     """
     picture, labels = frame.view
     tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
@@ -138,55 +121,17 @@ def make_surface(
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T
     reach = max(DRIVEN, size[0] / mesh.grid_shape[1] / np.sqrt(keep))  # a row of particles at least
     away = tool_distance(instrument)[row, column]
-    larger, number = labels.shape[1] / size[0], frame.frame.number
     driven = away < reach
-    if path is not None:
-        place = grid_to_picture(path.begun(frame.frame)[:2], labels.shape, size)
-        driven = _led(path, np.linalg.norm(pixels - place, axis=1), reach, larger, number)
-    elif not driven.any():
-        raise NoEstimate(f"No tissue lies within {reach * larger:.0f} px of the instrument in frame {number}.")
-    if pins is None:
-        pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
-    else:
-        pinned = _white(pins, mesh, driven, number)
+    if not driven.any():
+        near = f"{reach * labels.shape[1] / size[0]:.0f} px"
+        raise NoEstimate(f"No tissue lies within {near} of the instrument in frame {frame.frame.number}.")
+    pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
     if thickness is None:
         body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
     else:
         body = volume_below(mesh, pinned, thickness, layers)
     surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
     return surface if thickness is None else replace(surface, pixels=surface.project(body.rest))
-
-
-def _led(path: GripperPath, apart: np.ndarray, reach: float, larger: float, number: int) -> np.ndarray:
-    """Which particles a path moves, shape [n], bool: the nearest one at least.
-
-    Args:
-        path: of the gripper.
-        apart: how far each is from where it is in a frame, shape [n] [px of the followed picture].
-        reach: out of which it moves none, likewise.
-        larger: pixels of the clip's picture in one of those.
-        number: the frame's.
-
-    Raises:
-        NoEstimate: even that is out of reach.
-    """
-    if apart.min() > reach:
-        said = f"is {apart.min() * larger:.0f} px away from all tissue in frame {number}, when contact begins"
-        raise NoEstimate(f"{printable(path.path)} {said}; give the gripper's place in the clip's pictures.")
-    return apart <= max(DRIVEN, apart.min())
-
-
-def _white(pins: Pins, mesh: Mesh, driven: np.ndarray, number: int) -> np.ndarray:
-    """Which vertices are where the pins are in a frame, but for those that are driven, shape [n], bool.
-
-    Raises:
-        NoEstimate: none.
-    """
-    white = pins.at(grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, pins.size)) & ~driven
-    if not white.any():
-        said = f"is white at none of the {(~driven).sum()} particles of free tissue in frame {number}"
-        raise NoEstimate(f"{printable(pins.path)} {said}; paint wider areas there.")
-    return white
 
 
 def layers_below(area: float, thickness: float, particles: int) -> int:
@@ -197,7 +142,8 @@ def layers_below(area: float, thickness: float, particles: int) -> int:
         thickness: of all [scene units].
         particles: in all layers.
     """
-    layers = np.arange(2, max(3, particles // LEAST_SEEN + 1))
+    # Particles that the surface of a volume has at least, before it gets more than one layer below.
+    layers = np.arange(2, max(3, particles // 30 + 1))
     return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
 
 
@@ -222,10 +168,6 @@ def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) 
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))
 
 
-_TOUCHING = 1e-6
-"""Share of a depth by which tissue lies before a particle, or of a triangle next to it: less is rounding."""
-
-
 def facing(points: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Particles of a triangle whose side towards the camera is that of rest, shape [N], bool.
 
@@ -236,28 +178,3 @@ def facing(points: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarra
     """
     same = np.linalg.det(points[faces]) * np.linalg.det(rest[faces]) > 0  # of corners: which side the origin is on
     return np.isin(np.arange(len(points)), faces[same])
-
-
-def uncovered(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Particles before the camera with no triangle on their line of sight, shape [N], bool; arguments as in `facing`.
-
-    x = Σ wᵢ xᵢ by a triangle's corners: its line of sight meets it if no wᵢ is negative, nearer than x if Σ wᵢ > 1.
-    """
-    before = points[:, 2] > 0
-    used = faces[before[faces].all(axis=1)]
-    found = np.flatnonzero(before)
-    if len(used) == 0 or len(found) == 0:
-        return before
-    across = points[:, :2] / np.where(before, points[:, 2], 1.0)[:, None]
-    middle = across[used].mean(axis=1)
-    reach = np.linalg.norm(across[used] - middle[:, None], axis=2).max()
-    near = KDTree(middle).query_ball_point(across[found], reach * (1 + _TOUCHING))
-    particle, face = np.repeat(found, [len(each) for each in near]), np.concatenate(near).astype(np.int64)
-    other = (used[face] != particle[:, None]).all(axis=1)
-    particle, corners = particle[other], points[used[face[other]]].transpose(0, 2, 1)
-    sized = np.abs(np.linalg.det(corners)) > 0  # one that is visible from its edge hides nothing
-    particle, corners = particle[sized], corners[sized]
-    shares = np.linalg.solve(corners, points[particle][..., None])[..., 0]
-    hidden = (shares.min(axis=1) > _TOUCHING) & (shares.sum(axis=1) > 1 + _TOUCHING)
-    before[particle[hidden]] = False
-    return before

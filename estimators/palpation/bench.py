@@ -11,14 +11,8 @@ from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, Material, find_equilibrium
 from palpate.physics.fem.linear_system import LinearSystem
 
-FACTORED = 60_000
-"""Unknowns up to which a body's matrix is factorised for all of a fit's systems, some seconds and a gigabyte."""
 OUTLIER = 3.0
 """Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
-SHOWN = 0.02
-"""As in `registration`: motions that a body's facets alone show are the tool's to tell."""
-STOOD = 5e-4
-"""A pose whose place is known better isn't registered: a flat surface would slide under the tool [m]."""
 GRAZING = 0.2
 """Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
 
@@ -59,8 +53,10 @@ class Bench:
         """Of a state of this body: its factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
+        # A pose whose place is known better isn't registered: a flat surface would slide under the tool [m].
+        # As in `registration`: motions that a body's facets alone show are the tool's to tell.
         self.poses = [
-            each.pose if each.pose_shift < STOOD else register(thinned(each.points), surface, each.pose, shown=SHOWN)
+            each.pose if each.pose_shift < 5e-4 else register(thinned(each.points), surface, each.pose, shown=0.02)
             for each in palpations
         ]
         self.eyes, self.sights = [], []
@@ -96,7 +92,8 @@ class Bench:
             self.solves += 1
             body, held = self.skin.body, self.held
             rest = find_equilibrium(body, material, held, forces=forces, start=start, near=self.near)
-            if self.near is None and (solver := rest.solver) is not None and body.rest.size < FACTORED:
+            # A larger matrix would take too many gigabytes to factorise.
+            if self.near is None and (solver := rest.solver) is not None and body.rest.size < 60_000:
                 _ = solver.factors  # once, for all that are solved from here on
             self.near = rest.solver
             found[forces.tobytes()] = rest

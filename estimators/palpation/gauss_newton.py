@@ -17,8 +17,6 @@ from palpate.physics.fem import Equilibrium, NoEquilibrium
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
-INNER = 20
-"""Steps between two simulations."""
 CLOSE = 0.3
 """Change of log E and ν over their standard deviations by the noise, that needs no further simulation: it is made all
 the same, by the derivatives, and what is left is of its square."""
@@ -28,15 +26,6 @@ SHORTEST = 0.01
 """Share of a step, below which none is tried."""
 FARTHEST, WIDEST = 10.0, 0.15
 """Factor by which a step changes E at most, and by how much ν moves between two simulations."""
-STRIDE = 0.1
-"""Of a pose's standard deviation as the tool tells it: what a step moves it by where the body leaves it open, as a ball
-its turns. Facets pull it to and fro there."""
-ROUNDS = 15
-"""Simulations of every press at most."""
-TURNED = 0.25
-"""Share of a step that the next one takes back, from which on steps are halved."""
-STIFFEST = 4.0**5
-"""Over what the linear law says, from where no equilibrium is looked for any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +115,7 @@ class System:
     def solved(self) -> System:
         """By Gauss–Newton steps, without a simulation."""
         system, trust = self, 1.0
-        for _ in range(INNER):
+        for _ in range(20):
             step, sd = system.step()
             step = trust * step
             before = 1 + system.change[0]
@@ -170,7 +159,9 @@ class System:
         """Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise, [2]."""
         normal, right = self._normal()
         sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
-        normal += np.diag(self._precision()) / STRIDE**2
+        # Where the body leaves a pose open, as a ball its turns, facets pull it to and fro: a step moves it by a
+        # tenth of its standard deviation.
+        normal += np.diag(self._precision()) / 0.1**2
         found = np.linalg.solve(normal, right)
         (low, high), at = self.ends, self.change[1]
         free = np.ones(len(right), bool)
@@ -239,7 +230,8 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
                 trust /= 3
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
-            if trust < SHORTEST or stiffer > STIFFEST:
+            # Stiffer than that over the linear law's E, no equilibrium is searched.
+            if trust < SHORTEST or stiffer > 4.0**5:
                 raise
             continue
         states = states_of(bench, tried, 1.0)
@@ -252,7 +244,8 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         (young, at), rests, system = aim, tried, following
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
-        trust = trust / 2 if steps > 1 and gone @ found.change < -TURNED * gone @ gone else 1.0
+        # Steps of which the next one takes back a quarter are halved.
+        trust = trust / 2 if steps > 1 and gone @ found.change < -0.25 * gone @ gone else 1.0
         report(f"step {steps}: E {young:.4g} Pa, ν {at:.3f}, {1000 * found.noise:.3g} mm left")
-        if found.still() or steps == ROUNDS:
+        if found.still() or steps == 15:
             return young, at, rests, found

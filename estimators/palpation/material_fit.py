@@ -14,10 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.model_errors import MODEL_ERRORS
 from palpate.estimators.palpation.bench import Bench, Palpation
-from palpate.estimators.palpation.gauss_newton import POISSON, State, System, ends, iterated, states_of
-from palpate.estimators.palpation.skin import Skin
+from palpate.estimators.palpation.gauss_newton import POISSON, System, ends, iterated, states_of
+from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium
 from palpate.physics.identifiability import LIMIT
 
@@ -25,12 +24,6 @@ KNOWN = 0.025
 """A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05."""
 NOTHING = "nothing determined"
 """The verdict where not even E is."""
-REVERSED = 5.0
-"""Standard deviations below zero, from which on a compliance says that a force is reversed."""
-LIKELY = (0.0, 0.4, 0.49)
-"""ν for which that must hold as well as for the one that a fit begins at: with it tissue bulges out next to a tool."""
-VISIBLE = 0.2
-"""Of the noise: the motion that most of the moved points show less than tells no sign."""
 BEGUN = 0.03
 """Of the body's size: displacement by the linear law at which points are matched first."""
 
@@ -48,7 +41,7 @@ class FitSettings:
     widened: float = 1.0
     """Standard deviation of a point's distance from the surface at rest over the point's own: more than 1 where that
     surface is made of points as noisy."""
-    model_error: float = MODEL_ERRORS.palpated_motion
+    model_error: float = 0.02
     """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
 
@@ -109,10 +102,17 @@ def fit_material(
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
         ValueError: a contact off the surface, too few points next to the hole, or a reversed force.
     """
+    contacts = np.array([each.contact for each in palpations])
+    normals = Match.of(contacts, skin.vertices, skin.triangles).normal
+    for number, (each, normal) in enumerate(zip(palpations, normals, strict=True), start=1):
+        if each.force @ normal > 0:
+            raise ValueError(
+                f"the force of palpation {number} points out of the body; give what the tool does to the body, the "
+                "negative of what a sensor in its handle feels."
+            )
     bench = Bench(skin, held, palpations, settings.law, settings.widened)
     poisson = float(np.clip(settings.poisson, *POISSON))
     rests = bench.linear(settings.young, poisson)
-    require_along(bench, settings.young, rests)
     scale = _scale(bench, rests)
     begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(poisson))
     young, poisson, rests, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
@@ -122,59 +122,7 @@ def fit_material(
     return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
 
 
-def require_along(bench: Bench, young: float, rests: Sequence[Equilibrium]) -> None:
-    """Require forces onto the body: the reaction, which a sensor in the tool's handle feels, is their negative.
-
-    Args:
-        bench: the body.
-        young: E [Pa] of
-        rests: the bodies by the linear law.
-
-    Raises:
-        ValueError: a surface moved against its force, whatever ν is.
-    """
-    against = _against(bench, rests)
-    for poisson in LIKELY:
-        if against.any():
-            against &= _against(bench, bench.linear(young, poisson))
-    if against.any():
-        names = " and ".join(str(1 + number) for number in np.flatnonzero(against))
-        raise ValueError(
-            f"the surface moved against the force of palpation {names}; give what the tool does to the body, the "
-            "negative of what a sensor in its handle feels."
-        )
-
-
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
     """By how much E is too high for bodies by the linear law to move by BEGUN of their size."""
     farthest = max(float(np.abs(rest.displacement).max()) for rest in rests)
     return BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
-
-
-def _against(bench: Bench, rests: Sequence[Equilibrium]) -> np.ndarray:
-    """Whether a surface moved against its force, of every palpation, shape [O], bool.
-
-    By Hooke's law displacements go with the compliance 1/E: a regression on them of the points' distances from the
-    surface at rest, the pose unknown as well, gives a compliance below zero then.
-    """
-    still, states = np.zeros_like(bench.skin.vertices), []
-    scale = _scale(bench, rests)
-    for rest in rests:
-        moved = scale * (bench.skin.shares @ rest.displacement)
-        slopes = np.stack([moved, still], axis=-1)
-        states.append(State(still, slopes, np.zeros(0), np.zeros(0)))
-    system = System(bench, states, np.zeros(2), bench.poses, (0.0, 0.0))
-    against = np.zeros(len(rests), bool)
-    for which, each in enumerate(bench.palpations):
-        own = system.which == which
-        jacobian, weight = np.delete(system.jacobian[own], 1, axis=1), system.weight[own]
-        residual = system.residual[own]
-        known = np.diag([0.0, *[each.pose_turn**-2] * 3, *[each.pose_shift**-2] * 3])
-        weighted = weight[:, None] * jacobian
-        normal, right = jacobian.T @ weighted, -weighted.T @ residual
-        found = np.linalg.solve(normal + bench.noise**2 * known, right)
-        noise = float(np.sqrt(np.mean(weight * np.square(residual + jacobian @ found))))
-        sd = noise * float(np.sqrt(np.linalg.inv(normal + noise**2 * known)[0, 0]))
-        shown = float(np.quantile(np.abs(found[0] * jacobian[:, 0]), 0.95))
-        against[which] = found[0] < -REVERSED * sd and shown > VISIBLE * noise
-    return against

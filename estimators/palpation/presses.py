@@ -28,8 +28,6 @@ FRAMES = 20
 """Frames, the first ones, that show the tissue at rest."""
 HIDDEN, UPRIGHT = 1.3, 0.7
 """Hole around a contact over the tool's radius, and least cosine of a force with the normal of the tissue's plane."""
-OFF = 5e-3
-"""How far the tip may be above the tissue where the force is largest, for what poses and clouds err [m]."""
 REPEATED = {"base": (1e-6, 1e-5), "tool": (1e-4, 5e-4)}
 """Standard deviations of a camera's pose between two frames, by what carries it [m, rad]."""
 FINE = 0.2
@@ -38,8 +36,6 @@ BELOW = 1e-3
 """How far under the support the closed surface ends, so that the support is where the mesh is cut off [m]."""
 RIM = 1.0
 """Width of the surface's rim, over that distance, that tells nothing: heights are known from one side only there."""
-MOST_POINTS = 5000
-"""Of a press."""
 LAYERS, CELLS = 5.0, (6, 24)
 """Cells of the mesh in the thickness, and along the longest side."""
 
@@ -76,7 +72,8 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
     heights, covered = shape.heights(contacts[:, :2])
     if not covered.all():
         raise InputError(f"{where}: the tool presses where clouds at rest show no tissue; give clouds of all of it.")
-    if (above := float((heights - contacts[:, 2]).max())) > OFF:
+    # How far the tip may be above the tissue where the force is largest, for what poses and clouds err [m].
+    if (above := float((heights - contacts[:, 2]).max())) > 5e-3:
         said = f"is {above:.2g} m off the tissue while it presses; put forces and poses on one clock, or mend `tip`"
         raise InputError(f"{where}: the tip {said}.")
     contacts[:, 2] = heights
@@ -96,7 +93,7 @@ def read_presses(path: Path) -> tuple[Triangles, list[Palpation], FitSettings, n
         eye, felt = sequence.eye(peak), sequence.forces[same].mean(axis=0)
         if felt @ view[2, :3] > -UPRIGHT * np.linalg.norm(felt):
             raise InputError(f"{where}: a force is over 45° off the tissue's normal; check its frame, and qx to qw.")
-        seen = moved(points[:: len(points) // MOST_POINTS + 1], np.linalg.inv(eye))
+        seen = moved(points[:: len(points) // 5000 + 1], np.linalg.inv(eye))
         palpations.append(Palpation(-felt, contact, seen, eye, radius, HIDDEN * radius, *repeated))
     # Points of one patch share what noise has made of it at rest.
     widened = float(np.sqrt(1 + max(len(each.points) for each in palpations) / len(rest)))

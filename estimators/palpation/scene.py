@@ -3,7 +3,6 @@
 import codecs
 import io
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +19,7 @@ from palpate.estimators.palpated import YOUNG
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
 from palpate.estimators.palpation.presses import read_presses
-from palpate.estimators.palpation.registration import Triangles, View, join_views
+from palpate.estimators.palpation.registration import Triangles
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
@@ -32,17 +31,10 @@ MOST_CELLS = 24
 """Along the longest side; unknowns grow with their cube."""
 FORCES = 1e-6, 1e4
 """Of what a hand or an instrument presses with [N]."""
-PRESSED = 0.6
-"""Edges of the elements where a tool presses, over its radius: a slab's E was off by 1.5 % then
-(docs/reports/palpation.md)."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
-BODY, COMMON = 2.0, (0.005, 0.5)
-"""Largest body whose size is taken for metres, and what palpated bodies commonly measure [m]."""
-REACH = 10.0
-"""From which on a sensor's distance is taken for another unit [m]."""
-UNITS = {"millimetres": 1e-3, "centimetres": 1e-2}
-"""That lengths are given in by mistake, over a metre."""
+BODY, REACH = 2.0, 10.0
+"""Largest body, and a sensor's largest distance, that are taken for metres [m]."""
 Row = tuple[float, float, float, float]
 
 
@@ -60,14 +52,10 @@ class SceneFile:
     """What lies lower stands still, as on a table [m]."""
     palpations: tuple[dict[str, Any], ...]
     """Each with the fields of `PalpationFile`."""
-    surface: str | None = None
-    """The surface at rest, an .obj file next to this one [m]; none = `views` show it."""
-    views: tuple[dict[str, Any], ...] = ()
-    """Depth views of it, each with the fields of `ViewFile`; they are registered and joined."""
+    surface: str
+    """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     cells: int = 8
     """Of the mesh along the surface's longest side."""
-    thickness: float | None = None
-    """Of an open surface [m]; none = it encloses the body."""
     law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
     """The material's."""
     young: float = 1e4
@@ -80,54 +68,36 @@ class SceneFile:
             raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
         if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
             raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
-        if (self.surface is None) == (not self.views):
-            raise ValueError("surface and views both show the body at rest; give one of them.")
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFile:
-    """What all that a sensor saw has.
+class PalpationFile:
+    """Fields of a palpation; the rest is `Palpation`'s.
 
     Raises:
         ValueError: numbers that can't be.
     """
 
-    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-    """Of the sensor as it is believed; the first view's is kept."""
-
-    def __post_init__(self) -> None:
-        turn = np.array(self.pose)[:3, :3]
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
-            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewFile(SensorFile):
-    """Fields of a view."""
-
-    surface: str
-    """What the sensor saw, an .obj file next to the scene, in the sensor's frame [m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PalpationFile(SensorFile):
-    """Fields of a palpation; the rest is `Palpation`'s."""
-
     force: tuple[float, float, float]
     contact: tuple[float, float, float]
     points: str
     """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
+    pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    """Of the sensor as it is believed."""
     tool_radius: float = Palpation.tool_radius
     hole: float = Palpation.hole
     pose_shift: float = Palpation.pose_shift
     pose_turn: float = Palpation.pose_turn
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if min(self.tool_radius, self.hole, self.pose_shift, self.pose_turn) <= 0:
-            raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive.")
+        turn, shift = np.array(self.pose)[:3, :3], np.array(self.pose)[:3, 3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or np.abs(shift).max() > REACH:
+            raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix, in metres.")
+        lengths = self.tool_radius, self.hole, self.pose_shift
+        if min(*lengths, self.pose_turn) <= 0 or max(lengths) > BODY / 2:
+            raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive, lengths in metres.")
         if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
             raise ValueError(f"force is to be {FORCES[0]:g} to {FORCES[1]:g} N; give what the tool pressed with.")
 
@@ -155,24 +125,15 @@ def read_scene(path: Path) -> Scene:
     if "poses" in values:
         return _meshed(path, *read_presses(path))
     scene = from_mapping(SceneFile, values, printable(path))
-    views = _views(scene, path)
-    extent = _Extent(np.concatenate([moved(each.vertices, each.pose) for each in views]))
-    axis = "xyz".index(scene.held_axis)
-    inside, along = np.clip(np.zeros(3), extent.low, extent.high), np.eye(3, dtype=bool)[axis]
-    said = f"{printable(path)}: held_below, {scene.held_below:g},"
-    _require_metres(
-        said, lambda unit: extent.near(np.where(along, unit * scene.held_below, inside), 3 if unit == 1 else 0)
-    )
-    if scene.thickness is not None:
-        _require_size(f"{printable(path)}: thickness", scene.thickness, extent.size)
+    file, axis = path.parent / scene.surface, "xyz".index(scene.held_axis)
+    surface = read_obj(file)
+    _require_metres(file, surface[0])
     palpations = [
-        _palpation(values, f"{printable(path)}, palpation {number}", path.parent, extent)
+        _palpation(values, f"{printable(path)}, palpation {number}", path.parent)
         for number, values in enumerate(scene.palpations, start=1)
     ]
-    vertices, triangles, notes = _surface(scene, views)
-    shown = path.parent / (scene.surface or path.name)
-    how = np.eye(4), (axis, scene.held_below), scene.cells, scene.thickness, notes
-    found = _meshed(shown, (vertices, triangles), palpations, FitSettings(scene.law, scene.young, scene.poisson), *how)
+    settings = FitSettings(scene.law, scene.young, scene.poisson)
+    found = _meshed(file, surface, palpations, settings, np.eye(4), (axis, scene.held_below), scene.cells)
     if found.held.sum() < 9:
         count, low = int(found.held.sum() / 3), found.skin.body.rest[:, axis].min()
         raise InputError(f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low:.4g} m).")
@@ -187,17 +148,16 @@ def _meshed(
     upright: np.ndarray,
     floor: tuple[int, float],
     cells: int,
-    thickness: float | None = None,
-    notes: tuple[str, ...] = (),
 ) -> Scene:
     """Fill a surface and lay it on what fills it; the floor and the mesh's grid are along a pose's axes, upright."""
     vertices, triangles = surface
     standing = moved(vertices, np.linalg.inv(upright))
     contacts = moved(np.array([each.contact for each in palpations]), np.linalg.inv(upright))
     radius = min(each.tool_radius for each in palpations)
-    crowded = around(contacts, radius, PRESSED * radius)
+    # With edges of 0.6 radii under the tool a slab's E was off by 1.5 % (docs/reports/palpation.md).
+    crowded = around(contacts, radius, 0.6 * radius)
     try:
-        meshed = mesh_surface(standing, triangles, cells=cells, thickness=thickness, floor=floor, longest=crowded)
+        meshed = mesh_surface(standing, triangles, cells=cells, floor=floor, longest=crowded)
     except NoBody as error:
         raise InputError(f"{printable(path)}: {error}") from error
     axis, below = floor
@@ -206,90 +166,30 @@ def _meshed(
     # Nodes at a body's own base are drawn to it only nearly.
     slack = 1e-9 if low.min() >= below - 1e-9 else 0.0
     still = low <= below + slack
-    if thickness is None:
-        body = curve(body, standing[triangles], still)
+    body = curve(body, standing[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     body = replace(body, rest=moved(body.rest, upright), gradients=body.gradients @ upright[:3, :3].T)
     skin = cover(body, vertices, triangles, standing[:, axis] <= below + slack)
-    return Scene(skin, held, palpations, settings, (*notes, *meshed.notes))
+    return Scene(skin, held, palpations, settings, meshed.notes)
 
 
-class _Extent:
-    """Of a surface at rest with vertices [V, 3], along x, y and z, each of shape [3], and its longest side [m]."""
-
-    def __init__(self, vertices: np.ndarray) -> None:
-        self.low, self.high = vertices.min(axis=0), vertices.max(axis=0)
-        self.size = float((self.high - self.low).max())
-
-    def near(self, place: np.ndarray, sizes: float) -> bool:
-        """Whether a place [3] lies within so many of its sizes."""
-        away = np.linalg.norm(place - np.clip(place, self.low, self.high))
-        return bool(away <= sizes * self.size)
-
-
-def _palpation(values: dict[str, Any], where: str, folder: Path, extent: _Extent) -> Palpation:
+def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:
     each = from_mapping(PalpationFile, values, where)
-    for name in ("tool_radius", "hole"):
-        _require_size(f"{where}: {name}", getattr(each, name), extent.size)
-    _require_size(f"{where}: pose_shift", each.pose_shift, REACH / 10)
-    _require_pose(where, each.pose)
-    contact = np.array(each.contact)
-    said = f"{where}: contact, {list(each.contact)},"
-    _require_metres(said, lambda unit: extent.near(unit * contact, 3 if unit == 1 else 0.1))
     points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
         said = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
         raise InputError(f"{printable(folder / each.points)} {said}.")
-    _require_body(printable(folder / each.points), points)
+    _require_metres(folder / each.points, points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
-    return Palpation(np.array(each.force), contact, points, np.array(each.pose, np.float64), *sizes)
+    return Palpation(np.array(each.force), np.array(each.contact), points, np.array(each.pose, np.float64), *sizes)
 
 
-def _views(scene: SceneFile, path: Path) -> list[View]:
-    """What shows the body at rest: one surface, or views."""
-    views, values = [], scene.views if scene.surface is None else ({"surface": scene.surface},)
-    for number, fields in enumerate(values, start=1):
-        where = f"{printable(path)}, view {number}"
-        each = from_mapping(ViewFile, fields, where)
-        _require_pose(where, each.pose)
-        vertices, triangles = read_obj(path.parent / each.surface)
-        _require_body(printable(path.parent / each.surface), vertices)
-        views.append(View(vertices, triangles, np.array(each.pose, np.float64)))
-    return views
-
-
-def _require_metres(what: str, fits: Callable[[float], bool]) -> None:
-    """Require a length that fits as it is; raises InputError where it fits in another unit, over a metre, instead."""
-    likely = [name for name, unit in UNITS.items() if not fits(1.0) and fits(unit)]
-    if likely:
-        raise InputError(f"{what} looks like {' or '.join(likely)}; give all lengths of the scene in metres.")
-
-
-def _require_size(what: str, length: float, most: float) -> None:
-    _require_metres(f"{what}, {length:g},", lambda unit: unit * length <= most)
-
-
-def _require_pose(where: str, pose: tuple[Row, Row, Row, Row]) -> None:
-    _require_size(f"{where}: the shift of pose", math.hypot(*(row[3] for row in pose[:3])), REACH)
-
-
-def _require_body(what: str, points: np.ndarray) -> None:
-    """Of points on a body [P, 3]; a few that are far off count no more than the rest."""
+def _require_metres(path: Path, points: np.ndarray) -> None:
+    """Raise an InputError for points on a body [P, 3] in another unit; a few that are far off don't count."""
     size = float(np.ptp(np.quantile(points, (0.05, 0.95), axis=0), axis=0).max())
-    low, high = COMMON
-    _require_metres(
-        f"{what}, {size:.3g} m wide,", lambda unit: size <= BODY if unit == 1 else low <= unit * size <= high
-    )
-
-
-def _surface(scene: SceneFile, views: list[View]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Vertices [V, 3] and triangles [F, 3] of the body at rest, and what is to be said of them."""
-    if scene.surface is not None:
-        return views[0].vertices, views[0].triangles, ()
-    surface, _, apart = join_views(views)
-    said = f"{len(views)} views were joined; where they overlap they lie {1000 * apart:.2g} mm apart (rms)."
-    return *surface, (said,)
+    if size > BODY:
+        raise InputError(f"{printable(path)} is {size:.3g} m wide; give all lengths of the scene in metres.")
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -19,20 +19,10 @@ from palpate.physics.fem.solid import EDGES
 from palpate.physics.fem.surface import areas, closest, even_shares, nearest
 from palpate.physics.mesh import holding
 
-SHARP = 0.8
-"""Cosine of the angle between triangles below which their edge is sharp."""
 SAMPLES = 8
 """Places on a sharp edge to which distances are measured."""
-ROWS = 4
-"""Of places on a triangle, over which a force is spread."""
-BENT = 4
-"""Steps to a vertex's place in a curved element after the first, which leads to that in a straight one."""
 FLAT = 0.1
 """Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
-SOUGHT = 5
-"""Rounds in which the place is looked for where a line of sight meets a surface."""
-CANDIDATES = 24
-"""Elements with the closest centres, among which a vertex finds its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +44,7 @@ class Skin:
 
         mesh = trimesh.Trimesh(self.vertices, self.triangles, process=False)
         lone = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) != 2]
-        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > math.acos(SHARP)]
+        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > math.acos(0.8)]
         ends = self.vertices[np.concatenate([lone, sharp])]
         if not len(ends):
             return None
@@ -90,7 +80,7 @@ class Skin:
                 "give a contact on the surface, a wider tool or a finer surface."
             )
         # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
-        shares = even_shares(ROWS)
+        shares = even_shares(4)
         corners = self.vertices[self.triangles]
         apart = np.linalg.norm(np.einsum("sk,fkx->fsx", shares, corners) - place, axis=2) / radius
         pressure = (areas(corners)[:, None] * np.maximum(1 - apart**2, 0.0)) @ shares
@@ -107,7 +97,7 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
         triangles: shape [F, 3]; turned over where they face inwards as a whole.
         held: vertices that stand still, as those below a floor where the body is cut off, shape [V], bool.
     """
-    element, _ = holding(body.rest[body.elements[:, :4]], vertices, CANDIDATES)
+    element, _ = holding(body.rest[body.elements[:, :4]], vertices, 24)
     matrix = shapes_at(body, element, vertices)
     if held is not None:
         matrix = diags_array(np.where(held, 0.0, 1.0)) @ matrix
@@ -126,7 +116,8 @@ def shapes_at(body: Solid, element: np.ndarray, points: np.ndarray) -> csr_array
     inverse = np.linalg.inv(corners[:, 1:] - corners[:, :1])
     place = best = np.tile(np.eye(4)[0], (len(points), 1))
     least = np.full(len(points), np.inf)
-    for _ in range(2 + BENT if quadratic else 2):
+    # The first step leads to the place in a straight element, four more to that in a curved one.
+    for _ in range(6 if quadratic else 2):
         beyond = points - np.einsum("pn,pni->pi", _shapes(place) if quadratic else place, body.rest[nodes])
         off = np.linalg.norm(beyond, axis=1)
         best, least = np.where((off < least)[:, None], place, best), np.minimum(off, least)
@@ -191,7 +182,7 @@ class Match:
         face, shares = np.zeros(len(points), np.int64), np.zeros((len(points), 3))
         distance, apart = np.zeros(len(points)), np.full(len(points), np.inf)
         places, left = points.copy(), np.arange(len(points))
-        for _ in range(SOUGHT):
+        for _ in range(5):
             face[left] = nearest(places[left], corners)[0]
             where, normal, sight = corners[face[left]], normals[face[left]], sights[left]
             steep = (sight * normal).sum(axis=1)

@@ -8,7 +8,7 @@ cost, the tissue pushed aside and the forces along both.
 
 A scene with a mesh is planned in space, past a body of any shape and through a port: its road map is kept in the cache
 for other starts, goals, moduli and limits. Writes plan.json, and path.csv and path.json: times, poses and expected
-forces; with --picture plan.png, too, beside the straight line. Not a medical device.
+forces. Not a medical device.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import open_tables
-from palpate.planning.pictures import Pressed, draw_in_space, draw_plan, force_along
+from palpate.planning.pictures import Pressed, draw_plan, force_along
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
 from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
@@ -37,7 +37,7 @@ from palpate.results.store import OutputError, make_output, writing
 SOFTEST = 50.0
 """Tissue is stiffer [Pa]."""
 NAMES = ("plan.json", "plan.png")
-SPACE_NAMES = ("plan.json", "path.csv", "path.json", "plan.png")
+SPACE_NAMES = ("plan.json", "path.csv", "path.json")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
         with writing(options.output):
             require_own(*(options.output / name for name in (SPACE_NAMES if isinstance(scene, SpaceScene) else NAMES)))
         if isinstance(scene, SpaceScene):
-            return _plan_in_space(scene, options, cache, console)
+            return _plan_in_space(scene, options.output, cache, console)
         return _plan(scene, options.output, cache, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -109,8 +109,7 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     return 0
 
 
-def _plan_in_space(scene: SpaceScene, options: Any, cache: Path, console: Console) -> int:
-    output, names = options.output, SPACE_NAMES[: 4 if options.picture else 3]
+def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Console) -> int:
     make_output(output)
     with writing(cache):
         costs, found = open_costs(scene, cache)
@@ -127,15 +126,10 @@ def _plan_in_space(scene: SpaceScene, options: Any, cache: Path, console: Consol
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
     texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"
     with writing(output):
-        for name, text in zip(SPACE_NAMES, texts, strict=False):
+        for name, text in zip(SPACE_NAMES, texts, strict=True):
             write_own(output / name, text)
-        if options.picture:
-            with replacing_own(output / names[-1]) as partial:
-                draw_in_space(costs, plan, straight, rows).savefig(partial, dpi=110)
-        else:
-            (output / SPACE_NAMES[-1]).unlink(missing_ok=True)  # of an older plan
     print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {record['largest_force']:.2f} N")
-    say(console, f"written: {output}/{', '.join(names)}")
+    say(console, f"written: {output}/{', '.join(SPACE_NAMES)}")
     return 0
 
 

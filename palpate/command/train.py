@@ -16,7 +16,6 @@ import hashlib
 import os
 import sys
 import warnings
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -61,14 +60,8 @@ so `last` is a checkpoint of its own; it comes last because it holds the others'
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
 
-PARTS: dict[str, tuple[type[Any], Callable[[Any], None], str]] = {
-    "contact": (ContactSettings, train_contact, WEIGHTS),
-}
-"""Posterior of a contact's motion: its settings, how it is trained, and its weights' file."""
 REFUSED: dict[str, dict[str, Any]] = read_beside(__file__)
 """Trainer options that can't be used freely."""
-
-
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
 """Errors with exit status 1, each of which is a sentence."""
 
@@ -180,7 +173,7 @@ class TrainCLI(LightningCLI):
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.add_argument("--run_name", type=str | None, help="Name of the run in MLflow; null = the run folder's.")
         parser.link_arguments("data.samples.window", "model.window")
-        inputs = ("data.samples.observation", "data.geometry.smoothing", "data.samples.sequence")
+        inputs = ("data.samples.observation", "data.geometry.smoothing")
         parser.link_arguments(inputs, "model.contact_features", compute_fn=contact_features)
         for source, target, settings in (
             ("model.mechanics", "data.samples.mechanics", Mechanics),
@@ -306,11 +299,9 @@ CHOSEN: dict[str, Any] = {
 """How Lightning's command line is made."""
 
 
-def contact_features(observation: str, smoothing: float, sequence: bool) -> int:
+def contact_features(observation: str, smoothing: float) -> int:
     """Length of the contact's vector in the batches; 0 without the motion or its noise."""
-    if observation != "trajectory" or not smoothing > 0:
-        return 0
-    return FEATURES + SEQUENCE_FEATURES if sequence else FEATURES
+    return FEATURES + SEQUENCE_FEATURES if observation == "trajectory" and smoothing > 0 else 0
 
 
 def folder_of(run_folder: str | os.PathLike[str] | None, part: Literal["checkpoints", "evaluation"]) -> Path:
@@ -323,8 +314,8 @@ def resumes(checkpoint: str | None, folder: Path) -> bool:
     return checkpoint is not None and Path(checkpoint).resolve().parent == folder.resolve()
 
 
-def trained_part(arguments: list[str]) -> str | None:
-    """Which of PARTS `fit` is to train: a configuration or an option holds its settings; None = the generator."""
+def trains_contact(arguments: list[str]) -> bool:
+    """Whether `fit` is to train the contact posterior: a configuration or an option holds its settings."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-c", "--config", action="append", default=[])
     given, others = parser.parse_known_args(arguments)
@@ -332,32 +323,26 @@ def trained_part(arguments: list[str]) -> str | None:
     with contextlib.suppress(InputError):  # the parser of the settings says what is wrong with the file
         for path in given.config:
             sections |= set(read_mapping(Path(path), "a configuration"))
-    return next((name for name in PARTS if name in sections), None)
+    return "contact" in sections
 
 
-def fit_part(name: str, arguments: list[str]) -> None:
-    """Train one of PARTS.
-
-    Args:
-        name: of the part.
-        arguments: command line after `fit`.
-    """
-    settings_class, train, weights = PARTS[name]
-    parser = SentenceParser(prog=f"{program()} fit", description=f"Train the {name} posterior.", allow_abbrev=False)
+def fit_contact(arguments: list[str]) -> None:
+    """Train the contact posterior by the command line after `fit`."""
+    parser = SentenceParser(prog=f"{program()} fit", description="Train the contact posterior.", allow_abbrev=False)
     parser.add_argument("-c", "--config", action=ActionConfigFile, help="Configuration file.")
-    parser.add_class_arguments(settings_class, name)
+    parser.add_class_arguments(ContactSettings, "contact")
     chosen = parser.parse_args(arguments)
     try:
-        settings = settings_class(**chosen[name].as_dict())
+        settings = ContactSettings(**chosen["contact"].as_dict())
     except ValueError as error:  # from the check of a setting
         raise UsageError(str(error)) from error
-    if (settings.output / weights).exists():
+    if (settings.output / WEIGHTS).exists():
         raise UsageError(f"{settings.output} holds a finished training; give another output, or remove that folder.")
     try:
         with interruptible():
-            train(settings)
+            train_contact(settings)
     except KeyboardInterrupt:
-        text = f"Interrupted; {settings.output} holds no {weights}. The same command goes on after what it has kept."
+        text = f"Interrupted; {settings.output} holds no {WEIGHTS}; start the same command anew."
         print(plain(text), file=sys.stderr)
         raise
 
@@ -368,9 +353,8 @@ def main(arguments: list[str] | None = None) -> int:
     disable_possible_user_warnings()  # guesses about worker counts
     command = sys.argv[1:] if arguments is None else arguments
     try:
-        part = trained_part(command[1:]) if command[:1] == ["fit"] else None
-        if part is not None:
-            fit_part(part, command[1:])
+        if command[:1] == ["fit"] and trains_contact(command[1:]):
+            fit_contact(command[1:])
         else:
             with interruptible():
                 TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)

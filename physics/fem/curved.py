@@ -11,10 +11,6 @@ import numpy as np
 from palpate.physics.fem.solid import EDGES, Solid
 from palpate.physics.fem.surface import areas, nearest, rows_needed
 
-LEAST = 0.3
-"""Of det F, below which a middle goes back half of its way."""
-HALVINGS = 6
-
 
 def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     """A body with its outer middles on a surface.
@@ -35,8 +31,9 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     face, shares = nearest(solid.rest[middles], triangles, rows_needed(triangles, spacing))
     step = np.zeros_like(solid.rest)
     step[middles] = np.einsum("pk,pkx->px", shares, triangles[face]) - solid.rest[middles]
-    for _ in range(HALVINGS):
-        crushed = (np.linalg.det(solid.deformation(step)) < LEAST).any(axis=1)
+    for _ in range(6):
+        # Where det F is smaller, a middle goes back half of its way.
+        crushed = (np.linalg.det(solid.deformation(step)) < 0.3).any(axis=1)
         if not crushed.any():
             break
         step[np.unique(solid.elements[crushed])] /= 2

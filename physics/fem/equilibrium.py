@@ -18,11 +18,6 @@ from palpate.physics.fem.solid import Solid
 TOLERANCE = 1e-10
 """Largest force out of balance, over the largest sum of the elements' forces at a node."""
 _ITERATIONS = 30
-_ARMIJO = 1e-4
-_SHORTEST = 2.0**-12
-_FORCING = 1e-3
-"""Accuracy of a Newton step that is solved iteratively: the outer iteration squares it away."""
-_HALVINGS = 6
 
 
 class NoEquilibrium(ValueError):
@@ -182,7 +177,7 @@ def find_equilibrium(
             displacement, count, near = settle(energy, displacement, goal, held, near=near)
         except NoEquilibrium:
             step, halvings = step / 2, halvings + 1
-            if halvings > _HALVINGS:
+            if halvings > 6:
                 raise
             continue
         done, iterations = aim, iterations + count
@@ -232,7 +227,8 @@ def settle(
         right = right - matrix @ jump.ravel() if moving else right
         solver = LinearSystem(matrix[free][:, free].tocsr(), near)
         value, rounding = energy.value(response, displacement)
-        path, accuracy = np.zeros(displacement.size), max(_FORCING * min(1.0, relative), 1e-13)
+        # Accuracy of a Newton step that is solved iteratively: the outer iteration squares it away.
+        path, accuracy = np.zeros(displacement.size), max(1e-3 * min(1.0, relative), 1e-13)
         path[free], slope, near = _downhill(right[free], solver, accuracy)
         whole = path.reshape(-1, 3) + (jump if moving else 0.0)
         if moving:  # the potential of another boundary can't be compared
@@ -245,10 +241,10 @@ def settle(
         while True:
             trial = displacement + length * whole
             response = energy.response(trial, tangent=True)
-            if energy.value(response, trial)[0] <= value + _ARMIJO * length * slope + rounding:
+            if energy.value(response, trial)[0] <= value + 1e-4 * length * slope + rounding:
                 break
             length /= 2
-            if length < _SHORTEST:
+            if length < 2.0**-12:
                 if relative <= 1e3 * tolerance:  # as far as rounding lets it
                     return displacement, iteration, near
                 raise NoEquilibrium("the line search ends nowhere; give smaller load steps.")

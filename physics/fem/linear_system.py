@@ -10,12 +10,9 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
 DIRECT = 10_000
 """Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
-_ITERATIONS = 3000
 _CLOSE, _LARGE = 12, 800
 """Iterations with the factors of a matrix close by, above which this one's own are cheaper; one for so many unknowns,
 where that is more: factors of 37,500 to 62,000 take as long as 90 to 250 iterations."""
-_FEW = 3
-"""Right-hand sides up to which they are worth trying."""
 
 
 class LinearSystem:
@@ -50,13 +47,13 @@ class LinearSystem:
         columns = np.atleast_2d(right.T)
         if "factors" not in self.__dict__:
             found = None
-            if self.borrowed is not None and len(columns) <= _FEW:
+            if self.borrowed is not None and len(columns) <= 3:
                 borrowed = LinearOperator(self.matrix.shape, self.borrowed.solve)
                 most = max(_CLOSE, len(right) // _LARGE)
                 found = self._all_iterated(columns, tolerance, borrowed, most)
             # Where factors of such a matrix were to be had, its own are too.
             if found is None and self.borrowed is None and len(right) > DIRECT and self._diagonal is not None:
-                found = self._all_iterated(columns, tolerance, self._diagonal, _ITERATIONS)
+                found = self._all_iterated(columns, tolerance, self._diagonal, 3000)
             if found is not None:
                 return found.reshape(right.shape)
         return self.factors.solve(right)

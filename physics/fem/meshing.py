@@ -2,8 +2,7 @@
 
 Cells of a grid whose centre lies inside are filled with five tetrahedra each, and the nodes of their surface are drawn
 to the triangles as far as no element becomes bad. Inside is what most of six rays along the axes say, by how often they
-cross the surface: no orientation is needed, and a hole or an inner wall misleads only the rays through it. An open
-sheet, as one camera sees it, is given a thickness, half of it on either side.
+cross the surface: no orientation is needed, and a hole or an inner wall misleads only the rays through it.
 
 Where an instrument presses, tetrahedra are divided by bisection of longest edges (Rivara 1984; in space Rivara & Levin
 1992). One is halved through the middle of its longest edge, and so are all others around that edge. Those of which it
@@ -127,16 +126,8 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
-FLAT = 0.1
-"""Quality of an outer element with all corners on the surface, below which it is left out."""
-SHED = 3
-"""How often such elements are, each time before drawing again."""
-ROUNDS = 30
-SHARE = 0.5
-"""Of the way to the surface that a node goes in a round."""
 _OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
 """Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
-_CHUNK = 4_000_000
 
 
 class NoBody(ValueError):
@@ -160,7 +151,6 @@ def mesh_surface(
     triangles: np.ndarray,
     *,
     cells: int = 16,
-    thickness: float | None = None,
     floor: Floor = None,
     longest: Longest | None = None,
 ) -> Meshed:
@@ -168,10 +158,9 @@ def mesh_surface(
 
     Args:
         vertices: shape [V, 3] [m].
-        triangles: indices of their corners, shape [F, 3]; in any order, with holes, edges of more than two triangles,
-            or of one side only. Where closed parts overlap counts as outside.
+        triangles: indices of their corners, shape [F, 3]; in any order, with holes or edges of more than two
+            triangles. Where closed parts overlap counts as outside.
         cells: of the grid along the surface's longest side.
-        thickness: of an open sheet [m]; None = the surface encloses the body.
         floor: axis, and the place on it below which the body is cut off, as where it is held: nodes lie on that plane
             whatever the grid, so that the support doesn't depend on it.
         longest: what edges are divided to, as `refine` takes it, once all nodes are drawn onto the surface: elements
@@ -179,8 +168,7 @@ def mesh_surface(
             curved elements (`physics.fem.curved`) isn't. None = some may lie off it by a tenth of a cell.
 
     Raises:
-        NoBody: shapes that don't fit, no area, nothing enclosed, a thickness that the grid can't show, a floor above
-            all of it.
+        NoBody: shapes that don't fit, no area, nothing enclosed, a floor above all of it.
     """
     vertices, triangles = _checked(vertices, triangles)
     corners = vertices[triangles]
@@ -188,16 +176,12 @@ def mesh_surface(
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     spacing = float((high - low).max()) / cells
     whole = area > 1e-9 * spacing**2
-    notes = _oddities(triangles[whole])
+    notes: list[str] = []
     if not whole.all():
         notes.append(f"{np.count_nonzero(~whole)} triangles without area were left out.")
     corners = corners[whole]
     if not len(corners):
         raise NoBody("the surface has no triangle with an area; give one that has.")
-    if thickness is not None and not thickness >= 2 * spacing:
-        raise NoBody(f"a thickness of {thickness:g} m is less than two cells of {spacing:g} m; give more of either.")
-    thick = 0.0 if thickness is None else thickness / 2
-    low, high = low - thick, high + thick
     if floor is not None and floor[1] > low[floor[0]]:
         if not floor[1] < high[floor[0]] - spacing / 2:
             raise NoBody(f"all of the surface lies below the floor at {floor[1]:g} m; give a lower one, or more cells.")
@@ -205,16 +189,13 @@ def mesh_surface(
     origin, sides, shape = _grid(low, high, spacing)
     centres = origin + sides * (np.moveaxis(np.indices(tuple(shape)), 0, -1) + 0.5)
     samples = rows_needed(corners, spacing)
-    if thickness is None:
-        inside = _enclosed(corners, centres)
-        if not inside.any():
-            raise NoBody("the surface encloses nothing; give a thickness if it is an open sheet, or more cells.")
-    else:
-        inside = (_distance(centres.reshape(-1, 3), corners, samples)[0] < thick).reshape(shape)
+    inside = _enclosed(corners, centres)
+    if not inside.any():
+        raise NoBody("the surface encloses nothing; give a closed one, or more cells.")
     if floor is not None:
         inside &= centres[..., floor[0]] > floor[1]
     places, tetrahedra = fill_cells(_largest_part(inside, notes))
-    drawn = functools.partial(_drawn, corners=corners, samples=samples, away=thick, floor=floor)
+    drawn = functools.partial(_drawn, corners=corners, samples=samples, floor=floor)
     nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
         nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
@@ -241,19 +222,6 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise NoBody(f"triangles name vertices {triangles.min()} to {triangles.max()} of {len(vertices)}; give others.")
     return vertices, triangles.astype(np.int64)
-
-
-def _oddities(triangles: np.ndarray) -> list[str]:
-    """What is odd about the edges."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, shared = np.unique(edges, axis=0, return_counts=True)
-    _, either = np.unique(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0, return_counts=True)
-    counts = {
-        "edges belong to one triangle only: holes, or a sheet": np.count_nonzero(shared == 1),
-        "edges belong to more than two triangles": np.count_nonzero(shared > 2),
-        "edges are run through twice the same way: the triangles face both sides": np.count_nonzero(either > 1),
-    }
-    return [f"{count} {what}." for what, count in counts.items() if count]
 
 
 def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -284,7 +252,7 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
         square = _cross(second - first, third - first)
         upright = np.abs(square) > 1e-12 * sides[one] * sides[two]
         below, hits = np.zeros((len(depth), len(flat)), np.int64), np.zeros(len(flat), np.int64)
-        step = max(1, _CHUNK // len(corners))
+        step = max(1, 4_000_000 // len(corners))
         for begin in range(0, len(flat), step):
             ray = flat[begin : begin + step, None]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -301,18 +269,11 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
     return votes > 3
 
 
-def _distance(points: np.ndarray, corners: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of points from the triangles [P], and the closest places [P, 3]."""
-    face, share = nearest(points, corners, samples)
-    places = np.einsum("pk,pkx->px", share, corners[face])
-    return np.linalg.norm(points - places, axis=1), places
-
-
 def _without_flat(
     nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
-    for _ in range(SHED):
+    for _ in range(3):
         flat = _flat(nodes, tetrahedra)
         if not flat.any() or flat.all():
             break
@@ -332,13 +293,11 @@ def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     bare = (count[which.ravel()] == 1).reshape(-1, 4)
     outer = np.zeros(len(nodes), bool)
     outer[tetrahedra[:, FACES][bare]] = True
-    return outer[tetrahedra].all(axis=1) & bare.any(axis=1) & (qualities(nodes, tetrahedra) < FLAT)
+    return outer[tetrahedra].all(axis=1) & bare.any(axis=1) & (qualities(nodes, tetrahedra) < 0.1)
 
 
-def _drawn(
-    nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, away: float, floor: Floor
-) -> np.ndarray:
-    """Nodes with those of the body's surface drawn to a distance from the triangles, inner ones to their neighbours."""
+def _drawn(nodes: np.ndarray, tetrahedra: np.ndarray, corners: np.ndarray, samples: int, floor: Floor) -> np.ndarray:
+    """Nodes with those of the body's surface drawn to the triangles, inner ones to their neighbours."""
     bare = outer_faces(tetrahedra)
     axis, height = (0, -np.inf) if floor is None else floor
     grounded = np.abs(nodes[:, axis] - height) < 1e-9 * np.ptp(nodes)
@@ -348,13 +307,13 @@ def _drawn(
     neighbours = np.bincount(pairs[:, 0], minlength=len(nodes))
 
     least = np.minimum(qualities(nodes, tetrahedra) / 2, WORST)
-    for _ in range(ROUNDS):
+    for _ in range(30):
         sums = [np.bincount(pairs[:, 0], nodes[pairs[:, 1], one], minlength=len(nodes)) for one in range(3)]
         aim = np.stack(sums, axis=1) / neighbours[:, None]
-        distance, place = _distance(nodes[outer], corners, samples)
-        aim[outer] = place + away * ((nodes[outer] - place) / np.maximum(distance, 1e-12)[:, None])
+        face, share = nearest(nodes[outer], corners, samples)
+        aim[outer] = np.einsum("pk,pkx->px", share, corners[face])
         aim[grounded, axis] = nodes[grounded, axis]
-        step = SHARE * (aim - nodes)
+        step = 0.5 * (aim - nodes)
         for _ in range(12):  # an element that becomes bad takes its nodes' steps back by half, in the end all of it
             bad = qualities(nodes + step, tetrahedra) < least
             if not bad.any():

@@ -3,11 +3,6 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-MOST_ROWS = 24
-"""Of samples on a triangle."""
-CANDIDATES = 16
-"""Samples of the surface closest to a point, on whose triangles the closest place is looked for."""
-
 
 def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
@@ -37,7 +32,7 @@ def even_shares(rows: int) -> np.ndarray:
 
 def rows_needed(triangles: np.ndarray, spacing: float) -> int:
     """Rows of samples, as `nearest` takes them, that lie at most half a spacing apart on triangles [F, 3, 3]."""
-    return int(np.clip(np.ceil(2 * np.sqrt(areas(triangles).max()) / spacing), 1, MOST_ROWS))
+    return int(np.clip(np.ceil(2 * np.sqrt(areas(triangles).max()) / spacing), 1, 24))
 
 
 def areas(triangles: np.ndarray) -> np.ndarray:
@@ -57,7 +52,7 @@ def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tupl
     """
     rows = even_shares(samples)
     seeds = np.einsum("sk,fkx->fsx", rows, triangles).reshape(-1, 3)
-    count = min(CANDIDATES, len(seeds))
+    count = min(16, len(seeds))
     _, near = KDTree(seeds).query(points, k=count)
     near = near.reshape(len(points), count) // len(rows)
     shares = closest(points[:, None], triangles[near])

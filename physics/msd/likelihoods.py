@@ -26,35 +26,8 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
     return (weight * squared).sum(dim=1) / torch.where(total > 0, total, 1.0)
 
 
-Expanded = tuple[Tensor, Tensor, Tensor]
-"""A misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3], by φ."""
-
-
-def linearise(path: Tensor, slopes: Tensor, theta: Tensor, observation: ObservationBatch, noise: Tensor) -> Expanded:
-    """The torch side of `physics.likelihood`: -log p(d|φ) = ½ Σ r² around every sample's φ, in double precision.
-
-    Args:
-        path: displacement of the contact vertex, shape [B, T, 3] [scene units].
-        slopes: its derivatives by θ, shape [B, T, 3, 3].
-        theta: k_s, k_d and signed F, shape [B, 3] [normalised].
-        observation: what was observed; padding may hold anything, also NaN.
-        noise: σ of every observed coordinate, shape [B] [scene units].
-
-    Returns:
-        The misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3] by φ; 0 where nothing was
-        observed.
-    """
-    sigma = noise.double()[:, None, None]
-    residual = _difference(path.double(), observation) / sigma
-    instants = observation.steps[..., None, None].expand(-1, -1, 3, 3)
-    jacobian = torch.gather(slopes.double(), 1, instants) * theta.double()[:, None, None] / sigma[..., None]
-    jacobian = torch.where((observation.weight > 0)[..., None, None], jacobian, 0.0)
-    gradient = torch.einsum("bmcp,bmc->bp", jacobian, residual)
-    return 0.5 * residual.square().sum((1, 2)), gradient, torch.einsum("bmcp,bmcq->bpq", jacobian, jacobian)
-
-
-def linearise_depth(path: Tensor, slopes: Tensor, theta: Tensor, observation: DepthBatch) -> Expanded:
-    """The same of observed depth, the errors that all instants share marginalised (Woodbury's identity).
+def linearise_depth(path: Tensor, slopes: Tensor, theta: Tensor, observation: DepthBatch) -> tuple[Tensor, ...]:
+    """-log p(d|φ) = ½ Σ r² of observed depth around every sample's φ, common errors marginalised (Woodbury's identity).
 
     What the pixels show is decided at every sample's own motion; that it changes with φ is in the derivatives as far as
     the view says so.
@@ -66,7 +39,8 @@ def linearise_depth(path: Tensor, slopes: Tensor, theta: Tensor, observation: De
         observation: what was observed of these vertices.
 
     Returns:
-        As `linearise`.
+        The misfit ½ Σ r² [B], its gradient [B, 3] and the Fisher information [B, 3, 3] by φ; 0 where nothing was
+        observed.
     """
     samples = torch.arange(len(path), device=path.device)[:, None]
     steps = observation.steps.clamp(0, path.shape[1] - 1)

@@ -9,8 +9,6 @@ from scipy.sparse import csr_array
 
 NORM_GUARD = 1e-18
 """Added under square roots [m²]: lengths of zero have a gradient, and shapes at rest one of zero."""
-_FLAT = 1e-6
-"""Neighbourhoods whose second principal extent is below this share of the first lie on a line: without a rotation."""
 
 
 class Layout(NamedTuple):
@@ -133,7 +131,8 @@ def _layout(rest: np.ndarray, edges: np.ndarray, tetrahedra: np.ndarray, lengths
         members = np.array([particle, *near])
         offset = rest[members] - rest[members].mean(axis=0)
         extent = np.linalg.svd(offset, compute_uv=False)
-        if len(near) >= 2 and extent[1] > _FLAT * extent[0]:
+        # Neighbourhoods on a line have no rotation.
+        if len(near) >= 2 and extent[1] > 1e-6 * extent[0]:
             shapes.append(members)
             offsets.append(offset)
     sizes = [2] * len(edges) + [4] * len(tetrahedra) + [len(shape) for shape in shapes]

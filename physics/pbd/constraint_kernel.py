@@ -17,10 +17,7 @@ import numpy as np
 from palpate.physics.jit import inlined
 from palpate.physics.pbd.body import NORM_GUARD
 
-_TURNS = 60
 _NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-_SETTLED = 1e-16
-"""Square of half a turn after which another would be its square: below rounding."""
 
 
 @inlined
@@ -126,7 +123,7 @@ def _solved(s, right):
 def _settled(matrix, turn, index):
     """Rotation R that makes tr(Rᵀ A) largest, from `turn[index]` on, which becomes its quaternion."""
     w, x, y, z = turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3]
-    for _ in range(_TURNS):
+    for _ in range(60):
         left = _turned_back(_rotation_of((w, x, y, z)), matrix)
         skew = _axial(left)
         spin, sound = _solved(left, skew)
@@ -142,7 +139,8 @@ def _settled(matrix, turn, index):
         )
         scale = 1 / np.sqrt(w * w + x * x + y * y + z * z)
         w, x, y, z = w * scale, x * scale, y * scale, z * scale
-        if a * a + b * b + c * c < _SETTLED:
+        # Square of half a turn after which another would be its square: below rounding.
+        if a * a + b * b + c * c < 1e-16:
             break
     turn[index, 0], turn[index, 1], turn[index, 2], turn[index, 3] = w, x, y, z
     return _rotation_of((w, x, y, z))

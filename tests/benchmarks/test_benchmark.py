@@ -96,20 +96,6 @@ def test_pictures_of_another_size_are_another_folder_s(tmp_path, evaluated, monk
     assert sizes == [(214, 120), (854, 480)]
     assert run(tmp_path, "--size", "854x480", clips=1) == 2
     assert "holds results of another size" in capsys.readouterr().err
-    assert run(tmp_path, "--observation", "contact", clips=1) == 2
-    assert "holds results of another estimator direct" in capsys.readouterr().err
-
-
-def chosen(*arguments):
-    return options(Benchmark, ["--output", "x", *arguments], "benchmarks.recovery", "")
-
-
-def test_direct_and_network_are_told_what_to_look_at():
-    told = ("--estimator", "direct", "network", "--model", "m.onnx")
-    found = {name: each.observation for name, each in chosen(*told).estimators.items()}
-    assert found == dict.fromkeys(("direct", "network"))
-    found = {name: each.observation for name, each in chosen(*told, "--observation", "contact").estimators.items()}
-    assert found == {"direct": "contact", "network": "contact"}
 
 
 def test_the_bound_is_chosen_after_the_clips_were_measured(tmp_path, evaluated):
@@ -153,7 +139,6 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--size=-854x480",), "-854x480 is no size of pictures"),
         (("--size", "８５４x480"), "８５４x480 is no size of pictures"),
         (("--size", "854x4.8e2"), "854x4.8e2 is no size of pictures"),
-        (("--observation", "sequence"), "sequence"),
         (("--bound", "sequence"), "sequence"),
     ],
 )
@@ -165,7 +150,8 @@ def test_options_that_take_something_else_or_do_not_belong_together(tmp_path, ar
 
 
 def test_all_suites_once_and_in_order():
-    found = chosen("--suite", "noisy", "--suite", "all", "clean")
+    arguments = ["--output", "x", "--suite", "noisy", "--suite", "all", "clean"]
+    found = options(Benchmark, arguments, "evaluation.benchmark", "")
     assert found.suites == list(SUITES)
     assert list(found.estimators) == ["direct"]
 

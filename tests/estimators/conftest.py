@@ -1,7 +1,6 @@
 """A small synthetic clip and an untrained posterior, shared by the tests of the estimators."""
 
 import dataclasses
-from pathlib import Path
 
 import pytest
 import torch
@@ -39,18 +38,8 @@ def frames(pressed: SyntheticClip) -> list[PreparedFrame]:
 @pytest.fixture(scope="session")
 def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
     """An untrained posterior, exported."""
-    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES)
-
-
-@pytest.fixture(scope="session")
-def sequence_posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
-    """The same that is told of the whole dent."""
-    return _exported(tmp_path_factory.mktemp("posterior"), FEATURES + SEQUENCE_FEATURES)
-
-
-def _exported(folder: Path, features: int) -> PosteriorModel:
     torch.manual_seed(0)
-    path = folder / "contact.onnx"
+    path, features = tmp_path_factory.mktemp("posterior") / "contact.onnx", FEATURES + SEQUENCE_FEATURES
     sections = {"geometry": clip_info().geometry, "mechanics": MECHANICS, "bounds": BOUNDS}
     told = {name: dataclasses.asdict(section) for name, section in sections.items()}
     document = metadata(**told, observation="trajectory", contact={"press_seconds": (0.24, 0.48)})

@@ -12,7 +12,7 @@ import yaml
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.estimators.force_scale import MASS, SHEET_FACTOR, STIFFNESS, ClipLength
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR, ClipLength
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
@@ -39,10 +39,10 @@ def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> Non
 def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> None:
     rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 3, 0.1)]
     (tmp_path / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
-    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2], homogeneous="stiffness")
+    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2])
     scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
-    assert (scale.homogeneous, scale.source) == (STIFFNESS, "forces measured at frame 10")
-    assert math.exp(scale.log) == pytest.approx(3.0 * 0.5 / 0.2)
+    assert (scale.homogeneous, scale.source) == (MASS, "forces measured at frame 10")
+    assert math.exp(scale.log) == pytest.approx(3.0 / 0.2)
     assert calibration.known.times.max() == pytest.approx(1.2)
     assert calibration.files == (tmp_path / "known.yaml", tmp_path / "forces.csv")
     with pytest.raises(NoEstimate, match="3 or more forces are known"):
@@ -104,7 +104,6 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({"measured": "forces.csv"}, "measured and known_s belong together; give both."),
         ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
-        (STIFF | {"homogeneous": "stiffness"}, "homogeneous is for a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),

@@ -37,7 +37,7 @@ from tests.estimators.test_runs import whole_clip_runs
 from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
-OTHERS = "network with depth", "network with depth-change sequence", "network by light", "online with a volume"
+OTHERS = "network with depth", "online with a volume"
 ESTIMATORS = *NAMES, *OTHERS
 FPS = (25.0, 30.0)
 Said = tuple[list[FrameEstimate], list[InteractionEstimate]]
@@ -50,19 +50,16 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     """How every estimator is opened; those that take depth look at three frames."""
     folder = tmp_path_factory.mktemp("models")
     common = {"geometry": dataclasses.asdict(clip_info().geometry), "observation": "trajectory"}
-    write_model(folder / "gan.onnx", metadata(3, **common))
+    write_model(folder / "gan.onnx", metadata(3, **common | {"observation": "final"}))
     coarse = folder / "online.yaml"
     coarse.write_text("particles: 60\nstrain: 0.002\n")  # a press across the line of sight moves little
     thick = folder / "thick.yaml"
     thick.write_text("particles: 90\nthickness: 0.1\nstrain: 0.002\n")
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
-    write_posterior(folder / "depth.onnx", document, FEATURES)
-    write_posterior(folder / "depth-change sequence.onnx", document, FEATURES + SEQUENCE_FEATURES)
+    write_posterior(folder / "depth.onnx", document, FEATURES + SEQUENCE_FEATURES)
     return {
         "network": EstimatorOptions("network"),
         "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
-        "network with depth-change sequence": EstimatorOptions(model=folder / "depth-change sequence.onnx"),
-        "network by light": EstimatorOptions("network", observation="brightness"),
         "gan": EstimatorOptions("gan", folder / "gan.onnx"),
         "direct": EstimatorOptions("direct", onset="stamp"),
         "online": EstimatorOptions("online", settings=coarse),
@@ -212,10 +209,9 @@ def require_complete(estimator: Estimator, found: Estimate) -> None:
     assert found.view_angle is not None or found.by_light
 
 
-@pytest.mark.parametrize("observation", [None, "contact"])
-def test_depth_counts_unless_a_network_that_takes_it_looks_at_the_point_alone(files, frames, observation) -> None:
+def test_depth_counts_for_a_network_that_takes_it(files, frames) -> None:
     """Of frames and of runs alike: other pictures, other estimates."""
-    estimator = open_estimator(dataclasses.replace(files["network with depth"], observation=observation))
+    estimator = open_estimator(files["network with depth"])
     dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
     estimates = 0
     told, other = ([*chain(*follow(estimator.start(clip_info()), each))] for each in (frames, dark))
@@ -223,8 +219,7 @@ def test_depth_counts_unless_a_network_that_takes_it_looks_at_the_point_alone(fi
         first, second = (item.estimate for item in said)
         assert (first is None) == (second is None)
         if first is not None:
-            pair = first.theta, second.theta
-            assert np.array_equal(*pair) if observation else not np.allclose(*pair, rtol=1e-6)
+            assert not np.allclose(first.theta, second.theta, rtol=1e-6)
             estimates += 1
     assert estimates > 1
 
@@ -292,7 +287,7 @@ def faulty(
     bare = np.isin(kept, without_tool)
     parts["labels"][bare] = np.where(parts["labels"][bare] == CLASSES["grasper"].grey, 0, parts["labels"][bare])
     cut = dataclasses.replace(clip, **parts)
-    inputs = {"masks": FaultyMasks(cut, without_mask), "depth": _Depth(cut), "camera": clip.scene.camera}
+    inputs = {"masks": FaultyMasks(cut, without_mask), "depth": _Depth(cut), "camera": clip.camera}
     source = FaultySource(cut, kept, unreadable)
     return list(ClipStream(source, PrepareSettings(geometry=clip_info().geometry), **inputs))
 

@@ -13,7 +13,6 @@ from palpate.estimators.estimate import (
     SYMBOLS,
     Estimate,
     combined,
-    mixture,
 )
 from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
@@ -129,23 +128,6 @@ def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
     assert numbers["damping_over_stiffness_low"] == numbers["damping_over_stiffness_high"] == pytest.approx(0.12)
 
 
-def test_estimates_of_one_contact_are_one() -> None:
-    """Mean and spread of their logarithms, for the verdict as well; the rest is that of the best explanation."""
-    first = Estimate(np.array([0.2, 0.05, -0.1]), CORRELATED, noise=0.001, misfit=1.2)
-    theta, expected = np.array([0.4, 0.05, -0.2]), 4 * np.eye(3)
-    best = Estimate(theta, 2 * CORRELATED, misfit=0.9, noise=0.002, expected_information=expected)
-    assert mixture([first]) is first
-    found = mixture([first, best])
-    np.testing.assert_allclose(found.theta, [0.2 * np.sqrt(2), 0.05, -0.1 * np.sqrt(2)])
-    apart = np.log(2) ** 2 / 4 * np.outer([1, 0, 1], [1, 0, 1])
-    np.testing.assert_allclose(found.covariance, 1.5 * CORRELATED + apart)
-    expected = (CORRELATED + np.eye(3) / 4) / 2 + apart
-    np.testing.assert_allclose(np.linalg.inv(found.expected_information), expected)
-    assert (found.misfit, found.noise) == (0.9, 0.002)
-    blind = dataclasses.replace(first, expected_information=np.zeros((3, 3)))
-    assert mixture([blind, blind]).verdict == "undetermined"
-
-
 def test_widening_adds_covariances() -> None:
     found = Estimate(THETA, CORRELATED).widened(0.3 * np.eye(3))
     np.testing.assert_allclose(found.covariance, CORRELATED + 0.3 * np.eye(3))
@@ -171,7 +153,7 @@ def test_depth_and_light_that_agree_are_the_mean_of_two_measurements() -> None:
 
 def test_depth_and_light_that_contradict_each_other_determine_nothing() -> None:
     found = combined(BY_DEPTH, Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3)))
-    assert found.refuted == "The tissue's depth and its brightness contradict each other."
+    assert found.refuted == "The tissue's depth and its shading contradict each other."
     assert found.verdict == "undetermined"
 
 

@@ -11,7 +11,7 @@ def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> No
     usual = open_estimator(EstimatorOptions(name)).described
     assert (usual["name"], usual["onset"], usual["horizon"]) == (name, "between", None)
     assert usual["observation"] == "auto"  # depth where it is given, else light
-    for chosen in ({"horizon": 3}, {"onset": "stamp"}, {"observation": "contact"}):
+    for chosen in ({"horizon": 3}, {"onset": "stamp"}, {"observation": "depth"}):
         assert open_estimator(EstimatorOptions(name, **chosen)).described == usual | chosen
 
 
@@ -27,13 +27,13 @@ def test_only_the_network_can_be_fast(tmp_path) -> None:
 
 
 def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -> None:
-    options = EstimatorOptions("gan", write_model(tmp_path / "gan.onnx"), observation="contact")
-    with pytest.raises(ValueError, match="sees single frames; leave --observation contact out"):
+    options = EstimatorOptions("gan", write_model(tmp_path / "gan.onnx"), observation="depth")
+    with pytest.raises(ValueError, match="sees single frames; leave --observation depth out"):
         open_estimator(options)
 
 
 def test_the_network_goes_by_one_observation() -> None:
-    with pytest.raises(ValueError, match="both is not for --estimator network; take direct"):
+    with pytest.raises(ValueError, match="both is for --estimator direct; take that"):
         open_estimator(EstimatorOptions("network", observation="both"))
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from palpate.physics import Mechanics, Press, contact_normal, grid_mesh, held
-from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)
@@ -59,6 +59,16 @@ def make_batch() -> Callable[..., dict[str, Any]]:
     return build
 
 
+class OnePixel:
+    """What a camera sees that looks along z at one vertex."""
+
+    vertices = np.zeros(1, np.int64)
+
+    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change of its depth and the derivatives."""
+        return moved[..., 2], slopes[:, :, 2]
+
+
 @pytest.fixture(scope="session")
 def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
     """`make_told_batch(window=1)`: the same with what was known of the contacts, for head posterior."""
@@ -70,13 +80,16 @@ def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
             batch[f"mesh_{side}"], batch[f"load_{side}"] = batch["mesh_a"], batch["load_a"]
             batch[f"observation_{side}"] = batch["observation_a"]
             batch[f"known_load_{side}"] = batch["load_a"]
-            batch[f"known_observation_{side}"] = ObservationBatch(
-                torch.tensor([[3, 7], [3, 0]]),
-                torch.tensor([[0.0, 0.0, 0.01], [0.0, 0.0, 0.02]]).expand(2, 2, 3),
-                torch.tensor([[1.0, 1.0], [1.0, 0.0]]),
-            )
             batch[f"contact_features_{side}"] = vectors
-            batch[f"noise_{side}"] = torch.tensor([1e-3, 2e-3])
+            batch[f"dent_{side}"] = DepthBatch(
+                views=[OnePixel()] * 2,
+                vertices=torch.tensor([[load.vertex] for load in batch["load_a"]]),
+                steps=torch.tensor([[3, 7], [3, 0]]),
+                change=torch.tensor([0.01, 0.02]).expand(2, 2)[..., None].clone(),
+                weight=torch.tensor([[1.0, 1.0], [1.0, 0.0]])[..., None],
+                noise=torch.tensor([1e-3, 2e-3]),
+                common=torch.zeros(1, 1),
+            )
         return batch
 
     return build

@@ -39,7 +39,7 @@ def test_the_same_model_passes_and_where_it_starts_does_not_matter(checkpoint: P
     ("change", "message"),
     [
         ({"width": 8}, r"model\.width = 4 and the configuration says 8"),
-        ({"decoder": "residual"}, r"model\.decoder = direct"),
+        ({"decoder": "physics"}, r"model\.decoder = direct"),
         ({"head": "posterior"}, r"model\.head = parameters and the configuration says posterior"),
         ({"window": 2}, r"model\.window = 1"),
         ({"bounds": asdict(Bounds(force=(-6.0, 0.0)))}, r"model\.bounds\.force = \[-10\.0, 0\.0\]"),

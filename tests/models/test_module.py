@@ -2,7 +2,6 @@
 
 import warnings
 
-import numpy as np
 import pytest
 import torch
 from lightning.pytorch import Trainer
@@ -14,7 +13,6 @@ from palpate.models.losses import LossWeights, posterior_physics_loss, total
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged, with_current
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
-from palpate.physics.msd.batch import DepthBatch, ObservationBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -24,7 +22,9 @@ NETWORKS = ("generator_ab", "generator_ba", "discriminator_a", "discriminator_b"
 
 def build(kind: type[PhysicsInformedGAN] = PhysicsInformedGAN, **settings) -> PhysicsInformedGAN:
     torch.manual_seed(0)
-    return kind(**{"width": 4, "residual_blocks": 1, "bounds": BOUNDS, "mechanics": MECHANICS} | settings)
+    module = kind(**{"width": 4, "residual_blocks": 1, "bounds": BOUNDS, "mechanics": MECHANICS} | settings)
+    module.transfer_batch_to_device = lambda batch, *_: batch  # meshes stay where they are, as by the data module
+    return module
 
 
 def fit(module: PhysicsInformedGAN, batches: list[dict], epochs: int = 1) -> Trainer:
@@ -249,7 +249,7 @@ def bound_error(module: PhysicsInformedGAN, batch: dict) -> float:
     generator = module.generator_ab
     posterior = generator.posterior
     answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
-    seen = (batch[f"{name}_a"] for name in ("noise", "mesh", "known_load", "known_observation"))
+    seen = (batch[f"{name}_a"] for name in ("mesh", "known_load", "dent"))
     box = posterior.lower, posterior.upper
     _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
     return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
@@ -293,56 +293,8 @@ def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     expected = build(**POSTERIOR).generator_losses(batch)[0]["physics"]
     batch["observation_a"].displacement = torch.full((2, 1, 3), 9.0)
     assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], expected)
-    batch["known_observation_a"].displacement = torch.zeros(2, 2, 3)
+    batch["dent_a"].change = torch.zeros(2, 2, 1)
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], expected)
-
-
-class OnePixel:
-    """What a camera sees that looks along a direction [1, 3] at one vertex."""
-
-    def __init__(self, along: np.ndarray) -> None:
-        self.along, self.vertices = along, np.zeros(1, np.int64)
-
-    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.einsum("nvc,vc->nv", moved, self.along), np.einsum("nvcd,vc->nvd", slopes, self.along)
-
-
-def dent_of(batch: dict) -> DepthBatch:
-    """A dent of one pixel, 0.01 deep, at the instants of a batch's observations."""
-    seen = batch["known_observation_a"]
-    return DepthBatch(
-        views=[OnePixel(load.direction[None]) for load in batch["load_a"]],
-        vertices=torch.tensor([[load.vertex] for load in batch["load_a"]]),
-        steps=seen.steps,
-        change=torch.full((2, 2, 1), 0.01),
-        weight=seen.weight[..., None],
-        noise=batch["noise_a"],
-        common=torch.zeros(1, 1),
-    )
-
-
-def test_with_a_sequence_the_bound_is_about_the_dent(make_told_batch):
-    """Told as a dent of one pixel, the point gives nearly the same."""
-    batch = make_told_batch()
-    seen, dent = batch["known_observation_a"], dent_of(batch)
-    along = torch.tensor(np.stack([load.direction[None] for load in batch["load_a"]]), dtype=torch.float32)
-    point = ObservationBatch(seen.steps, seen.displacement * 0 + 0.01 * along, seen.weight)
-    module = build(**POSTERIOR)
-    generator = module.generator_ab
-    answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
-    box = generator.posterior.lower, generator.posterior.upper
-    known = batch["noise_a"], batch["mesh_a"], batch["known_load_a"], point, module.mechanics, box
-    found = [posterior_physics_loss(answer.mean, answer.factor, *known, view) for view in (None, dent)]
-    # The dent says nothing across the force, along which the contact moves.
-    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].max()))
-    assert float(found[0][0].detach()) == pytest.approx(float(found[1][0].detach()), rel=1e-3)
-    for side in ("a", "b"):
-        batch[f"dent_{side}"] = dent
-    before = build(**POSTERIOR).generator_losses(batch)[0]["physics"]
-    batch["known_observation_a"].displacement = torch.zeros(2, 2, 3)
-    assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], before)
-    dent.change = dent.change + 0.01
-    assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], before)
 
 
 def test_test_records_of_head_posterior(make_told_batch):

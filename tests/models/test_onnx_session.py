@@ -44,9 +44,9 @@ def test_not_an_onnx_file(tmp_path):
         onnx_session.ParameterModel(tmp_path / "nothing.onnx")
     path = write_model(tmp_path / "m.onnx")
     cut = path.read_bytes()[:-40]
-    for content, said in ((b"", "not a"), (b"this is text", "not a"), (bytes(range(256)) * 8, "not a"), (cut, "")):
+    for content in (b"", b"this is text", bytes(range(256)) * 8, cut):
         path.write_bytes(content)
-        with pytest.raises(onnx_session.ModelFileError, match=rf"m\.onnx is {said}"):
+        with pytest.raises(onnx_session.ModelFileError, match=r"m\.onnx (is not a|can't be opened as an ONNX model)"):
             onnx_session.ParameterModel(path)
 
 

@@ -8,7 +8,7 @@ import matplotlib.figure  # noqa: F401  what the writer imports meanwhile is no 
 import numpy as np
 
 from palpate.data.labels import TOOL
-from palpate.estimators.online.particle_field import YOUNG, ParticleField
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.results.columns import FIELD, FRAMES, row
 from palpate.results.field_file import FieldFile
@@ -50,7 +50,6 @@ def test_columns_tell_quantiles_where_it_is_known() -> None:
     told = dict.fromkeys(("distance_stiffness", "distance_stiffness_low", "distance_stiffness_high"), "4")
     told |= dict.fromkeys((f"shape_stiffness{end}" for end in ("", "_low", "_high", "_log_sd")), "")
     told |= {"distance_stiffness_log_sd": "0.3", "field_known": "0.75", "shape_known": "0"}
-    told |= dict.fromkeys(YOUNG, "")
     assert {name: cells[name] for name in FIELD} == told | {"skill": "0.75", "gap": "0.25"}
     assert FIELD_SEEN.verdict == "stiffness_ratios"
     nothing = dataclasses.replace(FIELD_SEEN, known=np.zeros(4, bool), gap=None)

@@ -21,8 +21,8 @@ def test_a_network_for_another_size_is_refused(tmp_path):
 
 def test_the_record_says_what_estimates_depend_on():
     nothing = {"model_sha256": "", "weights_sha256": "", "calibrated": None}
-    direct = EstimatorOptions("direct", onset="stamp", observation="contact", noise=0.002, horizon="press")
-    told = {"noise": 0.002, "observation": "contact", "seen": "press", "onset": "stamp"}
+    direct = EstimatorOptions("direct", onset="stamp", noise=0.002, horizon="press")
+    told = {"noise": 0.002, "seen": "press", "onset": "stamp"}
     assert describe(direct) == nothing | told
     network = describe(EstimatorOptions("network"))
     assert network["model_sha256"] == sha256_of(SHIPPED)

@@ -12,6 +12,8 @@ CHANGED = {
     "noisy": {"depth_noise": 0.004},
     "flicker": {"scale_flicker": 0.005},
     "mask-error": {"mask_error": 1.0},
+    "focal-error": {"focal_error": 1.1},
+    "occlusion": {"occlusion": 0.2},
     "mismatch": {"stiffness_variation": 0.3},
     "oblique": {"max_tilt_deg": 30.0},
     "late-onset": {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},

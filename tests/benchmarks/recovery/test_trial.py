@@ -38,7 +38,7 @@ def truth():
 
 
 def test_suites_that_only_observe_otherwise_share_a_truth():
-    for name in ("clean", "flicker", "8bit"):
+    for name in ("clean", "focal-error", "8bit"):
         assert SUITES[name].truth_settings(2) == SUITES["clean"].truth_settings(2)
     others = {SUITES[name].truth_settings(2) for name in ("clean", "mismatch", "oblique", "late-onset")}
     assert len(others) == 4

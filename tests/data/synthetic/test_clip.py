@@ -1,16 +1,21 @@
 """Synthetic clips as files: layout, reading back, keeping, refusing; and as arrays: determinism."""
 
 import dataclasses
+import itertools
 import json
+import tempfile
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.common import output
+from palpate.common.files import file_sha256
 from palpate.common.output import LIST
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.discovery import discover
@@ -18,6 +23,7 @@ from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic import clip as clips
 from palpate.data.synthetic.__main__ import main
 from palpate.data.synthetic.clip import SyntheticClip, clip_seed, write_clip
+from palpate.data.synthetic.files import open_video
 from palpate.data.synthetic.settings import SceneSettings
 from tests.data.clips import make_clip
 
@@ -38,7 +44,7 @@ def clip() -> SyntheticClip:
 
 
 def test_the_same_seed_gives_the_same_clip_and_errors_of_observation_leave_the_truth_alone(clip: SyntheticClip) -> None:
-    errors = {"depth_noise": 0.004, "depth_bits": 8, "mask_error": 0.5, "scale_flicker": 0.01}
+    errors = {"depth_noise": 0.004, "depth_bits": 8, "mask_error": 0.5, "scale_flicker": 0.01, "focal_error": 1.2}
     settings = dataclasses.replace(SMALL, **errors)
     first, second, other = make_clip(settings, 11), make_clip(settings, 11), make_clip(settings, 4)
     for name in ("images", "labels", "depth"):
@@ -81,8 +87,15 @@ def test_the_truth_lies_beside_the_clip(written: Path, clip: SyntheticClip) -> N
         np.testing.assert_array_equal(arrays["mesh_vertices"], clip.scene.mesh.vertices)
         np.testing.assert_allclose(arrays["field"], clip.motion.field, atol=5e-5)
     description = json.loads((written / "clip.json").read_text(encoding="utf-8"))
-    assert description["camera"]["fx"] == pytest.approx(clip.scene.camera.fx)
+    assert description["camera"]["fx"] == pytest.approx(clip.camera.fx)
     assert "theta" not in description
+
+
+def test_the_truth_tells_when_the_force_started(tmp_path: Path) -> None:
+    folder = write_clip(tmp_path, 1, dataclasses.replace(SMALL, onset_delay=(0.25, 0.25), release_delay=(0.5, 0.5)), 11)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert (truth["force_delay_s"], truth["release_delay_s"]) == (pytest.approx(0.01), pytest.approx(0.02))
+    assert truth["onset_s"] == pytest.approx(truth["onset_frame"] / 25)  # the frame's, which is all that is seen
 
 
 def test_the_video_shows_the_same_frames(written: Path, clip: SyntheticClip) -> None:
@@ -93,6 +106,17 @@ def test_the_video_shows_the_same_frames(written: Path, clip: SyntheticClip) -> 
     reader.release()
     assert len(frames) == 20
     assert np.abs(np.stack(frames) - clip.images).mean() < 6
+
+
+def test_videos_of_odd_size_lose_their_last_row_and_column(tmp_path) -> None:
+    settings = dataclasses.replace(SMALL, width=109, height=63)
+    with open_video(tmp_path / "odd.mp4", settings) as add:
+        for _ in range(3):
+            add(np.full((63, 109, 3), (200, 50, 50), np.uint8))
+    done, frame = cv2.VideoCapture(str(tmp_path / "odd.mp4")).read()
+    assert done
+    assert frame.shape == (62, 108, 3)
+    np.testing.assert_allclose(frame.mean(axis=(0, 1)), (50, 50, 200), atol=8)
 
 
 def quick_frames(scene: SceneSettings, motion: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
@@ -157,6 +181,32 @@ def test_a_file_that_is_not_as_written_is_named_and_stays(tmp_path: Path, foreig
     assert json.loads((tmp_path / "video01" / "video01_00000" / "truth.json").read_text(encoding="utf-8"))["seed"] == 1
 
 
+@pytest.mark.usefixtures("quick")
+def test_a_huge_file_in_a_frame_s_place_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = write_clip(tmp_path, 1, SMALL, 1) / "frame_1_endo.png"
+    with frame.open("wb") as file:
+        file.truncate(12 * 2**30)
+    read = []
+    monkeypatch.setattr(output, "file_sha256", lambda path: read.append(path.name) or file_sha256(path))
+    with pytest.raises(FileExistsError, match=r"frame_1_endo\.png is not as this program wrote it"):
+        write_clip(tmp_path, 1, SMALL, 2, overwrite=True)
+    assert read
+    assert frame.name not in read
+    assert frame.stat().st_size == 12 * 2**30
+
+
+@pytest.mark.usefixtures("quick")
+def test_folders_behind_links_and_odd_markers_are_not_ours(tmp_path: Path) -> None:
+    write_clip(tmp_path, 2, SMALL, 1)
+    (tmp_path / "video01").symlink_to(tmp_path / "video02")
+    (tmp_path / "video03").mkdir()
+    (tmp_path / "video03" / LIST).write_text('{"files": ["frame_1_endo.png"]}')
+    for number in (1, 3):
+        with pytest.raises(FileExistsError, match=rf"video0{number}[^ ]* is not as this program wrote it"):
+            write_clip(tmp_path, number, SMALL, 2, overwrite=True)
+    assert (tmp_path / "video02" / "video02_00000" / "truth.json").is_file()
+
+
 RUNS = st.tuples(st.just("run"), st.integers(1, 2), st.integers(1, 2), st.booleans(), st.sampled_from((None, 0, 1)))
 """Number of the clip, seed, --overwrite, frame after which it is interrupted."""
 PUTS = st.tuples(
@@ -164,6 +214,35 @@ PUTS = st.tuples(
     st.sampled_from(("video01", "video01/video01_00000", "video02/sub", ".video01.1.partial", ".")),
     st.sampled_from((LIST, "truth.json", "frame_0_endo.png", "notes.txt")),
 )
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.one_of(RUNS, PUTS), min_size=2, max_size=6))
+def test_no_order_of_runs_interruptions_and_foreign_files_changes_a_user_s_file(events: list[tuple]) -> None:
+    with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        write_quickly(patch)
+        output, theirs, finished = Path(name), {}, set()
+        for kind, *event in events:
+            if kind == "put":
+                path = output / event[0] / event[1]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text("mine")
+                theirs[path] = "mine"
+            else:
+                number, seed, overwrite, interrupted = event
+                frames = itertools.count()
+
+                def advance(_: int, frames: Iterator[int] = frames, interrupted: int | None = interrupted) -> None:
+                    if next(frames) == interrupted:
+                        raise KeyboardInterrupt
+
+                with suppress(FileExistsError, KeyboardInterrupt):
+                    folder = write_clip(output, number, SMALL, seed, overwrite=overwrite, advance=advance)
+                    finished.add(number)
+                    assert json.loads((folder / "truth.json").read_text())["seed"] == seed
+            assert {path: path.read_text() for path in theirs if path.exists()} == theirs
+            known = {path.relative_to(output).parts[0] for path in theirs} | {f"video{seen:02d}" for seen in finished}
+            assert {path.name for path in output.iterdir()} == known  # nothing is left half written
 
 
 def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -84,3 +84,12 @@ def test_motions_follow_the_fitted_simulator() -> None:
     coarse = dataclasses.replace(FINE_MECHANICS, time_step=seen.time_step, steps=seen.load.steps)
     path = simulate(contact.theta, seen.mesh, seen.load, coarse)
     assert np.abs(path[seen.observation.steps(seen.time_step)] - seen.moved).max() < 5e-4
+
+
+@pytest.mark.parametrize("reach", [2, 5])
+def test_the_cut_edge_is_held(scene: Scene, reach: int) -> None:
+    mesh, _, cut = crop_mesh(scene.mesh, scene.vertex, reach)
+    edge = np.abs(mesh.pixels - scene.mesh.pixels[scene.vertex]).max(axis=1) == reach
+    np.testing.assert_array_equal(cut, edge)
+    assert edge.any()
+    assert mesh.rim[edge].all()

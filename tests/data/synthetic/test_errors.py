@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, stored_to_depth
+from palpate.data.source.camera import Camera
+from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from palpate.data.synthetic.settings import SceneSettings
 
 SMALL = SceneSettings(width=214, height=120)
@@ -53,6 +54,12 @@ def test_a_depth_s_bias_is_smooth_and_of_its_size() -> None:
     assert (depth_bias(SMALL, np.random.default_rng(0)) == 1).all()
 
 
+def test_missing_depth_stays_missing_and_noise_makes_none() -> None:
+    holes = np.where(DEPTH > 0.6, 0, 0.001).astype(np.float32)
+    noisy = observed(holes, depth_noise=0.01, depth_bits=8)
+    np.testing.assert_array_equal(noisy == 0, holes == 0)
+
+
 def test_mask_error_displaces_outlines_by_its_size() -> None:
     settings = dataclasses.replace(SMALL, width=428, height=240, mask_error=1.0)
     labels = np.where(np.arange(428) < 214, 22, 21).astype(np.uint8) * np.ones((240, 1), np.uint8)
@@ -64,3 +71,10 @@ def test_mask_error_displaces_outlines_by_its_size() -> None:
     # One grid pixel is two pixels of this picture.
     assert np.std(edges) == pytest.approx(2.0, rel=0.15)
     assert observe_labels(labels, SMALL, np.random.default_rng(0)) is labels
+
+
+def test_focal_error_changes_the_claimed_focal_length_only() -> None:
+    camera = Camera.from_field_of_view(60, 214, 120)
+    claimed = reported_camera(camera, dataclasses.replace(SMALL, focal_error=1.1))
+    assert (claimed.fx, claimed.fy) == (pytest.approx(1.1 * camera.fx), pytest.approx(1.1 * camera.fy))
+    assert (claimed.cx, claimed.cy, claimed.width) == (camera.cx, camera.cy, camera.width)

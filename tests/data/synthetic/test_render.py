@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.data.contact.geometry import GeometrySettings, GeometryStatus, frame_geometry
-from palpate.data.synthetic.clip import SyntheticClip
-from palpate.data.synthetic.render import GREY, Renderer
+from palpate.data.synthetic.clip import SyntheticClip, synthetic_clip
+from palpate.data.synthetic.render import GREY, Renderer, encode_srgb
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
@@ -86,6 +86,11 @@ def test_visible_points_are_where_their_rest_points_went(case: tuple[Scene, True
     assert np.abs(flow - moved)[smooth].max() < 0.5
 
 
+def test_a_frame_at_rest_is_the_rest_view(case: tuple[Scene, TrueMotion, SheetView]) -> None:
+    scene, motion, rest = case
+    assert deformed_view(scene, motion, ONSET, rest) is rest
+
+
 def test_masks_partition_the_picture(clip: SyntheticClip) -> None:
     assert set(np.unique(clip.labels)) <= {GREY[n] for n in ("gallbladder", "liver", "abdominal wall", "grasper")}
     assert (clip.labels == GREY["gallbladder"]).sum(axis=(1, 2)).min() > 5000
@@ -100,12 +105,12 @@ def test_contact_is_found_in_exactly_the_frames_of_contact(seed: int) -> None:
     for frame in range(SMALL.frames):
         labels = tissue_tool(clip.labels[frame])
         if motion.onset_frame <= frame < motion.release_frame:
-            geometry = frame_geometry(clip.depth[frame], labels, clip.scene.camera, settings)
+            geometry = frame_geometry(clip.depth[frame], labels, clip.camera, settings)
             assert (geometry.touching, tip_offset(scene, motion, frame).any()) == (True, False)
             assert geometry.distance < 0.01
         else:
             with pytest.raises(GeometryStatus, match=r"more than|fewer than"):
-                frame_geometry(clip.depth[frame], labels, clip.scene.camera, settings)
+                frame_geometry(clip.depth[frame], labels, clip.camera, settings)
         if frame == motion.onset_frame:
             row, column = scene.mesh.pixels[scene.vertex]
             assert geometry.pixel == (column, row)
@@ -120,6 +125,28 @@ def test_light_falls_with_the_square_of_the_distance(clip: SyntheticClip) -> Non
         renderer = Renderer(scene, clip.motion, np.random.default_rng(0))  # at rest, whatever the motion
         means.append(renderer._tissue_light(renderer.rest, np.s_[0:120, 0:214]).mean())
     assert means[0] / means[1] == pytest.approx((0.6 / 0.4) ** 2, rel=1e-3)
+
+
+def test_srgb_curve() -> None:
+    linear = np.array([0.0, 0.001, 0.0031308, 0.18, 0.5, 1.0])
+    expected = np.array([0.0, 0.01292, 0.04045, 0.46136, 0.73536, 1.0])
+    np.testing.assert_allclose(encode_srgb(linear), expected, atol=5e-4)
+
+
+def test_image_noise_has_the_wanted_size(clip: SyntheticClip) -> None:
+    noisy = dataclasses.replace(clip.scene, settings=dataclasses.replace(SMALL, image_noise=0.02))
+    images = synthetic_clip(noisy, clip.motion, 5).images.astype(float)
+    # Two frames before contact differ by noise and the tool, which stays in its part of the picture.
+    assert np.median(np.abs(images[0] - images[1])) / 255 == pytest.approx(0.6745 * np.sqrt(2) * 0.02, rel=0.1)
+
+
+def test_occlusion_hides_its_share_of_the_tissue(clip: SyntheticClip) -> None:
+    hidden, bare = make_clip(dataclasses.replace(SMALL, occlusion=0.2), 5), clip
+    tissue = (bare.labels == GREY["gallbladder"]).sum()
+    fat = hidden.labels == GREY["fat"]
+    assert (fat & (bare.labels == GREY["gallbladder"])).sum() / tissue == pytest.approx(0.2, abs=0.03)
+    assert (hidden.depth[fat] < bare.depth[fat]).all()
+    np.testing.assert_array_equal(hidden.motion.contact, bare.motion.contact)
 
 
 def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, TrueMotion, SheetView]) -> None:

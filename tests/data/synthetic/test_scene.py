@@ -61,7 +61,7 @@ def test_a_scene_that_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize("change", [
     {"width": 32}, {"width": 100}, {"frames": 3}, {"fps": 0.0}, {"force": (0.1, 0.2)}, {"stiffness": (1.0, 0.2)},
     {"stiffness": (1e300, 1e301)}, {"stiffness": (1.0, 2e5)}, {"damping": (0.1, 11.0)}, {"depth_noise": -0.1},
-    {"stiffness": (0.2, 1.0), "mass": 1e-12}, {"depth_bits": 12}, {"field_of_view_deg": 180.0},
+    {"stiffness": (0.2, 1.0), "mass": 1e-12}, {"depth_bits": 12}, {"occlusion": 1.0}, {"field_of_view_deg": 180.0},
 ])  # fmt: skip
 def test_impossible_settings_are_refused(change: dict) -> None:
     with pytest.raises(ValueError, match=f"scene.{next(iter(change))}"):

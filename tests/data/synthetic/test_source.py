@@ -1,5 +1,6 @@
 """A synthetic clip prepared in memory equals the same clip prepared from its files."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -41,3 +42,15 @@ def test_memory_and_files_give_the_same_clip(tmp_path: Path) -> None:
         np.testing.assert_array_equal(first.springs, second.springs)
         np.testing.assert_array_equal(first.pixels, second.pixels)
         np.testing.assert_allclose(first.vertices, second.vertices, atol=1e-5)
+
+
+def test_the_claimed_camera_is_used(tmp_path: Path) -> None:
+    """A focal length said to be larger makes the sheet smaller across, not along the view."""
+    shorter, longer = (
+        stored(open_synthetic(make_clip(scene, SEED), SETTINGS), tmp_path / str(scene.focal_error))
+        for scene in (SCENE, dataclasses.replace(SCENE, focal_error=1.25))
+    )
+    index = int(np.flatnonzero(shorter.contact & longer.contact)[0])
+    first, second = np.ptp(shorter.mesh(index).vertices, axis=0), np.ptp(longer.mesh(index).vertices, axis=0)
+    np.testing.assert_allclose(first[:2] / second[:2], 1.25, rtol=0.02)
+    np.testing.assert_allclose(first[2], second[2], rtol=0.02)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from palpate.data.synthetic import truth as truths
 from palpate.data.synthetic.scene import Scene, SceneError, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import PressedMotion, cut_window, draw_motion, draw_theta, simulate_motion
+from palpate.data.synthetic.truth import PressedMotion, cut_window, draw_motion, draw_shape, draw_theta, simulate_motion
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -80,6 +80,21 @@ def test_first_instants_follow_the_closed_form(scene: Scene, motion: PressedMoti
     assert motion.response[0] @ scene.direction == pytest.approx(expected, rel=0.01)
 
 
+def test_a_wider_window_changes_nothing(scene: Scene, motion: PressedMotion, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("palpate.data.synthetic.truth._reach", lambda *_: 200)
+    whole = simulate_motion(scene, THETA, ONSET, RELEASE)
+    assert len(whole.moving) == len(scene.mesh.vertices)
+    np.testing.assert_allclose(whole.response, motion.response, atol=3e-6)
+
+
+def test_the_window_holds_its_border_and_the_rim_but_never_the_contact(scene: Scene) -> None:
+    window = cut_window(scene, 6, None, PressShape())
+    assert not window.held[window.contact]
+    apart = np.abs(scene.mesh.pixels[window.vertices] - scene.mesh.pixels[scene.vertex]).max(axis=1)
+    np.testing.assert_array_equal(window.held, (apart == 6) | scene.mesh.rim[window.vertices])
+    np.testing.assert_allclose(np.linalg.norm(window.edges, axis=1), window.lengths)
+
+
 def with_settings(scene: Scene, **changes) -> Scene:
     return dataclasses.replace(scene, settings=dataclasses.replace(scene.settings, **changes))
 
@@ -123,6 +138,17 @@ def test_a_force_that_leans_moves_tissue_to_its_side(scene: Scene, motion: Press
     assert aside @ right / (aside @ scene.direction) == pytest.approx(lean, rel=0.1)
 
 
+def test_a_drawn_shape_lies_in_its_ranges(scene: Scene) -> None:
+    ends = {"patch_radius": (2.0, 3.0), "force_tilt_deg": (5.0, 9.0), "rise": (0.1, 0.2), "fall": (0.3, 0.4)}
+    settings = with_settings(scene, profile="hold", **ends).settings
+    shapes = [draw_shape(settings, 0.5, np.random.default_rng(seed)) for seed in range(50)]
+    tilts = np.degrees(np.arctan([np.hypot(*shape.lean) for shape in shapes]))
+    found = np.column_stack([[(shape.radius, shape.rise, shape.fall) for shape in shapes], tilts])
+    assert ((found >= [2, 0.05, 0.15, 5]) & (found <= [3, 0.1, 0.2, 9])).all()
+    assert np.ptp([shape.radius for shape in shapes]) > 0.8
+    assert min(shape.lean[0] for shape in shapes) < 0 < max(shape.lean[1] for shape in shapes)
+
+
 @pytest.mark.parametrize("share", [0.25, 0.625, 1.0])
 def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMotion, share: float) -> None:
     delay = share / 25
@@ -139,6 +165,32 @@ def test_a_late_force_is_the_same_motion_later(scene: Scene, motion: PressedMoti
     np.testing.assert_allclose(late.field[:, where], late.contact, atol=1e-7)
     # Frames show the force that acts just after them: it starts after the onset's and ends after the release's.
     np.testing.assert_array_equal(late.force != 0, (np.arange(24) > ONSET) & (np.arange(24) <= RELEASE))
+
+
+@pytest.mark.slow
+def test_the_delay_has_a_random_stream_of_its_own(scene: Scene, drawn: list[PressedMotion]) -> None:
+    waiting = with_settings(scene, onset_delay=(0.0, 1.0))
+    late = [draw_motion(waiting, np.random.default_rng(seed)) for seed in range(2)]
+    for before, after in zip(drawn, late, strict=True):
+        np.testing.assert_array_equal(after.theta, before.theta)
+        assert (after.onset_frame, after.release_frame) == (before.onset_frame, before.release_frame)
+        assert before.delay == 0 < after.delay < 1 / 25
+    assert late[0].delay != late[1].delay
+    both = with_settings(scene, onset_delay=(0.0, 1.0), release_delay=(0.0, 1.0))
+    found = draw_motion(both, np.random.default_rng(0))
+    assert found.delay == late[0].delay != found.release_delay
+
+
+def test_a_late_release_holds_the_force_for_longer(scene: Scene, motion: PressedMotion) -> None:
+    late = simulate_motion(scene, THETA, ONSET, RELEASE, release_delay=0.03)
+    assert late.load_seconds == pytest.approx(motion.load_seconds + 0.03)
+    np.testing.assert_allclose(late.contact[: RELEASE + 1], motion.contact[: RELEASE + 1], atol=1e-6)
+    longer = simulate_motion(scene, THETA, ONSET, RELEASE + 1)  # before a frame that is held no difference shows
+    held = round((RELEASE - ONSET) / 25 / 0.005) + 6
+    np.testing.assert_allclose(late.response[:held], longer.response[:held], atol=1e-6)
+    assert not np.allclose(late.response[held:], longer.response[held:], atol=1e-4)
+    with pytest.raises(SceneError, match="ends before it starts"):
+        simulate_motion(scene, THETA, ONSET, ONSET + 1, delay=0.04)
 
 
 def test_a_delay_of_more_than_a_frame_is_refused() -> None:
@@ -161,6 +213,20 @@ def test_theta_stays_in_its_box_and_regime(seed: int, regime: str) -> None:
     theta = draw_theta(wanted, np.random.default_rng(seed))
     assert ((theta >= [0.2, 0.01, -0.3]) & (theta <= [1, 0.3, -0.03])).all()
     assert truths.regime_of(truths.damping_ratio(*theta[:2], SMALL.mass)) == regime
+
+
+def test_theta_is_log_uniform() -> None:
+    generator = np.random.default_rng(0)
+    draws = np.array([draw_theta(SMALL, generator) for _ in range(2000)])
+    low, high = np.log([0.2, 0.01, 0.03]), np.log([1.0, 0.3, 0.3])
+    share = (np.log(np.abs(draws)) - low) / (high - low)
+    # Mean 1/2 and variance 1/12 of a uniform variable, within four standard errors of 2000 draws.
+    np.testing.assert_allclose(share.mean(axis=0), 0.5, atol=4 * math.sqrt(1 / 12 / 2000))
+    np.testing.assert_allclose(share.var(axis=0), 1 / 12, rtol=0.1)
+
+
+def test_peaks_are_those_asked_for(drawn: list[PressedMotion]) -> None:
+    assert all(0.01 <= motion.peak <= 0.06 * 1.001 for motion in drawn)
 
 
 STIFF = {"stiffness": (1, 1), "damping": (0.3, 0.3), "force": (-0.03, -0.03), "press_seconds": (0.1, 0.1)}

@@ -9,13 +9,13 @@ import torch
 
 from palpate.data.clip import prepare
 from palpate.data.contact.depth_sequence import REACH, SequenceNoise
-from palpate.data.contact.features import FEATURES, SLOTS, contact_features
+from palpate.data.contact.features import FEATURES, SLOTS
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features
 from palpate.data.synthetic.contacts import draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.training.batches import SampleDataset, collate, join_sequences
-from palpate.data.training.samples import SampleSettings, list_frames, make_interaction, make_sample
+from palpate.data.training.samples import SampleSettings, list_frames, make_sample
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.physics.load import held
 from palpate.physics.mechanics import Mechanics, theta_of
@@ -28,7 +28,7 @@ SMOOTH = replace(GRID, smoothing=4.0)
 TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geometry=SMOOTH)
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 PIXELS = (2 * REACH + 1) ** 2
-KEYS = ("contact_features", "noise", "known_load", "known_observation")
+KEYS = ("contact_features", "known_load", "dent")
 
 
 @pytest.fixture(scope="module")
@@ -49,25 +49,14 @@ def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> dict:
 
 
 def told(batch: dict, side: str) -> list[torch.Tensor]:
-    [load], seen = batch[f"known_load_{side}"], batch[f"known_observation_{side}"]
+    [load] = batch[f"known_load_{side}"]
     parts = map(torch.from_numpy, (load.direction, load.factor, load.vertices))
-    return [batch[f"contact_features_{side}"], *parts, seen.displacement]
+    return [batch[f"contact_features_{side}"], *parts, batch[f"dent_{side}"].change]
 
 
-def test_features_are_those_of_the_contact_cut_off_at_the_frame(clip):
+def test_loads_are_those_of_the_contact_cut_off_at_the_frame(clip):
     frames = [3, 4, 6, 10]
     batch = batch_of(clip, frames)
-    for row, frame in enumerate(frames):
-        whole, count = make_interaction(clip, frame, TOLD), frame - 3
-        load = replace(whole.load, factor=held(min(40, 8 * count), whole.load.steps))
-        expected = contact_features(replace(whole.observed(np.arange(count)), load=load))
-        for side in ("a", "b"):
-            assert batch[f"contact_features_{side}"].shape == (4, FEATURES)
-            np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
-            assert batch[f"noise_{side}"][row].item() == pytest.approx(float(clip.noise[3]))
-    seen = batch["known_observation_a"]
-    assert seen.weight.sum(dim=1).tolist() == [0, 1, 3, 7]
-    assert torch.equal(seen.steps[3], torch.tensor([7, 15, 23, 31, 39, 47, 55]))
     assert [load.factor.sum() for load in batch["known_load_a"]] == [
         0,
         8,
@@ -107,9 +96,8 @@ def test_frames_up_to_a_second_after_the_onset_become_samples(clip):
     assert make_sample(clip, 8, TOLD).known.observation.steps(0.005).tolist() == [7, 15, 23, 31, 39]
 
 
-def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
-    with_sequence = replace(TOLD, sequence=True)
-    samples = [make_sample(clip, frame, with_sequence) for frame in (4, 6)]
+def test_dents_are_told_and_joined(clip) -> None:
+    samples = [make_sample(clip, frame, TOLD) for frame in (4, 6)]
     batch = collate(samples)
     for row, sample in enumerate(samples):
         assert sample.known.sequence is not None
@@ -121,9 +109,6 @@ def test_dents_are_told_and_joined_where_they_are_wanted(clip) -> None:
     assert (dent.steps.shape, dent.change.shape) == ((2, 3), (2, 3, PIXELS))
     for vertices, view in zip(dent.vertices.tolist(), dent.views, strict=True):
         assert set(vertices) == set(view.vertices.tolist())  # no far vertex fills up
-    assert "dent_a" not in batch_of(clip, [4, 6])
-    with pytest.raises(ValueError, match="sequence needs observation trajectory, not final"):
-        SampleSettings(sequence=True)
 
 
 @pytest.mark.parametrize("fine", [False, True])

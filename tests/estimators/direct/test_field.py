@@ -10,8 +10,7 @@ from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNo
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.data.source.camera import Camera, back_project
-from palpate.estimators.direct.error_model import rounding_covariance
-from palpate.estimators.direct.field import OUTLIER, STILL_NEW, WALL, SequenceProblem
+from palpate.estimators.direct.field import OUTLIER, STILL_NEW, WALL, SequenceProblem, rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.problem import Optimum, find_optimum
 from palpate.physics.load import Press, held

@@ -159,17 +159,15 @@ def test_the_first_draws_reach_a_long_tail_towards_firm_tissue(seen: float, know
     middle, prior = box.mean(axis=0), box_information(box)
     mix = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]]) / ratio
 
-    def likelihoods(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def log_likelihood(logs: np.ndarray) -> np.ndarray:
         apart = logs - middle
         left = (np.exp(-apart[:, 0]) - seen) / known
-        values = -0.5 * (left**2 + np.square(apart @ mix.T).sum(axis=1))[:, None]
-        return values, values
+        return -0.5 * (left**2 + np.square(apart @ mix.T).sum(axis=1))
 
     best = middle - np.log(seen)
     slopes = np.vstack([[-seen / known, 0.0, 0.0], mix])
     start = first_draws([Optimum(best, 0.0, slopes.T @ slopes)], 1.0, prior)
-    none = np.empty((0, 3))
-    draws = sample_posterior(likelihoods, box, start, (none, likelihoods(none)), contact_fit.ROUND, contact_fit.ENOUGH)
+    draws = sample_posterior(log_likelihood, box, start)
     half = 0.5 * (box[1] - box[0]).min()
     scales = np.linspace(-half, half, 20_001)
     weights = np.exp(-0.5 * np.square((np.exp(-scales) - seen) / known))

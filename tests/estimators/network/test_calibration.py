@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.harness import Row, Store
-from palpate.data.contact.features import KNOWN, REFERENCE_SPACING
+from palpate.data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
+from palpate.data.contact.sequence_features import WITHIN
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.calibration import check_record, main, widths_of
 from palpate.models.calibration import LOG_DAMPING
@@ -146,24 +147,25 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys, po
     """From the command line, several folders of results together; all errors are of one size, and sd tells nothing."""
     plain, output = posterior.path, tmp_path / "out.onnx"
     generator = np.random.default_rng(0)
-    for name, seen, count in (("first", None, 99), ("second", None, 21), ("pressed", "press", 100)):
-        network = {"model_sha256": sha256_of(plain)}
-        wanted = {"seed": 0, "split": "validation", "seen": seen, "estimator network": network}
+    for name, count in (("first", 99), ("second", 21), ("pressed", 100), ("late", 100)):
+        network = {"model_sha256": sha256_of(plain), "onset": "between" if name == "late" else "stamp"}
+        wanted = {"seed": 0, "split": "validation", "seen": "press" if name == "pressed" else None}
+        wanted |= {"estimator network": network}
         errors = generator.normal(0, 0.4, (count, 3))
         rows = rows_of(errors, np.full((count, 3), 0.1), np.full(count, 0.001 / REFERENCE_SPACING), np.zeros(count))
         Store(tmp_path / name, wanted, ("suite", "index", "estimator")).append(rows)
-    pressed = ["--pressed", str(tmp_path / "pressed")]
+    pressed = ["--pressed", str(tmp_path / "pressed"), "--between", str(tmp_path / "late")]
     results = ["--validation", str(tmp_path / "first"), str(tmp_path / "second"), *pressed]
     assert main(["--model", str(plain), "--output", str(output), *results]) == 0
     assert "whole scale" in capsys.readouterr().out
     told = PosteriorModel(output).metadata["calibration"]
-    assert (told["known_features"], told["within_features"]) == (list(KNOWN), [])
-    scales = [told[name]["scale"] * RATIO ** np.array(told[name]["damping"]) for name in ("whole", "pressed")]
+    assert (told["known_features"], told["within_features"]) == (list(KNOWN), [FEATURES + WITHIN])
+    kinds = "whole", "pressed", "between"
+    scales = [told[name]["scale"] * RATIO ** np.array(told[name]["damping"]) for name in kinds]
     np.testing.assert_allclose(scales, 0.4, rtol=0.25)
     for model, given, said in (
         (output, results, "is of another network than the one to calibrate"),
         (plain, [*results[:2], *pressed], "99 validation estimates; calibration needs 100 or more"),
-        (plain, [*results, "--between", *pressed[1:]], "has no input for the instants"),
     ):
         assert main(["--model", str(model), "--output", str(tmp_path / "no.onnx"), *given]) == 1
         assert said in capsys.readouterr().err
@@ -173,7 +175,7 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys, po
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--model", "x.onnx"], "give --validation and --pressed with --model"),
+        (["--model", "x.onnx"], "give --validation, --pressed and --between with --model"),
         (["--weights", "x.pt", "--pressed", "results"], "give --model with results"),
         (["--weights", "x.pt", "--model", "x.onnx"], "not allowed with argument"),
     ],

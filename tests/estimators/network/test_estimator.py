@@ -6,10 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from palpate.data.contact.features import FEATURES, contact_features, contact_spacing
-from palpate.data.contact.interaction import CONTACT, FIELD, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Interaction, InteractionBuilder
 from palpate.data.contact.motion import LOST
-from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
+from palpate.data.contact.sequence_features import dent_features
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
@@ -104,13 +103,13 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
     assert results[onset + 2].values["force_bound"] > results[release - 1].values["force_bound"]
 
 
-def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, contact) -> None:
+def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, with_sequence) -> None:
     """The last frame in contact is told exactly what a clip cut off there is told."""
     onset, last = pressed.motion.onset_frame, pressed.motion.release_frame - 1
     streamed = follow(network.start(clip_info()), frames)[0][last].estimate
     seconds = (last - onset) / 25
-    cut = contact.observed(contact.observation.times <= seconds + 1e-6)
-    load = dataclasses.replace(contact.load, factor=held(round(seconds / MECHANICS.time_step), MECHANICS.steps))
+    cut = with_sequence.observed(with_sequence.observation.times <= seconds + 1e-6)
+    load = dataclasses.replace(cut.load, factor=held(round(seconds / MECHANICS.time_step), MECHANICS.steps))
     found = estimated(network, dataclasses.replace(cut, load=load))
     np.testing.assert_allclose(streamed.theta, found.theta, rtol=1e-5)
     np.testing.assert_allclose(streamed.covariance, found.covariance, rtol=1e-5)
@@ -174,7 +173,7 @@ def test_presses_unlike_the_training_s_are_told_in_part(network, contact, load, 
 def test_a_motion_that_is_not_explained_widens_the_intervals(network: NetworkEstimator, contact: Interaction) -> None:
     still, sure = (moved(contact, contact.moved, noise) for noise in (1.0, 1e-5))
     explained, found = (estimated(network, each) for each in (still, sure))
-    raw, own = (network.model(contact_features(each)[None], None)[1][0] for each in (still, sure))
+    raw, own = (network.model(dent_features(each, 0.0)[None], None)[1][0] for each in (still, sure))
     assert explained.misfit < 1  # next to such noise every motion is explained
     np.testing.assert_array_equal(explained.covariance, raw)
     assert found.misfit > LARGEST_MISFIT
@@ -217,28 +216,6 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network, conta
     np.testing.assert_allclose(np.linalg.inv(oblique.expected_information), expected, rtol=0.01, atol=1e-3)
 
 
-def test_a_press_that_began_between_frames_is_known_less(network: NetworkEstimator, contact: Interaction) -> None:
-    """Estimates as if it had begun at five instants of two frames' time, taken together; so for the verdict."""
-    contact = moved(contact, contact.moved, 0.03)
-    shifted = []
-    for delay in (-0.04, -0.02, 0.0, 0.02, 0.04):
-        times = contact.observation.times - delay
-        later = dataclasses.replace(contact.observation, times=times).chosen(times > 0.001)
-        factor = np.pad(contact.load.factor, (0, 8))  # of the last frames, a frame later
-        load = dataclasses.replace(contact.load, factor=factor)
-        shifted.append(estimated(network, dataclasses.replace(contact, observation=later, load=load)))
-    found = estimated(NetworkEstimator(network.model, BETWEEN), contact)
-    assert found.misfit == min(item.misfit for item in shifted) < LARGEST_MISFIT
-    logs = np.log(np.abs([item.theta for item in shifted]))
-    np.testing.assert_allclose(np.log(np.abs(found.theta)), logs.mean(axis=0), rtol=1e-6)
-    apart = np.cov(logs.T, bias=True)
-    assert apart[0, 0] > 1e-6
-    inside = np.mean([item.covariance for item in shifted], axis=0)
-    np.testing.assert_allclose(found.covariance, inside + apart, rtol=1e-5)
-    inside = np.mean([np.linalg.inv(item.expected_information) for item in shifted], axis=0)
-    np.testing.assert_allclose(np.linalg.inv(found.expected_information), inside + apart, rtol=1e-4)
-
-
 def test_frames_of_an_oblique_press_say_so(network, pressed, frames, monkeypatch) -> None:
     monkeypatch.setattr("palpate.estimators.network.estimator.view_angle", lambda _: 17.4)
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
@@ -251,29 +228,13 @@ def test_frames_of_an_oblique_press_say_so(network, pressed, frames, monkeypatch
     assert run.detail.endswith(told)
 
 
-def test_by_the_point_alone_the_network_is_told_of_no_dent(sequence_posterior, contact, with_sequence) -> None:
-    point, dent = (NetworkEstimator(sequence_posterior, STAMP, observation=seen) for seen in (CONTACT, FIELD))
-    expected = estimated(dent, contact)
-    np.testing.assert_array_equal(estimated(point, point.as_trained(with_sequence)).theta, expected.theta)
-    assert not np.allclose(estimated(dent, dent.as_trained(with_sequence)).theta, expected.theta, rtol=1e-6)
-
-
-def test_a_network_that_is_told_of_the_dent_is_told_how_well_the_instants_are_known(
-    network: NetworkEstimator, sequence_posterior, contact: Interaction, with_sequence: Interaction
-) -> None:
+def test_the_network_is_told_how_well_the_instants_are_known(network, contact, with_sequence) -> None:
     """It answers once, for all instants together, with or without a depth-change sequence."""
-    assert not network.sees_sequence
-    spacing = contact_spacing(contact.mesh, contact.vertex)
     for onset, within in ((STAMP, 0.0), (BETWEEN, 0.04)):
-        told = NetworkEstimator(sequence_posterior, onset)
-        assert told.sees_sequence
+        told = NetworkEstimator(network.model, onset)
         for seen in (contact, with_sequence):
-            found = estimated(told, seen)
-            more = sequence_features(seen.sequence, spacing, seen.noise, within)
-            features = np.concatenate([contact_features(seen), more])
-            assert features.shape == (FEATURES + SEQUENCE_FEATURES,)
-            assert more[-2:].tolist() == [within / 0.04, seen.sequence is not None]  # in frames
-            np.testing.assert_array_equal(told.features(seen, within), features)
+            found, features = estimated(told, seen), dent_features(seen, within)
+            assert features[-2:].tolist() == [within / 0.04, seen.sequence is not None]  # in frames
             logs, covariance, _ = (values[0] for values in told.model(features[None], None))
             np.testing.assert_allclose(found.theta, theta_of(logs), rtol=1e-6)
             misfit, information = compared(seen, MECHANICS, logs, covariance, within)

@@ -22,7 +22,7 @@ from palpate.data.synthetic.truth import regime_of
 from palpate.estimators.network import fits as drawing
 from palpate.estimators.network import training as contact_training
 from palpate.estimators.network.fits import FRAME_S, LEVEL, MECHANICS, Fits, Fitted, draw_observed, fit_sequence
-from palpate.estimators.network.training import PREPARED, WEIGHTS, Trainer, descend, make_contacts, new_posterior
+from palpate.estimators.network.training import WEIGHTS, Trainer, descend, make_contacts, new_posterior
 from palpate.physics.identifiability import LIMIT, bounds
 from palpate.physics.mechanics import damping_ratio
 
@@ -241,64 +241,21 @@ def steps_of(*names: str) -> list[tuple[str, int]]:
     return [(name, step) for name in names for step in (1, 2, 3, 4)]
 
 
-def test_a_training_that_was_interrupted_after_its_fits_goes_on_from_them(made, tmp_path, monkeypatch, capsys) -> None:
-    """To the same weights, to the last bit, as without it; these and its record are what a training leaves."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert short(whole) == 0
+def test_a_training_leaves_its_weights_and_its_record(made, tmp_path) -> None:
+    assert short(tmp_path) == 0
     assert made == MADE
-    assert sorted(path.name for path in whole.iterdir()) == [LIST, WEIGHTS, "training.jsonl"]
-    assert stages(whole) == steps_of("rough", "fine", "bound")
-    made.clear()
-    with monkeypatch.context() as patch:
-        patch.setattr(contact_training, "expected_loss", interrupt)
-        assert short(parts) == INTERRUPTED
-    assert "The same command goes on after what it has kept." in " ".join(capsys.readouterr().err.split())
-    assert sorted(path.name for path in parts.iterdir()) == [LIST, PREPARED, "training.jsonl"]
-    assert made == MADE
-    assert short(parts) == 0
-    assert made == MADE  # and no others
-    assert stages(parts) == steps_of("rough", "fine", "fine", "bound")
-    assert not (parts / PREPARED).exists()
-    expected, found = (torch.load(folder / WEIGHTS, weights_only=True) for folder in (whole, parts))
-    assert expected["entry.weight"].shape[1] == FEATURES + SEQUENCE_FEATURES
-    assert expected.keys() == found.keys()
-    for name, values in expected.items():
-        assert torch.isfinite(values).all(), name
-        assert torch.equal(values, found[name]), name
+    assert sorted(path.name for path in tmp_path.iterdir()) == [LIST, WEIGHTS, "training.jsonl"]
+    assert stages(tmp_path) == steps_of("rough", "fine", "bound")
+    found = torch.load(tmp_path / WEIGHTS, weights_only=True)
+    assert found["entry.weight"].shape[1] == FEATURES + SEQUENCE_FEATURES
+    assert all(torch.isfinite(values).all() for values in found.values())
 
 
-def test_fits_of_another_training_are_made_anew(made, tmp_path, monkeypatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(contact_training, "fine_loss", lambda *_: (_ for _ in ()).throw(OSError(28, "The disk is full")))
-        assert short(tmp_path) == 1
-        assert short(tmp_path, "--contact.seed", "1") == 1
-        assert len(made) == 4  # of another seed
-        (tmp_path / PREPARED).write_bytes((tmp_path / PREPARED).read_bytes()[:1000])
-        assert short(tmp_path, "--contact.seed", "1") == 1
-        assert len(made) == 4  # not as it was written: it is named and stays
-        (tmp_path / PREPARED).unlink()
-        assert short(tmp_path, "--contact.seed", "1") == 1
-        assert len(made) == 6
-        patch.setattr(contact_training, "code_digest", lambda: "other")
-        assert short(tmp_path, "--contact.seed", "1") == 1
-        assert len(made) == 8  # of another version
-    monkeypatch.setattr(contact_training, "code_digest", lambda: "other")
-    assert short(tmp_path, "--contact.seed", "1") == 0
-    assert len(made) == 8
-    assert stages(tmp_path) == steps_of("rough", "rough", "rough", "rough", "fine", "bound")
-
-
-@pytest.mark.parametrize("name", [PREPARED, "training.jsonl"])
-@pytest.mark.parametrize("content", ["precious", "[1]", "{}"])
-def test_a_user_s_file_is_named_and_stays(tmp_path, capsys, name, content) -> None:
-    (tmp_path / name).write_text(content)
+def test_a_user_s_file_is_named_and_stays(tmp_path, capsys) -> None:
+    (tmp_path / "training.jsonl").write_text("precious")
     assert short(tmp_path) == 1
-    assert f"{name} is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: content}
+    assert "training.jsonl is not as this program wrote it" in " ".join(capsys.readouterr().err.split())
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"training.jsonl": "precious"}
 
 
 def test_a_finished_training_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -328,7 +285,6 @@ def test_what_ends_a_training_is_one_sentence(error, status, told, made, tmp_pat
     assert caught.startswith(told)
     assert "Traceback" not in caught
     assert not (tmp_path / "posterior.pt").exists()
-    assert (tmp_path / PREPARED).exists()
     assert len((tmp_path / "training.jsonl").read_text().splitlines()) == 4  # of the stage before
 
 

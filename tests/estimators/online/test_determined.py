@@ -85,7 +85,7 @@ def test_nothing_is_known_where_the_instrument_does_not_explain_the_motion(sheet
     """The same motion with a path that is invented: tissue stretches in the simulation, by nothing that was
     observed."""
     moved, rest = followed(sheet, 8), sheet.body.rest[sheet.gripped, 2]
-    tissue = driven(sheet, stepping=STEPPING, path="path.csv")
+    tissue = driven(sheet, stepping=STEPPING, led=True)
     for index, frame in enumerate(moved):
         tissue.step(frame, led=sheet.lift(sheet.pixels[sheet.gripped] - (index + 1) / 8 * WAY, rest))
     assert tissue.stretched.any()

@@ -4,7 +4,6 @@ import dataclasses
 import gc
 import tracemalloc
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,12 +17,10 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online import determined
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
-from palpate.estimators.online.given import GripperPath
 from palpate.estimators.online.objective import PAPER, Bounds
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, make_surface
-from palpate.physics.pbd import simulation
 
 WIDTH, HEIGHT, DEPTH = 240, 160, 0.5
 CAMERA = Camera.from_field_of_view(60.0, WIDTH, HEIGHT)
@@ -49,11 +46,6 @@ def surface() -> Surface:
     return make_surface(first_frame(), CAMERA, GEOMETRY, SETTINGS.particles)
 
 
-def path_at(column: float, row: float) -> GripperPath:
-    """A gripper that stays at a place of the picture [px]."""
-    return GripperPath(Path("path.csv"), np.array([0.0, 1.0]), np.array([[column, row, DEPTH]] * 2))
-
-
 def from_tool(points: np.ndarray) -> np.ndarray:
     return np.hypot(np.maximum(points[:, 0] - 79, 0), np.maximum(np.abs(points[:, 1] - 79.5) - 19.5, 0))
 
@@ -70,9 +62,9 @@ def pulled(share: float) -> np.ndarray:
     return share * np.array([-8.0, 4.0]) * np.exp(-AWAY / 40)[:, None]
 
 
-def driven(surface: Surface, shares: Iterable[float] = (), **settings) -> DrivenTissue:
+def driven(surface: Surface, shares: Iterable[float] = (), led: bool = False, **settings) -> DrivenTissue:
     """Tissue that has been pulled by these shares."""
-    tissue = DrivenTissue(surface, POINTS, AWAY, dataclasses.replace(SETTINGS, **settings), 8)
+    tissue = DrivenTissue(surface, POINTS, AWAY, dataclasses.replace(SETTINGS, **settings), 8, led)
     for share in shares:
         tissue.step(pulled(share))
     return tissue
@@ -170,7 +162,6 @@ def test_what_is_fitted_to_the_first_frames_holds_from_the_first_on(surface: Sur
     fit = tissue.fit
     assert fit.error < 0.5
     for share in shares[3:]:
-        assert tissue.settings == dataclasses.replace(SETTINGS, fitted=3)  # two frames are taken in once more with each
         told = tissue.step(pulled(share))
     settings = tissue.settings
     stepping = fit.stepping(SETTINGS.stepping, SETTINGS.start.distance)
@@ -182,29 +173,10 @@ def test_what_is_fitted_to_the_first_frames_holds_from_the_first_on(surface: Sur
     assert driven(surface, [0.0] * 3, fitted=2).fit is None
 
 
-def test_no_frame_takes_much_longer_for_what_is_fitted(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As time steps of a body are counted: all 60 combinations, and the first frames once more."""
-    counts, true = [], simulation.sweep_forward
-
-    def counted(*arguments) -> None:
-        counts[-1] += arguments[-1].shape[0] * (arguments[-1].shape[1] - 1)
-        true(*arguments)
-
-    monkeypatch.setattr(simulation, "sweep_forward", counted)
-    tissue = driven(surface, fitted=5)
-    for share in np.linspace(0.1, 1, 16):
-        counts.append(0)
-        tissue.step(pulled(share))
-    assert tissue.fit is not None
-    assert max(counts) <= 3 * np.median(counts)
-    assert counts[10] == counts[-1]
-
-
 @pytest.mark.parametrize("bound", [0.02, 0.5])
 def test_what_is_fitted_keeps_to_the_bounds_that_were_given(surface: Surface, bound: float) -> None:
     """The paper's allows none of the stiffness of shapes that is tried, half of that of distances all but one."""
     tissue = driven(surface, np.linspace(0.2, 1, 6), fitted=3, bounds=Bounds(shape=bound))
-    tissue.finish()
     fit, settings = tissue.fit, tissue.settings
     assert fit.bending in ([SETTINGS.start.shape] if bound == PAPER.shape else [0.02, 0.3])
     assert settings.start.shape == fit.bending < settings.bounds.shape <= bound
@@ -245,42 +217,6 @@ def test_memory_does_not_grow_with_the_frames(surface: Surface) -> None:
     assert np.diff(used).min() < 10 * surface.body.rest.nbytes
 
 
-def test_a_path_moves_the_gripped_particles_alone_and_exactly(surface: Surface) -> None:
-    """What the followed points near the instrument do doesn't count, and where the path ends the grip stays."""
-    tissue = driven(surface, path="path.csv")
-    motion, nearer = np.array([[-6.0, 3.0]] * len(surface.gripped)), 0.01
-    places = tissue.led_places(motion, nearer)
-    rest = surface.body.rest[surface.gripped]
-    np.testing.assert_allclose(surface.project(places), surface.pixels[surface.gripped] + motion, atol=1e-3)
-    np.testing.assert_allclose(places[:, 2], rest[:, 2] - nearer)
-    seen = pulled(0.5)
-    seen[surface.reach > AWAY] = 99.0
-    told = tissue.step(seen, led=places)
-    np.testing.assert_array_equal(told.positions[surface.gripped], places)
-    assert told.gap is not None
-    told = tissue.step(seen)
-    np.testing.assert_array_equal(told.positions[surface.gripped], places)
-    assert told.gap is None
-
-
-def test_with_a_path_points_are_compared_but_where_its_grip_moves_them() -> None:
-    """Which is elsewhere than the mask, beside which they are compared."""
-    led = make_surface(first_frame(), CAMERA, GEOMETRY, SETTINGS.particles, path=path_at(170, 80))
-    tissue = driven(led, path="path.csv")
-    inside, shares = led.places(POINTS)
-    held = shares.toarray()[:, led.gripped].max(axis=1) > 1e-9
-    compared = np.isin(inside, tissue.around)
-    assert held.any()
-    assert not compared[held].any()
-    corners = led.pixels[led.faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-    apart = np.linalg.norm(POINTS[inside][:, None] - led.pixels[led.gripped], axis=2).min(axis=1)
-    assert compared[apart > longest].all()
-    assert (led.reach > AWAY[tissue.around]).any()
-    places = tissue.led_places(np.tile([-6.0, 3.0], (len(led.gripped), 1)), 0.0)
-    assert tissue.step(np.zeros_like(POINTS), led=places).gap is not None
-
-
 def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
     """Raised towards the camera by a third of its thickness; without stiffness of volumes it grows thrice as much."""
     volume = make_surface(first_frame(), CAMERA, GEOMETRY, 300, 0.15)
@@ -292,9 +228,9 @@ def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.M
 
     for stiffness in (determined.VOLUME, 0.0):
         monkeypatch.setattr(determined, "VOLUME", stiffness)
-        tissue = driven(volume, path="path.csv", method=Method("PBD"))
+        tissue = driven(volume, led=True, method=Method("PBD"))
         for share in np.linspace(0.1, 1, 10):
-            places = tissue.led_places(np.zeros((len(volume.gripped), 2)), 0.05 * share)
+            places = volume.lift(volume.pixels[volume.gripped], body.rest[volume.gripped, 2] - 0.05 * share)
             told = tissue.step(np.zeros_like(POINTS), led=places)
         np.testing.assert_array_equal(told.positions[volume.gripped], places)
         np.testing.assert_array_equal(told.positions[body.pinned], body.rest[body.pinned])
@@ -306,3 +242,17 @@ def test_a_volume_moves_with_its_grip_and_keeps_its_volume(monkeypatch: pytest.M
         changes.append(held(told.positions) / held(body.rest) - 1)
     assert abs(changes[0]) < 0.005
     assert abs(changes[1]) > 3 * abs(changes[0])
+
+
+def test_where_tissue_is_led_its_grip_moves_it_exactly_and_alone(surface: Surface) -> None:
+    """What the followed points near the instrument do doesn't count, and without a place the grip stays."""
+    tissue, gripped = driven(surface, led=True), surface.gripped
+    places = surface.lift(surface.pixels[gripped] + [-6.0, 3.0], surface.body.rest[gripped, 2] - 0.01)
+    seen = pulled(0.5)
+    seen[surface.reach > AWAY] = 99.0
+    told = tissue.step(seen, led=places)
+    np.testing.assert_array_equal(told.positions[gripped], places)
+    assert told.gap is not None
+    told = tissue.step(seen)
+    np.testing.assert_array_equal(told.positions[gripped], places)
+    assert told.gap is None

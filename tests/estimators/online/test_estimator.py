@@ -1,6 +1,5 @@
 """`infer.py --estimator online` as a user runs it: fields of tissue that is pulled, and a sentence where none is."""
 
-import hashlib
 import json
 from pathlib import Path
 
@@ -114,83 +113,6 @@ def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> N
     assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
 
 
-GIVEN = "particles: 150\nbackground: keep\nthickness: 0.05\npins: pins.png\npath: given/path.csv\n"
-PINNED = 190
-"""Column from which the mask is white [px]."""
-
-
-def test_an_invented_path_is_no_field_and_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """The gripper is told to go the other way than the tissue does: nothing is told or coloured of what that learns."""
-    write_given(tmp_path, "0,50,60,0.3\n0.2,70,48,0.3\n")
-    settings = "background: keep\npath: given/path.csv\n" + SETTINGS
-    assert run(tmp_path, write_annotated(tmp_path / "clip", SHARES), settings=settings) == 0
-    said = " ".join(capsys.readouterr().err.split())
-    assert "contact from frame 10: The fit does not explain the motion: tissue simulated under the instrument" in said
-    (row,) = read_rows(tmp_path / "out" / "clip" / "interactions.csv")
-    assert (row["status"], row["verdict"]) == ("ok", "undetermined")
-    assert float(row["skill"]) < 0.35
-    table = read_rows(tmp_path / "out" / "clip" / "parameters.csv")
-    assert {(each["distance_stiffness"], each["field_known"]) for each in table} == {("", "0")}
-
-
-def write_given(folder: Path, rows_told: str = "0,50,60,0.3\n0.2,40,66,0.28\n") -> None:
-    """A mask and a path for settings beside them."""
-    mask = np.zeros(tool_mask(0).shape, np.uint8)
-    mask[:, PINNED:] = 255
-    write(folder / "pins.png", mask)
-    (folder / "given").mkdir()
-    (folder / "given" / "path.csv").write_text(f"time_s,x_px,y_px,z\n{rows_told}")
-
-
-@pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
-    """Results of a volume whose pins and gripper are given."""
-    folder = tmp_path_factory.mktemp("given")
-    write_given(folder)
-    assert run(folder, write_annotated(folder / "pulled", SHARES), settings=GIVEN) == 0
-    return folder / "out"
-
-
-def test_a_volume_moves_with_the_path_of_its_gripper_and_keeps_its_pins(given: Path) -> None:
-    with np.load(given / "pulled" / "fields.npz", allow_pickle=False) as fields:
-        rest, faces = (fields[f"run_10/{name}"] for name in ("rest", "faces"))
-        states, pixels = (
-            np.array([fields[f"frame_{number}/{name}"] for number in range(10, 16)], np.float64)
-            for name in ("positions", "pixels")
-        )
-    rest, upper = rest.astype(np.float64), np.unique(faces)
-    assert len(rest) >= 2 * len(upper)
-    gripped = upper[np.linalg.norm(pixels[0][upper] - (50, 60), axis=1) < 24]
-    assert len(gripped) >= 2
-    way = np.broadcast_to(SHARES[:, None, None] * [-10, 6], (len(SHARES), len(gripped), 2))
-    np.testing.assert_allclose((pixels - pixels[0])[:, gripped], way, atol=0.01)
-    nearer = np.tile(-0.02 * SHARES[:, None], len(gripped))
-    np.testing.assert_allclose((states - rest)[:, gripped, 2], nearer, atol=1e-6)
-    pinned = np.tile(pixels[0][upper, 0] > PINNED, len(rest) // len(upper))
-    assert pinned.any()
-    np.testing.assert_array_equal(states[-1][pinned], rest[pinned])
-    assert (np.linalg.norm(states[-1] - rest, axis=1)[~pinned] > 1e-6).mean() > 0.9
-
-
-def test_what_was_given_is_told_with_the_results(given: Path) -> None:
-    record = json.loads((given / "pulled" / "run.json").read_text())["estimator"]
-    assert record["thickness"] == 0.05
-    for name, file in (("pins", given.parent / "pins.png"), ("path", given.parent / "given" / "path.csv")):
-        assert record[name] == {"path": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
-
-
-def test_a_mask_of_another_size_ends_one_clip_of_the_batch(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    write_given(tmp_path)
-    clips = [write_annotated(tmp_path / name, np.zeros(2)) for name in ("narrow", "wide")]
-    for path in clips[0].iterdir():
-        write(path, cv2.imread(str(path))[:, :-16])
-    assert run(tmp_path, *clips, settings=GIVEN) == 1
-    said = "pins.png is 240x176, the clip's pictures are 224x176; give a mask of the size of the clip's pictures."
-    assert said in " ".join(capsys.readouterr().err.split())
-    assert (tmp_path / "out" / "wide" / "run.json").exists()
-    assert not (tmp_path / "out" / "narrow").exists()
-
-
 def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every particle of it that no tool hides, and none below."""
     shown: list[np.ndarray] = []
@@ -209,25 +131,6 @@ def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkey
     for seen in shown:
         assert np.isin(seen, upper).all()
         assert len(seen) > 0.9 * len(upper)
-
-
-@pytest.mark.parametrize(
-    ("rows_told", "status", "sentence"),
-    [
-        ("0,50,60,1\n", 2, "path.csv has 1 rows; give a CSV file with the columns time_s, x_px, y_px, z"),
-        ("0,50,60,300\n0.2,50,60,280\n", 1, "path.csv takes tissue behind the camera by 0.04 s; give z in scene units"),
-        ("0,2,900,1\n0.2,2,900,1\n", 0, "px away from all tissue in frame 10, when contact begins; give the gripper"),
-        ("0.1,50,60,1\n0.2,50,60,1\n", 0, "path.csv tells no place at 0 s, when contact begins in frame 10; give rows"),
-    ],
-)
-def test_a_path_that_can_t_be_used_is_a_sentence(tmp_path, capsys, rows_told, status, sentence) -> None:
-    """A broken file before anything; one that a clip can't follow with that clip; one that begins late with its run."""
-    write_given(tmp_path, rows_told)
-    assert run(tmp_path, write_annotated(tmp_path / "clip", SHARES[:2]), settings=GIVEN) == status
-    said = " ".join(capsys.readouterr().err.split())
-    if status == 0:
-        said = read_rows(tmp_path / "out" / "clip" / "interactions.csv")[0]["detail"]
-    assert sentence in said
 
 
 @pytest.mark.slow

@@ -29,12 +29,6 @@ def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
     assert found == expected
 
 
-def test_files_lie_beside_the_settings(told, tmp_path: Path) -> None:
-    found = told("pins: pins.png\npath: given/path.csv\n")
-    assert found == OnlineSettings(pins=str(tmp_path / "pins.png"), path=str(tmp_path / "given" / "path.csv"))
-    assert told(f"path: {tmp_path / 'path.csv'}\n").path == str(tmp_path / "path.csv")
-
-
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -46,7 +40,6 @@ def test_files_lie_beside_the_settings(told, tmp_path: Path) -> None:
         ("particles: 3", "particles is 3; give 30 to 10000"),
         ("fitted: 51", "fitted is 51; give 0 to 50 frames"),
         ("thickness: 0.0", "thickness is 0.0; give a positive length, or null for a sheet"),
-        ('pins: "a\\0.png"', "pins holds a NUL, which no file's name does"),
         ("points: 0", "points is 0; give 1 at least"),
         ("strain: -0.1", "strain is -0.1; give 0 or more"),
         ("match: both", "match both compares clouds, which show the camera's motion, too; give background keep"),

@@ -3,11 +3,8 @@
 import numpy as np
 import torch
 
-from palpate.physics import Likelihood, Mechanics, Observation
-from palpate.physics.msd import DepthBatch, ObservationBatch, rollout_sensitivities
-from palpate.physics.msd.likelihoods import displacement_error, linearise, linearise_depth
-from tests.physics.batches import batch_of
-from tests.physics.sheets import pressed, sheet
+from palpate.physics.msd import DepthBatch, ObservationBatch
+from palpate.physics.msd.likelihoods import displacement_error, linearise_depth
 
 
 def observation(steps, displacement, weight) -> ObservationBatch:
@@ -33,29 +30,6 @@ def test_a_sample_without_observation_has_no_error():
     torch.testing.assert_close(error, torch.tensor([0.0, 3.0]))
     error.sum().backward()
     assert trajectory.grad[0].abs().sum() == 0
-
-
-def test_a_batch_is_linearised_as_each_sample_is():
-    meshes, vertices = [sheet(8, 9), sheet(8, 9, keep=0.5)], [30, 12]
-    mesh, load = batch_of(meshes, vertices, [40, 20], 100)
-    observations = [
-        Observation.of_point(at, np.array([0.1, 0.2, 0.4]), np.full((3, 3), 1e-3 * at), np.nan) for at in vertices
-    ]
-    seen = ObservationBatch.of(observations, 0.005)
-    seen.weight[1, 1], seen.displacement[1, 1] = 0, float("nan")
-    theta, noise = torch.tensor([[0.5, 0.08, -0.1], [0.3, 0.1, -0.2]]), torch.tensor([1e-3, 2e-3])
-    path, slopes = rollout_sensitivities(theta, mesh, load)
-    found = linearise(path, slopes, theta, seen, noise)
-    for index, kept in enumerate(([0, 1, 2], [0, 2])):
-        own = observations[index].chosen(np.array(kept))
-        own = own.moved(own.displacement, float(noise[index]))
-        press = pressed(meshes[index], vertices[index], [40, 20][index], 100)
-        logs = theta[index].abs().log().double().numpy()
-        expected = Likelihood(meshes[index], press, own, Mechanics(), np.float32).linearise(logs)
-        for value, other in zip(found, (expected.misfit, expected.gradient, expected.information), strict=True):
-            np.testing.assert_allclose(value[index], other, atol=1e-5 * np.abs(other).max())
-    seen.weight[1] = 0
-    assert not any(value[1].any() for value in linearise(path, slopes, theta, seen, noise))
 
 
 class View:

@@ -1,5 +1,5 @@
 """Answers on real clips, judged by what was kept back from the fit.
 
-pulled     tissue that an instrument holds and moves: what the session that users run says of it
-__main__   the door
+pulled     tissue that an instrument holds and moves: the estimate of the session that users run
+__main__   the command `python -m benchmarks.real`
 """

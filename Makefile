@@ -1,7 +1,7 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and all tests; make test-fast leaves the slow ones out
 # make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
-# make bench — what is timed, against what (see benchmarks/)
+# make bench — timings of networks and of whole videos (python -m benchmarks.inference)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
 # make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/reports/paper.md); goes on where it stopped
 # make gan   — the same of the recommended system, which starts from that posterior
@@ -45,7 +45,7 @@ alongside = @$(BIN)/python $(1) > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)
 	{ wait $$quiet || { cat $(DEMO)/$(2).log; false; }; }
 
 # The system is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file
-# has neither and goes through the photometric depth model and the automatic masks, and the results say what that means.
+# has neither: masks are automatic, its press is fitted to the shading, and the results say what that means.
 demo: $(INSTALLED)
 	$(BIN)/python -m data.synthetic --output $(DEMO)/clips --clips 6 --frames 32 --seed 1
 	$(call alongside,infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite,fits,train.py fit -c configs/smoke.yaml --ckpt_path last)
@@ -61,7 +61,7 @@ demo: $(INSTALLED)
 	@echo "(infer.py --estimator direct):"
 	@$(BIN)/python -m benchmarks.compare_with_truth --results $(foreach run,results trained fits,$(DEMO)/$(run)/$(notdir $(VIDEO)))
 	@echo
-	@echo "The same clip from its video file alone, with depth and masks estimated, lengths up to the depth's scale:"
+	@echo "The same clip from its video file alone, by the shading of the tissue; lengths are relative to its distance:"
 	@$(BIN)/python -m benchmarks.compare_with_truth --results $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
 	@echo
 	@echo "Look at the results in a browser: file://$(abspath $(DEMO)/results/index.html)"
@@ -104,8 +104,8 @@ gan: $(INSTALLED)
 	$(subst fit,export,$(TRAIN)) --ckpt_path best --output $(GAN)/uncalibrated.onnx
 	$(call calibrated,$(GAN),$(GAN)/gan.onnx,160,20,40,200,1202)
 
-# Bini 2026 for its 100 epochs on ten videos, 7/2/1 by name: every press a folder, a quarter as many pixels along each side
-# as in the pictures (as the paper has it), the networks a sixteenth as wide.
+# Bini 2026 for its 100 epochs, 7 videos to train on, 2 to validate, 17 to test, each of one press: a quarter as many pixels
+# along each side as in the pictures (as the paper has it), the networks a sixteenth as wide.
 PAPER := runs/paper
 PRESSES := $(BIN)/python -m data.synthetic --output $(PAPER)/clips --frames 14 --press-seconds 0.2 0.32 \
 	--size 344x192 --grid-width 86 --grid-height 48
@@ -114,11 +114,12 @@ REPRODUCE := $(BIN)/python train.py fit -c configs/paper.yaml --data.root $(PAPE
 	--data.geometry.height 48 --data.geometry.width 86 --model.width 4 --model.residual_blocks 3 \
 	--model.mechanics.window_error 1e-4 \
 	--data.loading.videos.train [video01,video02,video03,video04,video05,video06,video07] \
-	--data.loading.videos.val [video08,video09] --data.loading.videos.test [video10]
+	--data.loading.videos.val [video08,video09] \
+	--data.loading.videos.test [video10,video11,video12,video13,video14,video15,video16,video17,video18,video19,video20,video21,video22,video23,video24,video25,video26]
 paper: $(INSTALLED)
 	$(PRESSES) --seed 31 --clips 7
 	$(PRESSES) --seed 32 --first 8 --clips 2
-	$(PRESSES) --seed 33 --first 10 --presses 17
+	$(PRESSES) --seed 33 --first 10 --clips 17
 	$(REPRODUCE) --ckpt_path last
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
 

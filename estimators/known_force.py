@@ -1,7 +1,7 @@
 """The force of a whole motion from its measurement in a part of it.
 
-A linear motion determines its force up to one factor: the deepest dent of a press and the relative force of a grip are
-proportional to the force. The frames whose force is known give the factor and its error; no length is needed.
+A linear motion determines its force up to one factor: the relative force of a grip is proportional to the
+force. The frames whose force is known give the factor and its error; no length is needed.
 """
 
 import math

@@ -9,9 +9,9 @@ shading          how bright tissue is under a light at the camera
 identifiability  what a motion can tell about θ: information, bounds, verdict
 jit              compiled loops
 sheet            a gripped sheet at rest: the quasi-static limit
-fem              soft bodies of tetrahedra: laws, rest, motion, exact derivatives
+fem              soft bodies of tetrahedra at rest: laws, equilibria, exact derivatives
 pbd              extended position-based dynamics: particles that constraints join, fields of stiffness, adjoint
-msd              mass–spring–damper sheets, with a numpy door and a torch door
+msd              mass–spring–damper sheets, for numpy and for torch
 """
 
 from palpate.common.lazy import exported

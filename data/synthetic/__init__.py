@@ -1,4 +1,4 @@
-"""Clips with known truth, drawn and observed with errors as real ones have.
+"""Synthetic clips with known truth, observed with errors as real ones have.
 
 settings  all settings of a scene; clip: a clip from seed to frames, in memory or as files
 scene     the tissue sheet, the organ's outline, the tool's entry; truth: θ, the force and the true motion of a press
@@ -8,5 +8,5 @@ endoscope the same by another law of light and another camera, to judge by; turn
 errors    noise, rounding and wrong outlines; files: how a clip is stored
 source    a clip in memory as a FrameSource; contacts: motions without pictures, many and cheap
 
-`python -m data.synthetic` is the door.
+`python -m data.synthetic` writes clips.
 """

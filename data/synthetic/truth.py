@@ -2,7 +2,7 @@
 
 The model is that of Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n). The integrator is another one, DOP853, an
 eighth-order Runge-Kutta method with step control, so that recovering θ with the fitted scheme is a test of that scheme
-(see docs/reports/identifiability.md, "Recovery of known parameters").
+(see docs/reports/identifiability.md).
 """
 
 import math

@@ -114,7 +114,7 @@ class DirectSession(RunSession):
         """
         estimator, within = self.estimator, self._within * contact.intervals
         if contact.sequence is None:
-            raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0.")
+            raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
         count = min(len(contact.observation), len(contact.sequence.times))
         if count < LEAST_OBSERVATIONS:
             raise NoEstimate(

@@ -2,7 +2,7 @@
 
 estimator    runs the exported network, a session a clip
 misfit       how far the observation lies from the simulated motion
-training     trains the network without labels; `palpate train fit -c configs/contact.yaml` is the door
-calibration  exports the network, or calibrates its standard deviations; a door of its own
+training     trains the network without labels; run by `palpate train fit -c configs/contact.yaml`
+calibration  exports the network, or calibrates its standard deviations; a program of its own
 fits         motions with the parameters that explain them, and noisy observations of them, for the fine stage
 """

@@ -7,7 +7,7 @@ surface    particles of the tissue in a frame, and which the camera sees; driven
 determined what the instrument alone explains of the motion, by one number each (time step, foundation and bending) and
            place by place, by Gauss–Newton steps, and where that tells the stiffness; knots: numbers that make a field
 forecast   skill of predicting later frames, by the field and by a sheet of one number
-particle_field what is said of the field in a frame and over a run
+particle_field estimate of the field in a frame and over a run
 sequence   tissue of a sequence beside a robot, with its clouds, followed points and a gripper's poses, in metres
-estimator  the door: a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
+estimator  a sheet or a volume for every run of contact; settings: as configs/online.yaml holds them
 """

@@ -5,7 +5,7 @@ solid          nodes and elements, linear or quadratic, and the sums over them
 meshing        tetrahedra of a grid's cells, of what an incomplete surface encloses, divided where an instrument presses
 curved         quadratic elements whose outer faces follow a surface
 surface        places on triangles that are closest to points
-equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν), elements' E and forces
+equilibrium    rest under forces and prescribed displacements; derivatives by (E, ν) and forces
 linear_system  symmetric sparse systems, factorised or iterated
 """
 

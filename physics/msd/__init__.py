@@ -1,8 +1,8 @@
-"""Mass–spring–damper sheets (Bini 2026, section 3.3): one set of equations, written twice for two purposes.
+"""Mass–spring–damper sheets (Bini 2026, section 3.3): the same equations in numpy and in compiled loops.
 
 reference     the equations in plain numpy: read this one
-simulation    the numpy door: simulate, simulate_sensitivities; one sample through the kernels
-rollouts      the torch door: rollout, rollout_sensitivities; batch: what was observed
+simulation    for numpy: simulate, simulate_sensitivities; one sample through the kernels
+rollouts      for torch: rollout, rollout_sensitivities; batch: what was observed
 likelihoods   the paper's squared error of a batch, and its likelihood
 grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
 autograd      torch's view of the compiled rollout

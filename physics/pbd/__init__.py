@@ -3,7 +3,7 @@
 body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods; below a
                    sheet, a volume
 stiffness          fields over particles, and what they make of every constraint
-simulation         the door: time steps under a grip, batched over states and fields, and their exact adjoint
+simulation         time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction
 constraint_kernel  compiled values, gradients and second derivatives of one constraint
 sweep_kernel       compiled time steps, and back through them

@@ -62,6 +62,7 @@ def write_clip(
     folder.mkdir(parents=True)
     for index in range(frames):
         image = picture(index, shift)
+        image[:16, -24:] = np.random.default_rng(index).integers(0, 256, (16, 24, 1))  # else pictures repeat
         mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
         mask[:, :EDGE] = CLASSES["gallbladder"].color[::-1]
         depth = np.full((HEIGHT, WIDTH), 0.5 + recede * index) + SLOPE * np.arange(HEIGHT)[:, None]

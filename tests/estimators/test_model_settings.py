@@ -64,7 +64,7 @@ GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
         ({"geometry": GRID_SETTINGS | {"wobble": 1}}, "'geometry' of its metadata, has the unknown key 'wobble'"),
         ({"depth": {"near": -1.0}}, "'depth' of its metadata, can't be used"),
         ({"mechanics": {"mass": 0}}, "'mechanics' of its metadata, can't be used"),
-        ({"observation": "guess"}, "unknown observation 'guess'"),
+        ({"observation": "guess"}, "was trained with observation guess"),
         ({"geometry": GRID_SETTINGS | {"keep": "all"}}, "'geometry' of its metadata, gives keep 'all'; give a number"),
         ({"geometry": GRID_SETTINGS | {"smoothing": 1e8}}, r"can't be used: geometry\.smoothing is 100000000"),
         ({"geometry": GRID_SETTINGS | {"keep": 1e-9}}, r"can't be used: geometry\.keep is 1e-09"),

@@ -36,7 +36,7 @@ def test_a_frame_is_no_surer_than_its_contact() -> None:
 
 def test_rows_of_a_pull_hold_its_relative_force(tmp_path: Path) -> None:
     times = np.linspace(0.04, 0.32, 8)
-    grip = GripEstimate(0.02, 0.002, 0.2, 0.6, 0.1, times, times / 0.32, np.full(8, 0.01), 20.0, 18.0, 22.0)
+    grip = GripEstimate(0.6, 0.1, times, times / 0.32, np.full(8, 0.01))
     run = dataclasses.replace(NONE, onset_time_s=0.0, grip=grip)
     assert run.verdict == "relative_force"
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:

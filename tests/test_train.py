@@ -24,6 +24,7 @@ from mlflow.exceptions import MlflowException
 
 from palpate.command import infer, tracking, train
 from palpate.data.contact.features import FEATURES
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.synthetic import __main__ as synthetic
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
@@ -164,7 +165,7 @@ def refused(capsys, *arguments: object) -> str:
 def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, known, tmp_path, capsys):
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
     torch.manual_seed(3)
-    pretrained = ContactPosterior(FEATURES, torch.from_numpy(bounds.log_box))
+    pretrained = ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.from_numpy(bounds.log_box))
     torch.save(pretrained.state_dict(), tmp_path / "posterior.pt")
     arguments = ["fit", "-c", str(config), "-c", str(known), "--model.learning_rate", "1e-12", "--model.pretrained"]
     assert train.main([*arguments, str(tmp_path / "posterior.pt")]) == 0
@@ -509,10 +510,10 @@ def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_pa
         **{"capture_output": True, "text": True, "env": environment, "timeout": 240, "check": False},
     )
     assert done.returncode != 0
-    said = sorted(line for line in done.stderr.splitlines() if line.startswith("train.py:"))
+    said = sorted(line for line in done.stderr.splitlines() if line.startswith("diverging.py:"))
     assert len(said) == 2, done.stderr
-    assert "train.py: the loss is nan in epoch 0 at video" in said[0]
-    assert said[1] == "train.py: the loss of another process is not finite; it says where, and what to do."
+    assert "diverging.py: the loss is nan in epoch 0 at video" in said[0]
+    assert said[1] == "diverging.py: the loss of another process is not finite; it says where, and what to do."
     assert "Traceback" not in done.stderr
 
 

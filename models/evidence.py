@@ -21,8 +21,6 @@ from palpate.physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 MAX_MEAN_STEP = 1.0
 """A mean moves at most this far at once in any log-parameter, because the linearisation holds no farther."""
-MAX_SQUARES = 60.0
-"""Squared distances beyond this don't pull: a few sequences that tell nothing would decide a step."""
 MEAN_WEIGHT = 0.2
 """Weight of the mean's gradient against the covariance's; it changes how fast the two are learnt, not their optimum."""
 

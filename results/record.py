@@ -121,6 +121,7 @@ def build_record(
             *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
+            *([WARNINGS["coded"].format(lag=results.lag)] if results.lag else []),
             *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *([_unexported(results)] if results.unexported else []),
             *([] if results.alarm is None else [results.alarm.sentence()]),

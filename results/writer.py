@@ -19,7 +19,7 @@ import numpy as np
 from palpate.common.files import as_json
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.video import Video
-from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.results import columns, store
@@ -100,6 +100,8 @@ class ClipResults:
         """Those for the picture, with a motion first."""
         self.stretched = False
         """Whether tissue has anywhere stretched with an instrument."""
+        self.lag = 0.0
+        """The largest of the contacts' lags [levels of 8 bits]."""
         self._open = ExitStack()
         self._drawing: deque[Future[None]] = deque()
         """Pictures that are drawn and coded in a thread of their own, in order."""
@@ -198,6 +200,8 @@ class ClipResults:
             self.alarm.end_run()
         if run.field is not None:
             self.stretched |= run.field.stretched
+        if isinstance(run.estimate, Estimate):
+            self.lag = max(self.lag, run.estimate.lag)
         contact = ContactForce.of(run, self.estimates, forces, self._seconds)
         self._contacts.append(contact)
         self._agree(run, contact)

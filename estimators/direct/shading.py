@@ -3,9 +3,9 @@
 Besides φ and the delays (`estimators.direct.motion`) the parameters are where the dent's middle lies, the tilt of the
 plane that the tissue is taken to be, how far its surface is rounded off, how far light spreads in tissue, how rough the
 surface is, how strong the light is that it mirrors as it is wet and into how wide a lobe, the camera's response as a
-power, and the share of light that reaches tissue whatever its tilt. All of these have priors. Every frame's gain and
-every place's amplitude are marginalised. Residuals of neighbours and of successive frames are correlated; so many fewer
-of them count.
+power, the share of light that reaches tissue whatever its tilt, and how far coded pictures lag behind the light: a video
+leaves changes out until they are worth their bits. All of these have priors. Every frame's gain and every place's
+amplitude are marginalised. Residuals of neighbours and of successive frames are correlated; so many fewer of them count.
 """
 
 import dataclasses
@@ -49,12 +49,16 @@ ROUGH, ROUGH_SD = 0.1, 0.12
 GLOSS, RESPONSE, AMBIENT = 0.15, 0.1, 0.05
 """Standard deviations of mirrored light over matt light where tissue faces the camera, of the logarithm of the
 response's power against sRGB's, and of the share of light from everywhere: cameras have curves of their own."""
-PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0])
-PRIOR_SD = np.array([ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT])
-LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4])
-"""How far these parameters may lie from the priors' means; roughness and gloss are none at least."""
-LAW = 3
-"""The last of them, which the law of light takes: gloss, response, ambient share."""
+LAG, LAG_SD = 0.5, 0.7
+"""Prior of how far coded pictures lag behind the light [levels of 8 bits]."""
+PRIOR_MEAN = np.array([0, 0, 0, 0, math.log(ROUNDING), math.log(SPREADING), math.log(LOBE), ROUGH, 0, 0, 0, LAG])
+PRIOR_SD = np.array(
+    [ASIDE, ASIDE, TILT, TILT, ROUNDING_SD, SPREADING_SD, LOBE_SD, ROUGH_SD, GLOSS, RESPONSE, AMBIENT, LAG_SD]
+)
+LARGEST = np.array([5.0, 5.0, 0.6, 0.6, 1.2, 1.5, 1.2, 0.4, 0.8, 0.4, 0.4, 4.0])
+"""How far these parameters may lie from the priors' means; roughness, gloss and lag are none at least."""
+LAW = 4
+"""The last of them, which the law of light and the coding take: gloss, response, ambient share, lag."""
 STEP = 1e-4
 """Step of the derivatives."""
 OTHERS = len(PRIOR_MEAN)
@@ -96,7 +100,11 @@ class ShadingProblem(LeastSquares):
         self.motion = kind(self.press, mechanics, self.sheet.vertices, self.sequence.times, within)
         self.observed = self.sequence.light.reshape(len(self.sequence.times), -1).astype(np.float64)
         """Shape [N, P]."""
-        self._inner = self.sheet.inner.ravel()
+        self._inner, rest = self.sheet.inner.ravel(), self.sequence.rest.ravel()
+        seen = np.isfinite(np.vstack([rest, self.observed]))
+        self._followed = seen[1:] & seen[:-1]  # since the frame before; others are coded anew
+        # What a level of 8 bits is in the logarithm of light, by a response of 1/2.2.
+        self._level = 2.2 / 255 * np.exp(-rest / 2.2)
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
         self.noise = max(self.sequence.noise, LEAST_NOISE)
         """Standard deviation of a residual where the law predicts no change."""
@@ -106,7 +114,7 @@ class ShadingProblem(LeastSquares):
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
         box = np.hstack([self.motion.box(tissue), PRIOR_MEAN + np.array([[-1], [1]]) * LARGEST])
-        box[0, [-LAW - 1, -LAW]] = 0.0
+        box[0, [-LAW - 1, -LAW, -1]] = 0.0
         return box
 
     def start(self, press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
@@ -127,13 +135,18 @@ class ShadingProblem(LeastSquares):
 
     def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light at displacements [N, V, 3], and the law's part of it, shape [N, P] each."""
-        return _light(self.sheet.shown(moved, logs[-OTHERS:-LAW]), logs)
+        return self._light(self.sheet.shown(moved, logs[-OTHERS:-LAW]), logs)
+
+    def _light(self, shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithm of the light in a coded video, and the law's part of what it was before, [N, P] each."""
+        law = _law(shown, *logs[-LAW:-1])
+        return coded(shown.rest + law, self.sequence.rest.ravel(), logs[-1] * self._level, self._followed), law
 
     def tangent(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the light [N, P], and its derivatives by all parameters [N, P, D], forward differences."""
         moved, slopes = self.motion.at(logs[:-OTHERS])
         shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
-        light = _light(shown, logs)[0]
+        light = self._light(shown, logs)[0]
         found = np.empty((*light.shape, len(logs)))
         for index in range(len(logs)):
             ahead, stepped = moved, logs.copy()
@@ -142,7 +155,7 @@ class ShadingProblem(LeastSquares):
             else:
                 stepped[index] += STEP
             law_alone = index >= len(logs) - LAW
-            found[..., index] = (_light(shown, stepped) if law_alone else self.predicted(stepped, ahead))[0]
+            found[..., index] = (self._light(shown, stepped) if law_alone else self.predicted(stepped, ahead))[0]
         return light, (found - light[..., None]) / STEP
 
     def _linearise(self, logs: np.ndarray) -> Linearised:
@@ -210,13 +223,27 @@ def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:
     return white - along * (share * np.einsum("npi,npc->pc", along, white))
 
 
-def _light(shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithm of the light, and the law's part of it, [N, P] each; a share reaches tissue in any tilt."""
-    gloss, response, ambient = logs[-LAW:]
+def coded(light: np.ndarray, rest: np.ndarray, lag: np.ndarray, followed: np.ndarray) -> np.ndarray:
+    """Light in a coded video: it stays as it was until that is more than the lag off, and so far behind then.
+
+    Args:
+        light: its logarithm, shape [N, P].
+        rest: its logarithm at rest, shape [P].
+        lag: in the logarithm of light, shape [P].
+        followed: which places have been visible since the frame before, shape [N, P]; others are coded anew.
+    """
+    found, before = np.empty_like(light), rest
+    for index, now in enumerate(light):
+        behind = np.clip(before, now - lag, now + lag)
+        before = found[index] = np.where(followed[index] & np.isfinite(before), behind, now)
+    return found
+
+
+def _law(shown: Shown, gloss: float, response: float, ambient: float) -> np.ndarray:
+    """The law's part of the logarithm of light, [N, P]; a share reaches tissue in any tilt."""
     # No tissue is darker than this share of its light at rest.
     light = np.maximum((1 - ambient) * shown.matt + ambient + gloss * shown.gloss, 1e-3)
-    law = math.exp(response) * np.log(light / (1 + gloss * shown.gloss_at_rest))
-    return shown.rest + law, law
+    return math.exp(response) * np.log(light / (1 + gloss * shown.gloss_at_rest))
 
 
 def _together(residual: np.ndarray, known: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
 from palpate.estimators.direct.shading import OTHERS, ShadingProblem
 from palpate.estimators.estimate import Estimate, NoEstimate
-from palpate.physics.identifiability import box_information
+from palpate.physics.identifiability import NINETY, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -219,6 +219,7 @@ def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
         modes=count_modes(distinct(optima), prior),
         by_light=True,
         left=1 - problem.skill,
+        lag=float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0,
         shape=motion.shape(mean[:-OTHERS]),
         refuted=refuted,
     )

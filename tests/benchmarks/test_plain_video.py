@@ -63,7 +63,7 @@ def test_a_press_is_found_and_its_ratios_determined_from_a_video_alone(tmp_path)
     assert found["other_found"] == 0
     for name in ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness"):
         assert found[f"{name}_determined"]
-        assert abs(found[f"{name}_error"]) < min(1.645 * found[f"{name}_sd"], 0.3), name
+        assert abs(found[f"{name}_error"]) < min(1.645 * found[f"{name}_sd"], 0.25), name
 
 
 @pytest.mark.slow

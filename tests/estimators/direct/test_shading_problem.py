@@ -11,7 +11,7 @@ from palpate.data.shading.sequence import ShadingSequence
 from palpate.estimators.direct import shading_fit
 from palpate.estimators.direct.lit_sheet import SIDE
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.direct.shading import OTHERS, ShadingProblem, without_amplitude
+from palpate.estimators.direct.shading import OTHERS, ShadingProblem, coded, without_amplitude
 from palpate.estimators.estimate import NoEstimate
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import RECOMMENDED
@@ -62,17 +62,27 @@ def test_places_that_come_to_show_count_from_the_next_look_on(problem):
 
 def test_derivatives_by_the_press_and_by_the_law(problem):
     logs = start(problem)
+    logs[-1] = 0.0  # without a lag
     light, slopes = problem.tangent(logs)
     predicted, law = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
     known = np.isfinite(light) & problem.sheet.inner.ravel()
     np.testing.assert_allclose(light[known], predicted[known], atol=1e-3)
-    np.testing.assert_allclose(slopes[..., -2][known], law[known], atol=2e-3)  # by the response's logarithm
+    np.testing.assert_allclose(slopes[..., -3][known], law[known], atol=2e-3)  # by the response's logarithm
     step = 1e-3 * np.eye(len(logs))[0]
     ahead, behind = (
         problem.predicted(each, problem.motion.quick(each[:-OTHERS]))[0][known] for each in (logs + step, logs - step)
     )
     numeric = (ahead - behind) / 2e-3
     assert np.linalg.norm(slopes[..., 0][known] - numeric) < 0.05 * np.linalg.norm(numeric)
+
+
+def test_coded_light_stays_until_it_is_more_than_the_lag_off():
+    """The backlash of a coder, place by place; what is seen anew is coded anew."""
+    light = np.array([[0.1, 0.1], [0.35, 0.35], [0.5, np.nan], [0.45, 0.4], [0.2, 0.2]])
+    followed = np.array([[True, True], [True, True], [True, False], [True, False], [True, True]])
+    found = coded(light, np.zeros(2), np.array([0.15, 0.15]), followed)
+    np.testing.assert_allclose(found, [[0, 0], [0.2, 0.2], [0.35, np.nan], [0.35, 0.4], [0.35, 0.35]])
+    np.testing.assert_array_equal(coded(light, np.zeros(2), np.zeros(2), followed), light)
 
 
 def test_marginalised_amplitude_is_the_inverse_of_the_whole_covariance():

@@ -24,7 +24,7 @@ from palpate.results import columns as described
 from palpate.results import store
 from palpate.results.record import FORMAT_VERSION, sha256_of, versions
 
-PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "camera")
+PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""

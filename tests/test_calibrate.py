@@ -20,7 +20,6 @@ from palpate.estimators.palpation import Palpation, Skin
 from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.physics.fem import Material, find_equilibrium
-from tests.palpated import SHIFT, TURN, write_palpation
 
 
 @functools.cache
@@ -62,34 +61,6 @@ def test_the_example_s_stiffness_is_found(tmp_path, capsys, monkeypatch):
     errors = np.genfromtxt(tmp_path / "errors.csv", delimiter=",", names=True)["error_mm"]
     assert 0.1 < np.sqrt(np.nanmean(errors**2)) < 0.4
     assert np.isnan(errors).any()
-
-
-@pytest.mark.slow
-def test_a_sequence_s_presses_tell_the_modulus_in_the_robot_s_frame(tmp_path, capsys):
-    """With a sensor that has a bias; the truth has another mesh."""
-    presses = [(0.35, (0.2, 1.0)), (0.5, (0.3, 4.0))]
-    path = write_palpation(tmp_path, presses, young=8e3, poisson=0.4, cells=8, noise=1e-4)
-    assert calibrate.main(["palpation", str(path), "--output", str(tmp_path / "out"), "--export"]) == 0
-    record = strict(tmp_path / "out/calibration.json")
-    assert record["young_low_pa"] < 8e3 < record["young_high_pa"]
-    assert record["young_high_pa"] / record["young_low_pa"] < 1.8
-    assert record["poisson"] == pytest.approx(0.4, abs=3 * record["poisson_sd"])
-    assert record["source"] == "2 palpations of sequence.yaml"
-    assert record["surface_error_rms_m"] == pytest.approx(1e-4, rel=0.1)
-    nodes = meshio.read(tmp_path / "out/scene_1_0000.vtu").points
-    assert np.abs((nodes - SHIFT) @ TURN).max() < 0.06
-    assert capsys.readouterr().out.startswith("E = ")
-
-
-def test_a_sequence_s_reversed_wrench_is_a_sentence(tmp_path, capsys):
-    path = write_palpation(tmp_path, [(0.9, (0.2, 1.0))], cells=4, edge=None, law="linear")
-    table = np.loadtxt(tmp_path / "forces.csv", delimiter=",", skiprows=1)
-    table[:, 1:] *= -1
-    np.savetxt(tmp_path / "forces.csv", table, "%.10g", ",", header="time_s,Fx,Fy,Fz", comments="")
-    assert calibrate.main(["palpation", str(path), "--output", str(tmp_path / "out")]) == 1
-    said = capsys.readouterr().err.replace("\n", " ")
-    assert "what the tool does to the tissue; reverse Fx, Fy and Fz" in said
-    assert not (tmp_path / "out/calibration.json").exists()
 
 
 @pytest.mark.slow

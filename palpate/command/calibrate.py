@@ -1,10 +1,9 @@
 """From measured forces to material constants.
 
-    palpate calibrate palpation SCENE.yaml|SEQUENCE.yaml --output OUT
+    palpate calibrate palpation SCENE.yaml --output OUT
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
-(Frank 2010), or to clouds, poses and forces of a robot whose tool presses (sequence.yaml). Writes calibration.json,
-and errors.csv, the distance of every point from the fitted surface.
+(Frank 2010). Writes calibration.json, and errors.csv, the distance of every point from the fitted surface.
 
 Not a medical device.
 """

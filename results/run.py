@@ -53,8 +53,6 @@ from palpate.results.writer import ClipResults
 
 TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
 """What a batch says."""
-WITH_FORCE = ("direct", "network")
-"""Estimators that give a force."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
@@ -100,7 +98,7 @@ class Batch:
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
         wrong = {
             "scale of online": name == "online" and known is not None,
-            "limit without force": limited and name not in WITH_FORCE,
+            "limit without network": limited and name != "network",
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
@@ -111,9 +109,6 @@ class Batch:
             raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
         chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
-        unit = UNITS["force"] if self.calibration is None else NEWTONS
-        self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
-        """Limit of the force and its unit, where one is given."""
         self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
 
@@ -138,15 +133,15 @@ class Batch:
         try:
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
             options |= {"fields": self.fields, "export": self.options.export}
-            options["waits"] = self.estimator.name in WITH_FORCE
+            options["waits"] = self.estimator.name in ("direct", "network")
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.force_scale)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
-                if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"])
-            written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
-            with written as results:
+                if self.options.force_limit is not None:
+                    unit = UNITS["force"] if self.calibration is None else NEWTONS
+                    options["alarm"] = ForceAlarm(self.options.force_limit, unit, options["seconds"])
+            with ClipResults(folder, source.size, source.fps, **options) as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 length = ClipLength.of(clip)
                 if newtons is not None:

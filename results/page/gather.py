@@ -69,7 +69,6 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
-        "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],

@@ -33,7 +33,7 @@ from palpate.data.source.frames import name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.network.estimator import NetworkEstimator
@@ -44,7 +44,7 @@ from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.bag import write_bag
-from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from
+from palpate.results.calibrated import NEWTONS, ClipCalibration
 from palpate.results.columns import UNITS
 from palpate.results.page.render import write_pages
 from palpate.results.record import build_record, depends_on, model_of
@@ -86,8 +86,6 @@ class Batch:
         # Stages run side by side: OpenCV's threads of each would wait for one another.
         cv2.setNumThreads(max(1, (options.threads or os.cpu_count() or 1) // STAGES))
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
-        self.carried: Path | None = None
-        """Folder of the results of the clip with the known force, once it is done."""
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
         self.providers: dict[str, str] = {}
@@ -102,11 +100,10 @@ class Batch:
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
-            "shard of a scale": options.shard and known is not None and known.of_one_clip,
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
-            raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
+            raise ValueError(TEXTS["refused"][refused].format(estimator=name))
         chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
@@ -125,8 +122,7 @@ class Batch:
         if self.calibration is not None:
             given = self.calibration.of_clip(path, self.settings.layout.topic)
             causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
-            newtons = None if self.fields else self._newtons(given, path, causes)
-            known = given.known if newtons is None else newtons.known
+            known, newtons = given.measured, None if self.fields else ClipCalibration(given)
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             return self._kept_results(source.name, folder)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
@@ -223,7 +219,9 @@ class Batch:
                 failed.append(self._failure(given, error))
         if self.options.topic is not None and not any(map(is_bag, found)):
             raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
-        paths = self._ordered(list(found))
+        paths, known = list(found), self.calibration
+        if known is not None and known.of_one_clip and len(paths) > 1:
+            raise ValueError(f"{known.path} tells of a force in one clip, and there are {len(paths)}; give that alone.")
         if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
             number, count = self.options.shard or (1, 1)
             if count > len(paths):
@@ -237,19 +235,16 @@ class Batch:
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
         """How the clips went: one after the other, or with --jobs as they are done, in processes of their own."""
-        # The others wait for the clip whose force scales them.
-        scales = self.calibration is not None and self.calibration.of_one_clip
         scheduler = self.options.scheduler
-        alone = paths if self.options.jobs == 1 and scheduler is None else paths[: int(scales)]
-        for number, path in enumerate(alone, start=1):
-            yield self.attempt(path, progress, f"{number}/{len(paths)}")
-        left = dict.fromkeys(paths[len(alone) :])
-        if not left:
+        if not paths or (self.options.jobs == 1 and scheduler is None):
+            for number, path in enumerate(paths, start=1):
+                yield self.attempt(path, progress, f"{number}/{len(paths)}")
             return
+        left = dict.fromkeys(paths)
         jobs = min(self.options.jobs, len(left))
         share = max(1, (self.options.threads or os.cpu_count() or 1) // jobs) if scheduler is None else 1
         options = tuple((vars(self.options) | {"threads": share, "inputs": ()}).items())
-        tasks = [(options, path, self.folders.get(path), self.carried) for path in left]
+        tasks = [(options, path, self.folders.get(path)) for path in left]
         bar = progress.add_task("clips", total=len(tasks))
         said: set[str] = set()
         try:
@@ -272,39 +267,6 @@ class Batch:
                 with suppress(store.OutputError):
                     store.settle(self.folders[path])
 
-    def _ordered(self, paths: list[Path]) -> list[Path]:
-        """The clips, that with the known force first.
-
-        Raises:
-            ValueError: it is not among them, or nobody says which it is.
-        """
-        if self.calibration is None or not self.calibration.of_one_clip:
-            return paths
-        name = self.calibration.fields.clip
-        if name is None and len(paths) > 1:
-            raise ValueError(
-                f"{self.calibration.path} tells of a force in one clip, and there are {len(paths)}; name that as clip."
-            )
-        home = [path for path in paths if self._is_home(path)]
-        if paths and len(home) != 1:
-            raise ValueError(
-                f"{self.calibration.path} names the clip {name}, and {len(home)} of the inputs' clips are called that; "
-                "give it among the inputs, under a name of its own."
-            )
-        return home + [path for path in paths if path not in home]
-
-    def _is_home(self, path: Path) -> bool:
-        """Whether what was measured belongs to this clip."""
-        return self.calibration is not None and self.calibration.fields.clip in (None, path.name)
-
-    def _newtons(self, calibration: Calibration, path: Path, causes: dict[str, Any]) -> ClipCalibration:
-        """What says a clip in newtons; what that depends on is added to the causes of its results."""
-        if self._is_home(path) or not calibration.of_one_clip:
-            return ClipCalibration(calibration, self._is_home(path))
-        record = {} if self.carried is None else store.read_record(self.carried)
-        causes["calibrated_by"] = record.get("fingerprint")
-        return ClipCalibration(calibration, False, carried_from(record))
-
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
         wanted = {store.OVERLAY: self.options.overlay, store.FIELDS: self.fields}
@@ -320,14 +282,11 @@ class Batch:
         """
         try:
             with interruptible():
-                outcome = self.process(path, progress, place)
+                return self.process(path, progress, place)
         except Exception as error:
             if self.options.debug:
                 raise
             return self._failure(path, error)
-        if self.calibration is not None and self.calibration.of_one_clip and self._is_home(path):
-            self.carried = Path(outcome.where)
-        return outcome
 
     def _failure(self, path: Path, error: Exception) -> Outcome:
         text = sentence_of(error)
@@ -339,11 +298,11 @@ class Batch:
         return Outcome(name, FAILED, sentence)
 
 
-def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
+def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, Outcome, list[str]]:
     """How a clip went in this process, and what there is to say of it, for the one that has the terminal."""
-    options, path, folder, carried = task
+    options, path, folder = task
     batch = _opened(options)
-    batch.carried, batch.folders = carried, {} if folder is None else {path: folder}
+    batch.folders = {} if folder is None else {path: folder}
     with batch.console.capture() as said:
         outcome = batch.attempt(path, progress_bars(batch.console, disable=True), "")
     return path, outcome, said.get().splitlines()

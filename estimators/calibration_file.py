@@ -1,7 +1,7 @@
 """The force scale of `palpate infer --force-scale`: what is known in newtons.
 
-A YAML file (fields of `CalibrationFile`), calibration.json of `palpate calibrate palpation` with a sheet's thickness in
-it, a table of forces (columns time_s, force_N) for every clip, or the topic of forces in every bag.
+A YAML file (fields of `CalibrationFile`), a table of forces (columns time_s, force_N) for every clip, or the topic of
+forces in every bag.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from palpate.common.settings import require_numbers
 from palpate.data.source.bags import read_wrenches
 from palpate.data.source.images import printable
-from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.data.source.layout import from_mapping, read_mapping
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import (
     SHEET_FACTOR,
@@ -177,16 +177,8 @@ def read_calibration(path: Path) -> Calibration:
     is_topic = path.is_absolute() and not path.suffix and not path.exists()  # no topic has a point in its name
     if is_topic or path.suffix.lower() == ".csv":
         return Calibration(None, path, ()) if is_topic else Calibration(None, path, (path,), read_forces(path))
-    values = read_mapping(path, "a calibration")
-    if "young_pa" in values:
-        if "thickness_m" not in values:
-            raise InputError(
-                f"{printable(path)} holds no thickness_m, without which E tells no stiffness of a sheet; give "
-                "palpate calibrate palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
-            )
-        values = {"palpation": path.name, "thickness_m": values["thickness_m"]}
-    given = from_mapping(CalibrationFile, values, printable(path))
+    given = from_mapping(CalibrationFile, read_mapping(path, "a calibration"), printable(path))
     if given.palpation is None:
         return Calibration(given, path, (path,))
     palpation = path.parent / given.palpation
-    return Calibration(given, path, tuple({path: None, palpation: None}), young=palpated_young(palpation))
+    return Calibration(given, path, (path, palpation), young=palpated_young(palpation))

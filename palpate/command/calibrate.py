@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import add_listed, described_parser, path_option, real_number, say
+from palpate.common.command_line import add_listed, described_parser, path_option, say
 from palpate.common.files import as_json, read_beside
 from palpate.common.output import require_own, write_own
 from palpate.common.tables import to_csv
@@ -30,14 +30,13 @@ from palpate.results.store import OutputError, make_output, writing
 from palpate.results.vtu import palpation_deformation, write_series
 
 PALPATION = ("calibration.json", "errors.csv")
-TYPES = {"path": path_option, "size": real_number("a positive number", 1e-6)}
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate calibrate", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), TYPES, {"kinds": ("palpation",)})
+    add_listed(parser, read_beside(__file__), {"path": path_option}, {"kinds": ("palpation",)})
     return parser
 
 
@@ -55,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _palpation(options: argparse.Namespace, console: Console) -> int:
-    path, thickness, output = options.scene, options.sheet_thickness, options.output
+    path, output = options.scene, options.output
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
@@ -70,8 +69,6 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     record: dict[str, object] = {"law": scene.settings.law, "verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
-    if thickness is not None:
-        record["thickness_m"] = thickness / 1000
     if not nothing:
         half = NINETY * found.young_sd
         record |= {

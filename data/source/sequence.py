@@ -40,7 +40,7 @@ class SequenceFile:
     poses: str
     """CSV file of the tool's poses in the robot's frame: time_s with x, y, z, qx, qy, qz, qw."""
     clouds: str | None = None
-    """Clouds of tissue alone: PLY, binary PCD or NPZ, as clouds/{number}.ply."""
+    """Clouds of tissue alone: PLY or NPZ, as clouds/{number}.ply."""
     depth: str | None = None
     """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
     camera: str | None = None

@@ -29,32 +29,18 @@ def test_ply_is_read_in_binary_and_in_text(tmp_path: Path, binary: bool) -> None
     np.testing.assert_allclose(read_cloud(tmp_path / "a.ply"), POINTS)
 
 
-def test_pcd_is_read(tmp_path: Path) -> None:
-    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x normal y z\nSIZE 4 4 4 4 4\nTYPE U F F F F\nCOUNT 1 1 3 1 1\n"
-    head += "WIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA binary\n"
-    places = [*POINTS.tolist(), [np.nan] * 3]
-    kinds = [("rgb", "<u4"), ("x", "<f4"), ("normal", "<f4", 3), ("y", "<f4"), ("z", "<f4")]
-    stored = np.array([(7, x, (0, 0, 1), y, z) for x, y, z in places], kinds).tobytes()
-    (tmp_path / "a.pcd").write_bytes(head.encode() + stored)
-    found = read_cloud(tmp_path / "a.pcd")
-    np.testing.assert_allclose(found[:2], POINTS, rtol=1e-6)
-    assert np.isnan(found[2]).all()
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n1\n"),
         ("a.ply", b""),
-        ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 9999\nDATA binary\n1234"),
-        ("a.pcd", b"FIELDS x y z\nDATA binary_compressed\n"),
         ("a.npz", b"PK\x03\x04"),
         ("a.txt", b"1 2 3"),
     ],
 )
 def test_a_cloud_that_is_none_is_a_sentence(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=rf"{name} can't be read as points .*; give a PLY, binary PCD or NPZ"):
+    with pytest.raises(InputError, match=rf"{name} can't be read as points .*; give a PLY or NPZ"):
         read_cloud(tmp_path / name)
 
 

@@ -1,4 +1,4 @@
-"""A batch of clips given on the command line: finding them, going on after a failure, progress and closing table."""
+"""A batch of clips given on the command line: finding them, going on after a failure, and progress."""
 
 import argparse
 import functools
@@ -6,9 +6,9 @@ import io
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,6 @@ from typing import Any
 import cv2
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
-from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
@@ -46,28 +44,15 @@ from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.bag import write_bag
 from palpate.results.calibrated import NEWTONS, ClipCalibration
 from palpate.results.columns import UNITS
-from palpate.results.page.render import write_pages
+from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, counts_of, in_options, plural, wording
 from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
-TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
-"""What a batch says."""
+REFUSED: dict[str, str] = read_beside(__file__)
+"""What is said of options that don't belong together."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
-DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
-
-
-@dataclass
-class Outcome:
-    """How one clip, or one input without any, went."""
-
-    name: str
-    state: str
-    where: str
-    """Folder of the results, or why there are none."""
-    counts: dict[str, int] = field(default_factory=dict)
-    """What was found in the clip (see `counts_of`)."""
 
 
 class Batch:
@@ -88,8 +73,6 @@ class Batch:
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
-        self.providers: dict[str, str] = {}
-        """What was said of where networks run."""
         names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
@@ -103,7 +86,7 @@ class Batch:
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
-            raise ValueError(TEXTS["refused"][refused].format(estimator=name))
+            raise ValueError(REFUSED[refused].format(estimator=name))
         chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
         self.store = store.ResultStore(options.output)
@@ -122,7 +105,7 @@ class Batch:
         if self.calibration is not None:
             given = self.calibration.of_clip(path, self.settings.layout.topic)
             causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
-            known, newtons = given.measured, None if self.fields else ClipCalibration(given)
+            known, newtons = given.measured, ClipCalibration(given)
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             return self._kept_results(source.name, folder)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
@@ -164,15 +147,11 @@ class Batch:
                 results.finish(record, title=source.name)
         finally:
             progress.remove_task(task)
-        new = sorted(record["providers"].items() - self.providers.items())
-        if new:
-            self.providers |= new
-            say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
         for warning in record["warnings"]:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(3):
             total = results.counts.total()
-            said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
+            said = f"no estimate of {count} of {total} {plural(total, 'contact')}: {reason}"
             say(self.console, f"{source.name}: {said}")
         return Outcome(source.name, DONE, str(folder), counts_of(record))
 
@@ -246,7 +225,6 @@ class Batch:
         options = tuple((vars(self.options) | {"threads": share, "inputs": ()}).items())
         tasks = [(options, path, self.folders.get(path)) for path in left]
         bar = progress.add_task("clips", total=len(tasks))
-        said: set[str] = set()
         try:
             if scheduler is None:
                 results = run_tasks(_attempt_in_worker, tasks, jobs, threads=share)
@@ -254,9 +232,7 @@ class Batch:
                 results = run_distributed(_attempt_in_worker, tasks, scheduler)
             for path, outcome, lines in results:
                 for line in lines:
-                    if line not in said:  # each worker says where networks run
-                        say(self.console, line)
-                said.update(lines)
+                    say(self.console, line)
                 progress.advance(bar)
                 del left[path]
                 yield outcome
@@ -289,7 +265,7 @@ class Batch:
             return self._failure(path, error)
 
     def _failure(self, path: Path, error: Exception) -> Outcome:
-        text = sentence_of(error)
+        text = wording(error)
         if not isinstance(error, (ValueError, OSError)):
             text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
@@ -312,32 +288,6 @@ def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, O
 def _opened(options: Options) -> Batch:
     """The batch, opened once in a worker."""
     return Batch(argparse.Namespace(**dict(options)), Console(file=io.StringIO()))
-
-
-def sentence_of(error: Exception) -> str:
-    """An error's message in this program's words."""
-    return in_options(str(error)) or type(error).__name__
-
-
-def in_options(text: str) -> str:
-    """Sentences in this program's words: settings are options here."""
-    for setting, option in TEXTS["words"].items():
-        text = text.replace(setting, option)
-    return text
-
-
-def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
-    contacts = {f"{_plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
-    frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
-    verdicts = record.get("verdicts", {})
-    touching = record.get("statuses", {}).get("ok", 0) - sum(verdicts.values())
-    found = contacts | {f"{_plural(count, 'frame')} {name}": count for name, count in (verdicts | frames).items()}
-    return found | ({f"{_plural(touching, 'frame')} in contact": touching} if touching else {})
-
-
-def _plural(count: int, noun: str) -> str:
-    return noun if count == 1 else f"{noun}s"
 
 
 def _kept(
@@ -368,7 +318,7 @@ def run(options: argparse.Namespace) -> int:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
     except (ValueError, OSError) as error:
-        say(console, f"{program()}: {sentence_of(error)}")
+        say(console, f"{program()}: {wording(error)}")
         return 2
     if not paths:
         return 2
@@ -380,35 +330,11 @@ def run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             interrupted = True
         except ValueError as error:  # of the scheduler; a clip's is in its outcome
-            say(console, f"{program()}: {sentence_of(error)}")
+            say(console, f"{program()}: {wording(error)}")
             return 2
-    Console().print(_table(outcomes), soft_wrap=True)
-    _write_pages(options.output, outcomes, console)
+    conclude(options.output, outcomes, console)
     if interrupted:
         finished = sum(outcome.state != FAILED for outcome in outcomes)
         say(console, f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
         return INTERRUPTED
     return int(any(outcome.state == FAILED for outcome in outcomes))
-
-
-def _write_pages(output: Path, outcomes: list[Outcome], console: Console) -> None:
-    """Write the batch's page and its clips', and say where; one that can't be written is no clip's failure."""
-    failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
-    try:
-        say(console, f"Look at {write_pages(output, failed, anew=False)}")
-    except store.OutputError as error:
-        say(console, f"no page: {error}")
-
-
-def _table(outcomes: list[Outcome]) -> Table:
-    """Clips with what was counted in them, and where the results lie."""
-    table = Table(title="Clips", title_justify="left")
-    table.add_column("clip", no_wrap=True, max_width=24)
-    table.add_column("result", no_wrap=True)
-    table.add_column("found", no_wrap=True)
-    table.add_column("results in, or why not", overflow="fold")
-    for outcome in outcomes:
-        # A line a status: a column each would leave no room for the rest on a narrow terminal.
-        counts = "\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items())
-        table.add_row(Text(plain(outcome.name)), outcome.state, Text(counts), Text(plain(outcome.where)))
-    return table

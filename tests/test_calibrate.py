@@ -5,7 +5,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 import pytest
 import yaml
@@ -17,7 +16,6 @@ from palpate.command import calibrate
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
-from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.physics.fem import Material, find_equilibrium
 
@@ -84,40 +82,15 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
         return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
-    options = ["--output", str(tmp_path), "--export"]
-    assert calibrate.main(["palpation", str(write_scene(tmp_path)), *options]) == 0
+    assert calibrate.main(["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path)]) == 0
     record = strict(tmp_path / "calibration.json")
     assert record["verdict"] == "nothing determined"
-    assert not list(tmp_path.glob("scene_*"))
     assert (record["young_pa"], record["poisson"]) == (None, None)
     assert "young_low_pa" not in record
     said = capsys.readouterr().out
     assert said.startswith("nothing determined: the surface moved too little for points 0.3 mm off")
     with pytest.raises(InputError, match=r"calibration.json says that nothing is determined; press harder"):
         read_calibration(write_use(tmp_path))
-
-
-def test_palpations_are_exported(tmp_path, capsys, monkeypatch):
-    """Of a curved body, in metres and newtons."""
-    found = []
-
-    def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
-        bench, covariance = Bench(skin, held, palpations, "corotational"), np.diag([0.01, 1e-4])
-        body, forces = bench.skin.body, np.zeros_like(bench.skin.body.rest)
-        forces[body.rest[:, 2].argmax()] = 0.05, 0.0, -0.2
-        found.append(find_equilibrium(body, Material("corotational", 1e4, 0.4), bench.held, forces=forces))
-        return MaterialFit(1e4, 0.4, covariance, [palpations[0].pose], found[-1:], 3e-4, 5)
-
-    monkeypatch.setattr(calibrate, "fit_material", fit)
-    wide = ball()[0]["palpations"][0] | {"tool_radius": 0.04}  # few elements
-    scene = write_scene(tmp_path, palpations=[wide])
-    arguments = ["palpation", str(scene), "--output", str(tmp_path), "--export"]
-    assert calibrate.main(arguments) == 0
-    assert "scene_1_0000.vtu" in capsys.readouterr().err
-    moved = meshio.read(tmp_path / "scene_1_0000.vtu").point_data["displacement"]
-    largest = np.abs(found[0].displacement).max()
-    np.testing.assert_allclose(moved, found[0].displacement, atol=1e-9 * largest)
-    assert largest > 1e-4
 
 
 def write_use(folder: Path) -> Path:

@@ -10,7 +10,6 @@ Not a medical device.
 
 import argparse
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.store import OutputError, make_output, writing
-from palpate.results.vtu import palpation_deformation, write_series
 
 PALPATION = ("calibration.json", "errors.csv")
 
@@ -79,13 +77,7 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
         }
     _write(output, "calibration.json", as_json(record, indent=1) + "\n")
     _write(output, "errors.csv", _errors(scene, found))
-    names = list(PALPATION)
-    with TemporaryDirectory() as folder:
-        for number in range(len(found.rests) if options.export and not nothing else 0):
-            for name in write_series(Path(folder), f"scene_{number + 1}", palpation_deformation(found, number)):
-                _write(output, name, (Path(folder) / name).read_bytes())
-                names.append(name)
-    say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
@@ -105,7 +97,7 @@ def _errors(scene: Scene, found: MaterialFit) -> str:
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
-def _write(output: Path, name: str, content: str | bytes) -> None:
+def _write(output: Path, name: str, content: str) -> None:
     make_output(output)
     with writing(output):
         write_own(output / name, content)

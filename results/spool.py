@@ -42,7 +42,7 @@ class FrameSpool:
         """Append a frame."""
         image = None if frame.image is None else cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
         picture = self._write(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-        labels = self._write(".png", frame.labels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        labels = self._write(".png", frame.labels, [])
         self._entries.append((frame.estimate, picture, labels))
 
     def drain(self) -> Iterator[Waiting]:

@@ -26,7 +26,6 @@ GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
 COLORS = np.zeros((256, 3), np.uint8)
 """RGB of every grey class code."""
 COLORS[[entry.grey for entry in CLASSES.values()]] = [entry.color for entry in CLASSES.values()]
-FASTEST_COMPRESSION = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
 def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray, stored_depth: np.ndarray) -> None:
@@ -106,8 +105,9 @@ def open_video(path: Path, settings: SceneSettings) -> Generator[Callable[[np.nd
 
 
 def _write_png(stem: Path, suffix: str, pixels: np.ndarray) -> None:
-    # imencode and write_bytes: OpenCV's own writer can't say why it failed.
-    done, encoded = cv2.imencode(".png", pixels, FASTEST_COMPRESSION)
+    # imencode and write_bytes: OpenCV's own writer can't say why it failed. Its defaults take a third of the time of
+    # the lowest compression level, with which it chooses other filters.
+    done, encoded = cv2.imencode(".png", pixels)
     if not done:
         raise OSError(f"{stem}{suffix}.png can't be encoded as a PNG.")
     stem.with_name(f"{stem.name}{suffix}.png").write_bytes(encoded.tobytes())

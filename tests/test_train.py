@@ -457,13 +457,13 @@ def together(*commands: list[str], **environment: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path, capsys):
+def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
     same = "--model.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
     same += " --data.samples.onset_within 7 --trainer.deterministic true"
     arguments = ["-c", str(config), *same.split()]
     one, two = tmp_path / "one", tmp_path / "two"
-    assert train.main(["fit", *arguments, f"--trainer.default_root_dir={one}"]) == 0
+    together(command("fit", *arguments, "--trainer.default_root_dir", one))
     apart = ("--data.loading.batch_size", 1, "--trainer.num_nodes", 2, "--trainer.default_root_dir", two)
     together(*[command("fit", *arguments, *apart)] * 2)
     expected, found = last(one), last(two)
@@ -475,13 +475,11 @@ def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_p
     for ours, theirs in zip(*logged, strict=True):
         for name, value in theirs.items():
             assert not value or float(ours[name]) == pytest.approx(float(value), rel=0.05), name
-    given = ["test", *arguments, f"--ckpt_path={one / 'checkpoints' / 'last.ckpt'}"]
-    capsys.readouterr()
-    assert train.main([*given, f"--trainer.default_root_dir={one}"]) == 0
-    [said] = together(command(*given, "--trainer.devices", 2, "--trainer.default_root_dir", two))
     tested = []
-    for folder, text in ((one, capsys.readouterr().out), (two, said)):
-        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", text)}
+    for folder, devices in ((one, 1), (two, 2)):
+        given = ("--ckpt_path", one / "checkpoints" / "last.ckpt", "--trainer.devices", devices)
+        [said] = together(command("test", *arguments, *given, "--trainer.default_root_dir", folder))
+        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", said)}
         tested.append((means, read_rows(folder / "evaluation" / "per_frame.csv")))
     (means, rows), (means_of_two, rows_of_two) = tested
     assert len(means) == 4

@@ -56,6 +56,7 @@ CHECKPOINTS: dict[str, dict[str, Any]] = {
 }
 """Settings of the checkpoints by file name (Bini 2026, section 3.5). `save_last` would follow the best checkpoint only,
 so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
+COMMANDS = ("fit", "validate", "test", "export")
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
 
@@ -150,9 +151,15 @@ class RunTrainer(Trainer):
 class TrainCLI(LightningCLI):
     """Command line: one configuration file, any field of which can be overridden."""
 
+    def __init__(self, *given: Any, args: list[str] | None, **options: Any) -> None:
+        """Set up the options of the command that is given alone; those of each take a third of a second."""
+        first = (sys.argv[1:] if args is None else args)[:1]
+        self._commands = [name for name in COMMANDS if name in first] or COMMANDS
+        super().__init__(*given, args=args, **options)
+
     def subcommands(self) -> dict[str, set[str]]:
         loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
-        return dict.fromkeys(("fit", "validate", "test", "export"), loaders)
+        return dict.fromkeys(self._commands, loaders)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")

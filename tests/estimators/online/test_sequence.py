@@ -36,10 +36,18 @@ def test_the_field_does_not_depend_on_frame_and_unit(tmp_path: Path) -> None:
     assert np.ptp(np.log(one.distance)) > 0.5
 
 
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[SequenceTissue, ParticleField]:
+    """A sequence of 60 frames, and its last frame's field."""
+    path = write_sequence(tmp_path_factory.mktemp("long"), 60)
+    tissue = SequenceTissue(open_sequence(path), OnlineSettings(particles=300, fitted=0, method=NEWTON))
+    return tissue, list(tissue.fields())[-1][1]
+
+
 @pytest.mark.slow
-def test_the_field_ranks_and_moves_as_the_truth(tmp_path: Path) -> None:
+def test_the_field_ranks_and_moves_as_the_truth(long: tuple[SequenceTissue, ParticleField]) -> None:
     """Less well than the session that is given the simulated sheet itself: 0.72 in place of 0.79."""
-    drawn, field = pull(60), followed(write_sequence(tmp_path, 60), particles=300)
+    drawn, field = pull(60), long[1]
     rest, now = ((places - SHIFT) @ TURN for places in (field.rest, field.positions))
     assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7
     assert field.skill > 0.8
@@ -82,10 +90,8 @@ def test_what_the_file_stands_for_is_no_setting(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_intervals_of_what_is_determined_hold(tmp_path: Path) -> None:
-    chosen = OnlineSettings(particles=300, fitted=0, method=NEWTON)
-    tissue = SequenceTissue(open_sequence(write_sequence(tmp_path, 60)), chosen)
-    field = list(tissue.fields())[-1][1]
+def test_intervals_of_what_is_determined_hold(long: tuple[SequenceTissue, ParticleField]) -> None:
+    tissue, field = long
     soft = ((field.rest - SHIFT) @ TURN)[:, 0] > SIDE / 2
     off = np.log(field.distance / np.where(soft, 1.0, 3.0))
     held = np.abs(off - off[tissue.driven.stretched].mean()) < NINETY * field.distance_log_sd

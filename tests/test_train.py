@@ -263,6 +263,7 @@ def test_a_bad_configuration_gets_a_sentence(config: Path, tmp_path: Path, capsy
         (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number out of range"),
+        (b'data: {root: "a\\0b"}', "or a NUL; correct the file"),
         (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
     ],
 )
@@ -330,6 +331,11 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
     assert not (tmp_path / "run" / "checkpoints").exists()
 
 
+def test_a_folder_that_takes_no_tracking_database_gets_a_sentence_at_once(config: Path, capsys):
+    said = refused(capsys, "fit", "-c", config, "--tracking=true", "--trainer.default_root_dir=/proc/palpate")
+    assert "/proc/mlflow.db can't be used (" in said
+
+
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
 def test_a_locked_tracking_database_gets_a_sentence(config: Path, tmp_path: Path, capsys, monkeypatch, kind: str):
     monkeypatch.setattr(tracking, "LOCK_TIMEOUT_S", 0.1)
@@ -377,6 +383,9 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         ({"optimizer_states": "none"}, "fit", "holds no state of a training to go on from"),
         ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
         ({"loops": None}, "fit", "holds no state of a training to go on from"),
+        ({"loops": {"fit_loop": {}}}, "validate", "holds no state of a training to go on from"),
+        ({"optimizer_states": []}, "fit", "holds no state of a training to go on from"),
+        ({"optimizer_states": [{"state": {}, "param_groups": []}] * 3}, "fit", "holds no state of a training to go"),
     ]
     for change, command, expected in cases:
         torch.save(whole | change, path)
@@ -387,6 +396,10 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         assert train.main(["export", "-c", str(config), "--ckpt_path", str(path), "--output", str(output)]) == 1
         assert "doesn't say what it was trained on; give one that train.py fit" in capsys.readouterr().err
         assert not output.exists()
+    torch.save(whole | {"state_dict": {name: values * torch.nan for name, values in weights.items()}}, path)
+    assert train.main(["export", "-c", str(config), "--ckpt_path", str(path), "--output", str(output)]) == 1
+    assert f"{output} gives a number that is not finite" in capsys.readouterr().err
+    assert list(tmp_path.glob("*.onnx")) == []
 
 
 @pytest.mark.parametrize(

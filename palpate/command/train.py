@@ -83,7 +83,7 @@ class SentenceParser(LightningArgumentParser):
         except InputError as error:
             raise UsageError(str(error)) from error
         if not sound(settings):
-            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range; correct the file.")
+            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range or a NUL; correct the file.")
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
@@ -226,7 +226,7 @@ class TrainCLI(LightningCLI):
             raise UsageError(str(error)) from error
         checkpoint = self.config_init[self.subcommand].ckpt_path
         if checkpoint is not None:
-            require_same_weights(Path(checkpoint), self.model.state_dict(), resume=self.subcommand == "fit")
+            require_same_weights(Path(checkpoint), self.model, self.subcommand or "")
 
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
         config = self.config_init[self.subcommand]

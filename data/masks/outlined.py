@@ -27,6 +27,8 @@ ENTERS = 0.012
 """Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side."""
 BEYOND = 2.0
 """How far beyond the edge a shaft goes on, in longer sides of the picture."""
+MOST_OUTLINES = 50
+"""Most instruments of a frame."""
 
 
 class OutlinedMasks:
@@ -105,6 +107,8 @@ def read_outlines(path: Path) -> Mapping[int, list[np.ndarray]]:
                 raise InputError(f"{path} has an outline in frame {number} {few}; {wanted}.")
             if not (np.abs(polygon) <= MOST_SIDE).all():
                 raise InputError(f"{path} has a corner in frame {number} that lies in no picture; {wanted}.")
+        if len(corners) > MOST_OUTLINES:
+            raise InputError(f"{path} has {len(corners)} outlines in frame {number}; give {MOST_OUTLINES} at most.")
         outlines[number] = corners
     if not outlines:
         raise InputError(f"{path} holds no frame; {wanted}.")

@@ -117,6 +117,7 @@ def test_a_shaft_that_is_lost_is_said_until_it_is_outlined_again(tmp_path):
         ("0: [[1, 2, 3]]", "frame 0 of fewer than three corners"),
         ("0.5: [[[1, 2], [3, 4], [5, 9]]]", "holds '0.5' with what are no polygons"),
         ("true: [[[1, 2], [3, 4], [5, 9]]]", "holds 'True' with what are no polygons"),
+        ("0: [" + "[[1, 2], [3, 4], [5, 9]]," * 51 + "]", "has 51 outlines in frame 0; give 50 at most"),
         ("0: [[[1, 2], [3, 4], [5]]]", "'0' with what are no polygons"),
         ("-1: [[[1, 2], [3, 4], [5, 6]]]", "frame -1 of fewer"),
         ("0: [[[1, 2], [3, 4], [5, .nan]]]", "corner in frame 0 that lies in no picture"),

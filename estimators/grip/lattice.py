@@ -12,7 +12,7 @@ import numpy as np
 from palpate.common.robust import affine_terms
 from palpate.physics.sheet import equilibrium
 
-ALPHAS = np.geomspace(1e-4, 1.0, 14)
+ALPHAS = np.geomspace(1e-3, 1.0, 14)
 """Foundation over spring stiffness. Motion dies away over √(3/α) spacings: a node's eight springs are worth three."""
 PIECE = 7
 """Side of a piece of tissue over which the errors of the sheet are correlated, in spacings of the lattice."""

@@ -208,6 +208,9 @@ class TrainCLI(LightningCLI):
         for name, refused in REFUSED.items():
             if trainer[name] not in refused["work"]:
                 raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
+        for name in ("check_val_every_n_epoch", "val_check_interval"):
+            if isinstance(trainer[name], (int, float)) and trainer[name] <= 0:
+                raise UsageError(f"trainer.{name} is {trainer[name]}; give more than 0.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
         if trainer.deterministic is True and not on_cpu:
             raise UsageError(
@@ -224,6 +227,8 @@ class TrainCLI(LightningCLI):
             super().instantiate_classes()
         except (ValueError, MisconfigurationException) as error:  # from the check of a setting
             raise UsageError(str(error)) from error
+        except TypeError as error:  # Lightning's, of a trainer's option
+            raise UsageError(f"an option of trainer can't be used ({error}); correct it.") from error
         checkpoint = self.config_init[self.subcommand].ckpt_path
         if checkpoint is not None:
             require_same_weights(Path(checkpoint), self.model, self.subcommand or "")

@@ -21,7 +21,7 @@ LARGEST_NUMBER = 2**63 - 1
 class Parser(argparse.ArgumentParser):
     """A parser that refuses `--option=--`, of which argparse makes an empty list."""
 
-    def parse_args(self, *given: Any, **options: Any) -> Any:  # ty: ignore[invalid-method-override]
+    def parse_args(self, *given: Any, **options: Any) -> Any:
         found = super().parse_args(*given, **options)
         if [] in vars(found).values():
             self.error("an option is --; give its value or leave it out.")

@@ -88,7 +88,8 @@ def require_same_weights(path: Path, model: LightningModule, command: str) -> No
         )
     try:
         if command == "fit":
-            for optimizer, state in zip(model.configure_optimizers(), checkpoint["optimizer_states"], strict=True):
+            optimizers: Any = model.configure_optimizers()
+            for optimizer, state in zip(optimizers, checkpoint["optimizer_states"], strict=True):
                 optimizer.load_state_dict(state)
         if command != "export":
             dict(**checkpoint["loops"][f"{command}_loop"])

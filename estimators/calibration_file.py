@@ -1,7 +1,7 @@
 """The force scale of `palpate infer --force-scale`: what is known in newtons.
 
-A YAML file (fields of `CalibrationFile`), calibration.json of `palpate calibrate palpation` with a sheet's thickness in
-it, a table of forces (columns time_s, force_N) for every clip, or the topic of forces in every bag.
+A YAML file (fields of `CalibrationFile`), a table of forces (columns time_s, force_N) for every clip, or the topic of
+forces in every bag.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from palpate.common.settings import require_numbers
 from palpate.data.source.bags import read_wrenches
 from palpate.data.source.images import printable
-from palpate.data.source.layout import InputError, from_mapping, read_mapping
+from palpate.data.source.layout import from_mapping, read_mapping
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import (
     SHEET_FACTOR,
@@ -31,7 +31,7 @@ from palpate.estimators.force_scale import (
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
 from palpate.estimators.palpated import palpated_young
 
-REFERENCES = ("force_N", "known_s", "stiffness", "palpation")
+REFERENCES = ("force_N", "stiffness", "palpation")
 """Fields of which one at most tells newtons."""
 
 
@@ -49,10 +49,6 @@ class CalibrationFile:
     """Its standard deviation [N]."""
     force_time_s: float | None = None
     """When it acted: in the run of contact under way then, in the clip's time [s]."""
-    measured: str | None = None
-    """Measured forces, a CSV file next to this one with the columns time_s (in the clip's time) and force_N."""
-    known_s: tuple[float, float] | None = None
-    """The part of `measured` that tells the scale [s]."""
     stiffness: float | None = None
     """Stiffness k_s of the tissue's sheet of springs, at all contacts."""
     stiffness_sd: float = 0.0
@@ -65,8 +61,6 @@ class CalibrationFile:
     """Of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: float = 0.0
     """Its standard deviation [m]."""
-    clip: str | None = None
-    """Folder or file name of the clip in which the force is known, where there are several."""
     metres_per_depth: float | None = None
     """Length of a unit of the clips' depth [m]; none = as metric depth has it, else not known."""
     metres_per_depth_sd: float = 0.0
@@ -76,50 +70,35 @@ class CalibrationFile:
         given = [name for name in REFERENCES if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} each tell newtons; give one.")
-        if (self.known_s is None) != (self.measured is None):
-            raise ValueError("measured and known_s belong together; give both.")
         if not given:
             raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}.")
         if (self.force_N is None) != (self.force_time_s is None):
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        if self.clip is not None and given[0] not in ("force_N", "known_s"):
-            raise ValueError(f"clip names that of a known force; leave it out next to {given[0]}.")
         deviations = ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd")
         values = ("force_N", "stiffness", "thickness_m", "metres_per_depth")
         require_numbers(self, positive=values, not_negative=deviations)
-        if self.known_s is not None and not self.known_s[0] < self.known_s[1]:
-            raise ValueError(f"known_s is {list(self.known_s)}; give a beginning before an end.")
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """What is known in newtons, read."""
 
-    fields: CalibrationFile
+    fields: CalibrationFile | None
+    """None where forces were measured in every clip."""
     path: Path
     files: tuple[Path, ...]
     """It and those that it names."""
-    measured: KnownForce | None
-    young: tuple[float, float] | None
+    measured: KnownForce | None = None
+    """Measured forces; None before `of_clip` where bags hold them."""
+    young: tuple[float, float] | None = None
     """E of the palpations [Pa] and the standard deviation of its logarithm."""
-    every_clip: bool = False
-    """Whether forces were measured in every clip; `measured` is None before `of_clip` where bags hold them."""
 
     @property
     def of_one_clip(self) -> bool:
         """Whether the scale follows from a force that acted in one clip."""
-        return not self.every_clip and (self.fields.force_N is not None or self.fields.known_s is not None)
-
-    @property
-    def known(self) -> KnownForce | None:
-        """The measured forces that tell the scale."""
-        if self.measured is None or self.fields.known_s is None:
-            return None
-        low, high = self.fields.known_s
-        some = (low <= self.measured.times) & (self.measured.times <= high)
-        return KnownForce(self.measured.times[some], self.measured.force[some])
+        return self.fields is not None and self.fields.force_N is not None
 
     def of_clip(self, clip: Path, pictures: str | None) -> Calibration:
         """Return the calibration with the forces that the clip, a bag, holds; unchanged without a topic.
@@ -131,7 +110,7 @@ class Calibration:
         Raises:
             InputError: the clip is no bag with that topic, or its forces can't be read.
         """
-        if not self.every_clip or self.measured is not None:
+        if self.fields is not None or self.measured is not None:
             return self
         return replace(self, measured=KnownForce(*read_wrenches(clip, str(self.path), pictures)))
 
@@ -141,9 +120,9 @@ class Calibration:
         Raises:
             InputError: as of `ClipLength.stated`.
         """
-        stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
-        if stated is None:
+        if self.fields is None or self.fields.metres_per_depth is None:
             return own
+        stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
         return own.stated(stated, sd / stated, f"metres_per_depth in {self.path.name}", str(self.path))
 
     def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
@@ -152,7 +131,17 @@ class Calibration:
         Raises:
             NoEstimate: why there is none.
         """
+        if self.measured is not None:
+            forces = measured_presses(runs, self.measured)
+            if not forces:
+                raise NoEstimate(
+                    f"No results in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
+                    "are known."
+                )
+            frames = ", ".join(str(frame) for frame, *_ in forces)
+            return scale_by_force(runs, forces, f"forces measured at frame {frames}")
         given = self.fields
+        assert given is not None
         if given.force_N is not None and given.force_time_s is not None:
             at = np.array([given.force_time_s])
             here = [run for run in runs if run.pressing(at)[0]]
@@ -164,15 +153,6 @@ class Calibration:
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
             return scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
-        if given.known_s is not None and self.measured is not None:
-            forces = measured_presses(runs, self.measured, given.known_s)
-            if not forces:
-                raise NoEstimate(
-                    f"No results in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
-                    "are known."
-                )
-            frames = ", ".join(str(frame) for frame, *_ in forces)
-            return scale_by_force(runs, forces, f"forces measured at frame {frames}")
         if given.stiffness is not None:
             source = f"known stiffness of {given.stiffness:g} {given.stiffness_unit}"
             log_sd, metric = given.stiffness_sd / given.stiffness, given.stiffness_unit == "N/m"
@@ -196,23 +176,9 @@ def read_calibration(path: Path) -> Calibration:
     """
     is_topic = path.is_absolute() and not path.suffix and not path.exists()  # no topic has a point in its name
     if is_topic or path.suffix.lower() == ".csv":
-        fields = CalibrationFile(measured=str(path), known_s=(-math.inf, math.inf))
-        files, forces = ((), None) if is_topic else ((path,), read_forces(path))
-        return Calibration(fields, path, files, forces, None, every_clip=True)
-    values = read_mapping(path, "a calibration")
-    if "young_pa" in values:
-        if "thickness_m" not in values:
-            raise InputError(
-                f"{printable(path)} holds no thickness_m, without which E tells no stiffness of a sheet; give "
-                "palpate calibrate palpation --sheet-thickness, or a YAML file with palpation and thickness_m."
-            )
-        values = {"palpation": path.name, "thickness_m": values["thickness_m"]}
-    given = from_mapping(CalibrationFile, values, printable(path))
-    files, measured, young = [path], None, None
-    if given.measured is not None:
-        files.append(path.parent / given.measured)
-        measured = read_forces(files[-1])
-    if given.palpation is not None:
-        files.append(path.parent / given.palpation)
-        young = palpated_young(files[-1])
-    return Calibration(given, path, tuple(dict.fromkeys(files)), measured, young)
+        return Calibration(None, path, ()) if is_topic else Calibration(None, path, (path,), read_forces(path))
+    given = from_mapping(CalibrationFile, read_mapping(path, "a calibration"), printable(path))
+    if given.palpation is None:
+        return Calibration(given, path, (path,))
+    palpation = path.parent / given.palpation
+    return Calibration(given, path, (path, palpation), young=palpated_young(palpation))

@@ -7,7 +7,7 @@ from palpate.data.source.layout import InputError
 from palpate.physics.mesh import Mesh, grid_mesh
 
 NEIGHBOURS, SPARSE = 16, 4.0
-"""Points of a cloud that tell the height of a place, at least; over their usual distance, how near one must be."""
+"""Points of a cloud that tell the height of a place; over their usual distance, how near one must be."""
 
 
 def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -36,13 +36,12 @@ class CloudShape:
     Args:
         cloud: shape [m, 3] [m].
         what: its file, for messages.
-        wide: over which distance heights are averaged [m]; over NEIGHBOURS points at least.
 
     Raises:
         InputError: there are too few points; so does `mesh`, and where some lie far off.
     """
 
-    def __init__(self, cloud: np.ndarray, what: str, wide: float = 0.0) -> None:
+    def __init__(self, cloud: np.ndarray, what: str) -> None:
         said = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
         self._cloud, self._sparse = cloud, InputError(said)
         if len(cloud) < NEIGHBOURS:
@@ -51,11 +50,10 @@ class CloudShape:
         self._apart = max(SPARSE * float(np.median(self._tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
         self.area = len(np.unique(np.floor(cloud[:, :2] / self._apart), axis=0)) * self._apart**2
         """Across the line of sight [m²]."""
-        self._neighbours = max(NEIGHBOURS, int(len(cloud) * wide**2 / self.area))
 
     def heights(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
-        away, near = self._tree.query(places, self._neighbours)
+        away, near = self._tree.query(places, NEIGHBOURS)
         middle = self._cloud[near, :2].mean(axis=-2)
         # How far the middle of these is away, over their mean distance, where a place lies outside of the cloud.
         beside = np.linalg.norm(middle - places, axis=-1) > 0.75 * away.mean(axis=-1)

@@ -1,9 +1,10 @@
 """Newtons for scene units: one scale from a known force or a known stiffness, and the errors that follow.
 
 The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and F
-is c·F. A property that contacts share gives c elsewhere: either the mass of a vertex, as in the simulator (Bini 2026,
-table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ with one
-unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow exactly.
+is c·F. A property that a clip's contacts share gives c in all of them: either the mass of a vertex, as in the simulator
+(Bini 2026, table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ
+with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow
+exactly.
 """
 
 from __future__ import annotations
@@ -42,8 +43,6 @@ class ClipLength:
     """Length of a scene unit, where depth is metric or a length is stated [m]."""
     log_sd: float = 0.0
     """Standard deviation of the logarithm of `metres`."""
-    stored: bool = False
-    """Whether depth comes from files, whose unit is then taken to be the same in all clips."""
     by: str = ""
     """By what `metres` is known, or why it isn't where that is worth saying."""
 
@@ -51,8 +50,8 @@ class ClipLength:
     def of(cls, clip: ClipStream) -> ClipLength:
         """As the clip itself tells it; raises as `stated` does."""
         metres, log_sd, by = clip.metres or (None, 0.0, "")
-        own = cls(clip.scale, metres and clip.scale * metres, log_sd, clip.sources["depth"] == "stored", by)
-        return own.stated(metres, log_sd, by, str(clip.source.path)) if own.stored and metres else own
+        own, stored = cls(clip.scale, metres and clip.scale * metres, log_sd, by), clip.sources["depth"] == "stored"
+        return own.stated(metres, log_sd, by, str(clip.source.path)) if stored and metres else own
 
     def stated(self, metres: float, log_sd: float, by: str, where: str) -> ClipLength:
         """The same where a file, named by `where`, states the length of a unit of depth [m].
@@ -72,12 +71,6 @@ class ClipLength:
         mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)
         says = f"1 scene unit = {mm:.3g} mm ({mm / half:.3g} to {mm * half:.3g}), metric by {self.by}"
         return {"mm": mm, "mm_low": mm / half, "mm_high": mm * half, "by": self.by, "says": says}
-
-    def over(self, other: ClipLength) -> float | None:
-        """A scene unit of this clip over that of another; None where it isn't known."""
-        if self.metres is not None and other.metres is not None:
-            return self.metres / other.metres
-        return self.scale / other.scale if self.stored and other.stored else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,22 +124,6 @@ class ForceScale:
     """Weight in g of every run of this clip that determined it, by the number of its first frame."""
     metric: bool = False
     """Whether g comes from a stiffness in N/m, and so depends on the length of a scene unit."""
-
-    def elsewhere(self, here: ClipLength, there: ClipLength) -> ForceScale:
-        """The scale of another clip.
-
-        c is a mass times the length of a scene unit over a time squared, c·k_s a stiffness in N/m times that length.
-
-        Raises:
-            NoEstimate: the ratio of the clips' scene units isn't known.
-        """
-        longer = there.over(here)
-        if longer is None:
-            raise NoEstimate(
-                "A scene unit of the clip with the known force can't be compared with this clip's; give "
-                "metres_per_depth."
-            )
-        return replace(self, log=self.log + math.log(longer), used={})
 
     def of(self, run: PressedRun, length: ClipLength) -> Physical:
         """A run in physical units."""
@@ -237,15 +214,14 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source:
     return ForceScale(log, variance, MASS, source, weights)
 
 
-def measured_presses(runs: Sequence[PressedRun], measured: KnownForce, known: tuple[float, float]) -> list[KnownPress]:
-    """Forces of the runs that were measured within some seconds, as `scale_by_force` takes them.
+def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[KnownPress]:
+    """Forces of the runs that were measured, as `scale_by_force` takes them.
 
     The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.
     """
     found = []
     for run in runs:
-        here = run.pressing(measured.times) & (known[0] <= measured.times) & (measured.times <= known[1])
-        force = np.abs(measured.force[here])
+        force = np.abs(measured.force[run.pressing(measured.times)])
         if len(force) >= LEAST_KNOWN and force.mean() > 0:
             factor, variance, _ = fit_factor(np.ones(len(force)), force)
             found.append((run.onset_frame, factor, math.sqrt(variance) / factor))

@@ -78,7 +78,7 @@ def calibrate(scene: str | Path) -> MaterialFit:
     """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
 
     Args:
-        scene: YAML file as of `palpate calibrate palpation`, or of a sequence whose tool presses.
+        scene: YAML file as of `palpate calibrate palpation`.
 
     Raises:
         InputError: the scene can't be used.

@@ -213,8 +213,6 @@ class SpaceScene:
     """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
     speed: float = 0.01
     """Of the tip [m/s]."""
-    frame: str = "map"
-    """Name of the mesh's frame in path.json."""
 
     def __post_init__(self) -> None:
         positive = ("limit_N", "young", "tip_radius", "speed")

@@ -1,7 +1,5 @@
 """A way in space as a robot takes it: times, poses and expected forces."""
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -35,13 +33,3 @@ def _shortest(one: np.ndarray, others: np.ndarray) -> Rotation:
     half = np.column_stack([np.cross(one, others), 1 + others @ one])
     half[half[:, 3] < 1e-9] = [*np.cross(one, np.roll(one, 1) + np.array([0.0, 0.0, 1e-3])), 0.0]  # to the opposite
     return Rotation.from_quat(half)
-
-
-def as_path(rows: np.ndarray, frame: str) -> dict[str, Any]:
-    """Waypoints [W, 11] in the shape of ROS's `nav_msgs/Path`."""
-    poses = []
-    for time, x, y, z, *turn in rows[:, :8].tolist():
-        pose = {"position": {"x": x, "y": y, "z": z}, "orientation": dict(zip("xyzw", turn, strict=True))}
-        stamp = {"sec": int(time), "nanosec": int(time % 1 * 1e9)}
-        poses.append({"header": {"stamp": stamp, "frame_id": frame}, "pose": pose})
-    return {"header": poses[0]["header"], "poses": poses}

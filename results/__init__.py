@@ -1,6 +1,6 @@
 """What infer.py writes for a clip.
 
-run       a batch of clips: finding them, going on after a failure, the closing table
+run       a batch of clips: finding them, going on after a failure; outcome: how they went, the closing table
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--force-scale)

@@ -1,7 +1,6 @@
 """Newtons of one clip: calibrated.csv, a row a run of contact, and the forces of pulls over time."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,14 +23,10 @@ class ClipCalibration:
     """Gathers what a clip tells, and says it in newtons.
 
     Args:
-        calibration: what is known.
-        home: whether what was measured, or is known of a force, belongs to this clip.
-        carried: the scale of another clip and its length, where the force is known there; or why there is none.
+        calibration: what is known of this clip.
     """
 
     calibration: Calibration
-    home: bool = True
-    carried: tuple[ForceScale, ClipLength] | str | None = None
     scale: ForceScale | None = None
     """Of this clip, once it has been concluded."""
     length: ClipLength | None = None
@@ -45,8 +40,6 @@ class ClipCalibration:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
         self._pulled = False
         self._unknown_pull = ""
-        self.known = self.calibration.known if self.home else None
-        """Forces that tell the scale of this clip's grips."""
 
     def add(self, run: InteractionEstimate) -> np.ndarray | None:
         """Keep the next run of contact; return the force of a pull and the ends of its 90 % interval, shape [3, K] [N].
@@ -56,10 +49,11 @@ class ClipCalibration:
         """
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
         found = run.main_estimate
-        if self.known is None or not isinstance(found, GripEstimate) or "relative_force" not in found.determined:
+        measured = self.calibration.measured
+        if measured is None or not isinstance(found, GripEstimate) or "relative_force" not in found.determined:
             return None
         try:
-            force, sd = predict_force(self.known.at(run.onset_time_s + found.times), found.force, found.force_sd)
+            force, sd = predict_force(measured.at(run.onset_time_s + found.times), found.force, found.force_sd)
         except NoEstimate as reason:
             self._unknown_pull = str(reason)
             raise
@@ -71,7 +65,7 @@ class ClipCalibration:
         self.length = length
         pressed = [run for *_, run in self._runs if run is not None]
         try:
-            self.scale = self._found(pressed, length)
+            self.scale = self.calibration.scale(pressed, length)
         except NoEstimate as reason:
             self.reason = str(reason)
         for frame, time_s, run in self._runs:
@@ -90,12 +84,12 @@ class ClipCalibration:
     def upper_force(self, found: Estimate) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
 
-        In the clip with the known force no scale is known until the run that tells it has ended.
+        No scale is known before the run of contact with the known force has ended.
         """
         if self.length is None or found.covariance is None or not found.explained:
             return None
         try:
-            scale = self._found([run for *_, run in self._runs if run is not None], self.length)
+            scale = self.calibration.scale([run for *_, run in self._runs if run is not None], self.length)
         except NoEstimate:
             return None
         known = np.log(np.abs(found.theta)), found.covariance, covariance(found.verdict_information), True
@@ -104,34 +98,15 @@ class ClipCalibration:
             return None
         return math.exp(physical.logs[2] + NINETY * physical.log_sd[2])
 
-    def _found(self, pressed: Sequence[PressedRun], length: ClipLength) -> ForceScale | None:
-        if self.home or not self.calibration.of_one_clip:
-            return self.calibration.scale(pressed, length)
-        if not isinstance(self.carried, tuple):
-            raise NoEstimate(self.carried or "No results in newtons: the clip with the known force has no results.")
-        scale, here = self.carried
-        return scale.elsewhere(here, length)
-
     def record(self) -> dict[str, Any]:
         """What run.json keeps: where newtons come from."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
-        if self.scale is not None and self.length is not None:
-            kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source", "metric")}
+        if self.scale is not None:
+            kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source")}
             found["scale"] = {"log_newtons": self.scale.log, **kept}
-            found["length"] = vars(self.length).copy()
         if self.reason:
             found["reason"] = self.reason
         return found
-
-
-def carried_from(record: dict[str, Any]) -> tuple[ForceScale, ClipLength] | str:
-    """Scale and length that the record of another clip holds, or why there is none."""
-    kept = record.get("calibration") or {}
-    if "scale" not in kept:
-        return str(kept.get("reason", ""))
-    scale = kept["scale"]
-    carried = scale["log_newtons"], scale["variance"], scale["homogeneous"], scale["source"]
-    return ForceScale(*carried, {}, metric=scale["metric"]), ClipLength(**kept["length"])
 
 
 def physical_values(physical: Physical, source: str, metres: str = "") -> dict[str, Any]:

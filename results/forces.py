@@ -1,4 +1,4 @@
-"""The force of every run of contact, forces.json: mean, peak, time above a limit, and the time for which it is unknown.
+"""The force of every run of contact, forces.json: mean, peak, and the time for which it is unknown.
 
 A press's force is its estimate's, as long as that was observed; a pull's comes from the motion around the instrument.
 It is in newtons where something tells them, else relative to the run's own peak.
@@ -18,14 +18,13 @@ from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.calibrated import NEWTONS
 from palpate.results.verdicts import MEANINGS, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
 ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
 """Of the names of a value and of the ends of its 90 % interval."""
-OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "above_s", "force_over_stiffness_mm") for end in ENDS]
-OPTIONAL += ["peak_time_s", "above_unknown_s", "metric_by"]
+OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "force_over_stiffness_mm") for end in ENDS]
+OPTIONAL += ["peak_time_s", "metric_by"]
 """What not every contact has; null where it lacks."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
@@ -55,10 +54,8 @@ class ContactForce:
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
     direction: np.ndarray | None
     """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
-    scene_force: tuple[float, ...] = (math.nan,) * len(ENDS)
-    """|F| of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
-    scene_ratio: tuple[float, ...] = (math.nan,) * len(ENDS)
-    """Likewise |F|/k_s."""
+    scene_ratio: tuple[float, ...]
+    """|F|/k_s of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
 
     @classmethod
     def of(
@@ -82,14 +79,14 @@ class ContactForce:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
         force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why, scene, direction = "", run.detail or "Nothing is determined of the force.", {}, None
+        unit, why, direction = "", run.detail or "Nothing is determined of the force.", None
+        ratio = (math.nan,) * len(ENDS)
         if isinstance(found, Estimate):
             direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
             pressed = _pressed(run, found, times - run.onset_time_s, seconds)
             values = found.numbers()
-            scene = {"scene_force": tuple(values.get(f"force{end}", math.nan) for end in ENDS)}
             if "force_over_stiffness" in found.determined and not found.by_light:
-                scene["scene_ratio"] = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
+                ratio = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
             if any(name.startswith("force") for name in found.determined):
                 force, unit, why = pressed, RELATIVE, LATER
             elif found.given_verdict:
@@ -102,7 +99,7 @@ class ContactForce:
             kept = np.stack([found.force, found.force - half, found.force + half])
             force, low, high = _between(run.onset_time_s + found.times, kept if newtons is None else newtons, times)
         place = run.onset_frame, run.onset_time_s, state(run)
-        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, **scene)
+        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, ratio)
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
@@ -122,21 +119,16 @@ class ContactForce:
             curves[1:] = np.sort(curves[1:], axis=0)
         return curves
 
-    def record(
-        self, estimates: Sequence[FrameEstimate], lasts: np.ndarray, limit: tuple[float, str] | None
-    ) -> dict[str, Any]:
+    def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
         """What forces.json has of the run.
 
         Args:
             estimates: of all of the clip's frames.
             lasts: how long each of those lasts, shape [N] [s].
-            limit: of the force's magnitude, and its unit: NEWTONS, or else scene units.
         """
         seconds, known = lasts[self.frames], np.isfinite(self.force)
         curves = np.stack([self.force, self.low, self.high])
         found: dict[str, Any] = dict.fromkeys(OPTIONAL)
-        if limit is not None:
-            found |= self._above(limit, seconds)
         if known.any():
             top = int(np.nanargmax(np.abs(self.force)))
             if self.unit == RELATIVE:
@@ -166,24 +158,11 @@ class ContactForce:
         }
         return {f"force_over_stiffness_mm{end}": mm for end, mm in ends.items()} | {"metric_by": length.by}
 
-    def _above(self, limit: tuple[float, str], seconds: np.ndarray) -> dict[str, float]:
-        """Time above a limit with its interval, and time for which nobody knows [s]; arguments as of `record`."""
-        if limit[1] != NEWTONS:
-            curves = np.outer(self.scene_force, self.pressed)
-        else:
-            curves = np.stack([self.force, self.low, self.high]) * (1 if self.unit.startswith(NEWTONS) else np.nan)
-        middle = curves[0]
-        ends = np.sort(np.where(np.isnan(curves[1:]), middle, curves[1:]) * np.sign(middle), axis=0)
-        above = np.stack([np.abs(middle), *ends]) >= limit[0]
-        found = {f"above_s{end}": seconds[each].sum() for end, each in zip(ENDS, above, strict=True)}
-        return found | {"above_unknown_s": seconds[np.isnan(middle)].sum()}
-
 
 def forces_record(
     contacts: Sequence[ContactForce],
     estimates: Sequence[FrameEstimate],
     fps: float,
-    limit: tuple[float, str] | None = None,
     calibrated: Sequence[Mapping[str, Any]] = (),
     length: ClipLength | None = None,
 ) -> dict[str, Any]:
@@ -193,7 +172,6 @@ def forces_record(
         contacts: the clip's runs of contact.
         estimates: of its frames.
         fps: the last frame lasts as long as one of so many a second; all others last until the next one's time stamp.
-        limit: of --force-limit, and its unit.
         calibrated: rows of calibrated.csv, one a run of contact.
         length: of a scene unit.
     """
@@ -201,10 +179,9 @@ def forces_record(
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
     told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
-    records = [contact.record(estimates, lasts, limit) | contact.in_millimetres(length) for contact in told]
-    limited = None if limit is None else dict(zip(("limit", "unit"), limit, strict=True))
+    records = [contact.record(estimates, lasts) | contact.in_millimetres(length) for contact in told]
     notice = "Research software, not a medical device."
-    return {"notice": notice, "force_limit": limited, "contacts": records}
+    return {"notice": notice, "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:

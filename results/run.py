@@ -1,4 +1,4 @@
-"""A batch of clips given on the command line: finding them, going on after a failure, progress and closing table."""
+"""A batch of clips given on the command line: finding them, going on after a failure, and progress."""
 
 import argparse
 import functools
@@ -6,9 +6,9 @@ import io
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,6 @@ from typing import Any
 import cv2
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
-from rich.text import Text
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
@@ -33,7 +31,7 @@ from palpate.data.source.frames import name_of, open_source
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from palpate.estimators.calibration_file import Calibration, read_calibration
+from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.network.estimator import NetworkEstimator
@@ -44,32 +42,17 @@ from palpate.estimators.session import estimates_of
 from palpate.results import store
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.bag import write_bag
-from palpate.results.calibrated import NEWTONS, ClipCalibration, carried_from
+from palpate.results.calibrated import NEWTONS, ClipCalibration
 from palpate.results.columns import UNITS
-from palpate.results.page.render import write_pages
+from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, counts_of, in_options, plural, wording
 from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
-TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
-"""What a batch says."""
-WITH_FORCE = ("direct", "network")
-"""Estimators that give a force."""
+REFUSED: dict[str, str] = read_beside(__file__)
+"""What is said of options that don't belong together."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
-DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
-
-
-@dataclass
-class Outcome:
-    """How one clip, or one input without any, went."""
-
-    name: str
-    state: str
-    where: str
-    """Folder of the results, or why there are none."""
-    counts: dict[str, int] = field(default_factory=dict)
-    """What was found in the clip (see `counts_of`)."""
 
 
 class Batch:
@@ -88,32 +71,24 @@ class Batch:
         # Stages run side by side: OpenCV's threads of each would wait for one another.
         cv2.setNumThreads(max(1, (options.threads or os.cpu_count() or 1) // STAGES))
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
-        self.carried: Path | None = None
-        """Folder of the results of the clip with the known force, once it is done."""
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
-        self.providers: dict[str, str] = {}
-        """What was said of where networks run."""
         names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
         given = {name: getattr(options, name) for name in names}
         self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
         name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
         wrong = {
             "scale of online": name == "online" and known is not None,
-            "limit without force": limited and name not in WITH_FORCE,
+            "limit without network": limited and name != "network",
             "export of gan": options.export and name == "gan",
             "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
             "workers twice": options.scheduler is not None and options.jobs > 1,
-            "shard of a scale": options.shard and known is not None and known.of_one_clip,
         }
         refused = next((what for what, is_so in wrong.items() if is_so), None)
         if refused is not None:
-            raise ValueError(TEXTS["refused"][refused].format(estimator=name, file=known and known.path))
+            raise ValueError(REFUSED[refused].format(estimator=name))
         chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
         self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
-        unit = UNITS["force"] if self.calibration is None else NEWTONS
-        self.limit: tuple[float, str] | None = options.force_limit and (options.force_limit, unit)
-        """Limit of the force and its unit, where one is given."""
         self.store = store.ResultStore(options.output)
         self.fields = self.estimator.name == "online"
 
@@ -130,23 +105,22 @@ class Batch:
         if self.calibration is not None:
             given = self.calibration.of_clip(path, self.settings.layout.topic)
             causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
-            newtons = None if self.fields else self._newtons(given, path, causes)
-            known = given.known if newtons is None else newtons.known
+            known, newtons = given.measured, ClipCalibration(given)
         if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
             return self._kept_results(source.name, folder)
         task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
         try:
             options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
             options |= {"fields": self.fields, "export": self.options.export}
-            options["waits"] = self.estimator.name in WITH_FORCE
+            options["waits"] = self.estimator.name in ("direct", "network")
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.force_scale)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
-                if self.limit is not None:
-                    options["alarm"] = ForceAlarm(*self.limit, options["seconds"])
-            written = ClipResults(folder, source.size, source.fps, limit=self.limit, **options)
-            with written as results:
+                if self.options.force_limit is not None:
+                    unit = UNITS["force"] if self.calibration is None else NEWTONS
+                    options["alarm"] = ForceAlarm(self.options.force_limit, unit, options["seconds"])
+            with ClipResults(folder, source.size, source.fps, **options) as results:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 length = ClipLength.of(clip)
                 if newtons is not None:
@@ -173,15 +147,11 @@ class Batch:
                 results.finish(record, title=source.name)
         finally:
             progress.remove_task(task)
-        new = sorted(record["providers"].items() - self.providers.items())
-        if new:
-            self.providers |= new
-            say(self.console, f"ONNX Runtime uses {', '.join(f'{provider} for {what}' for what, provider in new)}")
         for warning in record["warnings"]:
             say(self.console, f"{source.name}: {warning}")
         for reason, count in results.unexplained.most_common(3):
             total = results.counts.total()
-            said = f"no estimate of {count} of {total} {_plural(total, 'contact')}: {reason}"
+            said = f"no estimate of {count} of {total} {plural(total, 'contact')}: {reason}"
             say(self.console, f"{source.name}: {said}")
         return Outcome(source.name, DONE, str(folder), counts_of(record))
 
@@ -228,7 +198,9 @@ class Batch:
                 failed.append(self._failure(given, error))
         if self.options.topic is not None and not any(map(is_bag, found)):
             raise ValueError("--topic is of the pictures in a bag, and there is none among the inputs; leave it out.")
-        paths = self._ordered(list(found))
+        paths, known = list(found), self.calibration
+        if known is not None and known.of_one_clip and len(paths) > 1:
+            raise ValueError(f"{known.path} tells of a force in one clip, and there are {len(paths)}; give that alone.")
         if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
             number, count = self.options.shard or (1, 1)
             if count > len(paths):
@@ -242,21 +214,17 @@ class Batch:
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
         """How the clips went: one after the other, or with --jobs as they are done, in processes of their own."""
-        # The others wait for the clip whose force scales them.
-        scales = self.calibration is not None and self.calibration.of_one_clip
         scheduler = self.options.scheduler
-        alone = paths if self.options.jobs == 1 and scheduler is None else paths[: int(scales)]
-        for number, path in enumerate(alone, start=1):
-            yield self.attempt(path, progress, f"{number}/{len(paths)}")
-        left = dict.fromkeys(paths[len(alone) :])
-        if not left:
+        if not paths or (self.options.jobs == 1 and scheduler is None):
+            for number, path in enumerate(paths, start=1):
+                yield self.attempt(path, progress, f"{number}/{len(paths)}")
             return
+        left = dict.fromkeys(paths)
         jobs = min(self.options.jobs, len(left))
         share = max(1, (self.options.threads or os.cpu_count() or 1) // jobs) if scheduler is None else 1
         options = tuple((vars(self.options) | {"threads": share, "inputs": ()}).items())
-        tasks = [(options, path, self.folders.get(path), self.carried) for path in left]
+        tasks = [(options, path, self.folders.get(path)) for path in left]
         bar = progress.add_task("clips", total=len(tasks))
-        said: set[str] = set()
         try:
             if scheduler is None:
                 results = run_tasks(_attempt_in_worker, tasks, jobs, threads=share)
@@ -264,9 +232,7 @@ class Batch:
                 results = run_distributed(_attempt_in_worker, tasks, scheduler)
             for path, outcome, lines in results:
                 for line in lines:
-                    if line not in said:  # each worker says where networks run
-                        say(self.console, line)
-                said.update(lines)
+                    say(self.console, line)
                 progress.advance(bar)
                 del left[path]
                 yield outcome
@@ -276,39 +242,6 @@ class Batch:
             for path in left.keys() & self.folders.keys():  # what interrupted workers left
                 with suppress(store.OutputError):
                     store.settle(self.folders[path])
-
-    def _ordered(self, paths: list[Path]) -> list[Path]:
-        """The clips, that with the known force first.
-
-        Raises:
-            ValueError: it is not among them, or nobody says which it is.
-        """
-        if self.calibration is None or not self.calibration.of_one_clip:
-            return paths
-        name = self.calibration.fields.clip
-        if name is None and len(paths) > 1:
-            raise ValueError(
-                f"{self.calibration.path} tells of a force in one clip, and there are {len(paths)}; name that as clip."
-            )
-        home = [path for path in paths if self._is_home(path)]
-        if paths and len(home) != 1:
-            raise ValueError(
-                f"{self.calibration.path} names the clip {name}, and {len(home)} of the inputs' clips are called that; "
-                "give it among the inputs, under a name of its own."
-            )
-        return home + [path for path in paths if path not in home]
-
-    def _is_home(self, path: Path) -> bool:
-        """Whether what was measured belongs to this clip."""
-        return self.calibration is not None and self.calibration.fields.clip in (None, path.name)
-
-    def _newtons(self, calibration: Calibration, path: Path, causes: dict[str, Any]) -> ClipCalibration:
-        """What says a clip in newtons; what that depends on is added to the causes of its results."""
-        if self._is_home(path) or not calibration.of_one_clip:
-            return ClipCalibration(calibration, self._is_home(path))
-        record = {} if self.carried is None else store.read_record(self.carried)
-        causes["calibrated_by"] = record.get("fingerprint")
-        return ClipCalibration(calibration, False, carried_from(record))
 
     def _files(self, newtons: ClipCalibration | None) -> list[str]:
         """Names of what is written for a clip."""
@@ -325,17 +258,14 @@ class Batch:
         """
         try:
             with interruptible():
-                outcome = self.process(path, progress, place)
+                return self.process(path, progress, place)
         except Exception as error:
             if self.options.debug:
                 raise
             return self._failure(path, error)
-        if self.calibration is not None and self.calibration.of_one_clip and self._is_home(path):
-            self.carried = Path(outcome.where)
-        return outcome
 
     def _failure(self, path: Path, error: Exception) -> Outcome:
-        text = sentence_of(error)
+        text = wording(error)
         if not isinstance(error, (ValueError, OSError)):
             text = f"unexpected {type(error).__name__} ({text}); run with --debug and report what it prints."
         sentence = text if printable(path) in text else f"{printable(path)}: {text}"
@@ -344,11 +274,11 @@ class Batch:
         return Outcome(name, FAILED, sentence)
 
 
-def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> tuple[Path, Outcome, list[str]]:
+def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, Outcome, list[str]]:
     """How a clip went in this process, and what there is to say of it, for the one that has the terminal."""
-    options, path, folder, carried = task
+    options, path, folder = task
     batch = _opened(options)
-    batch.carried, batch.folders = carried, {} if folder is None else {path: folder}
+    batch.folders = {} if folder is None else {path: folder}
     with batch.console.capture() as said:
         outcome = batch.attempt(path, progress_bars(batch.console, disable=True), "")
     return path, outcome, said.get().splitlines()
@@ -358,32 +288,6 @@ def _attempt_in_worker(task: tuple[Options, Path, Path | None, Path | None]) -> 
 def _opened(options: Options) -> Batch:
     """The batch, opened once in a worker."""
     return Batch(argparse.Namespace(**dict(options)), Console(file=io.StringIO()))
-
-
-def sentence_of(error: Exception) -> str:
-    """An error's message in this program's words."""
-    return in_options(str(error)) or type(error).__name__
-
-
-def in_options(text: str) -> str:
-    """Sentences in this program's words: settings are options here."""
-    for setting, option in TEXTS["words"].items():
-        text = text.replace(setting, option)
-    return text
-
-
-def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
-    contacts = {f"{_plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
-    frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
-    verdicts = record.get("verdicts", {})
-    touching = record.get("statuses", {}).get("ok", 0) - sum(verdicts.values())
-    found = contacts | {f"{_plural(count, 'frame')} {name}": count for name, count in (verdicts | frames).items()}
-    return found | ({f"{_plural(touching, 'frame')} in contact": touching} if touching else {})
-
-
-def _plural(count: int, noun: str) -> str:
-    return noun if count == 1 else f"{noun}s"
 
 
 def _kept(
@@ -414,7 +318,7 @@ def run(options: argparse.Namespace) -> int:
         batch = Batch(options, console)
         paths, outcomes = batch.clips()
     except (ValueError, OSError) as error:
-        say(console, f"{program()}: {sentence_of(error)}")
+        say(console, f"{program()}: {wording(error)}")
         return 2
     if not paths:
         return 2
@@ -426,35 +330,11 @@ def run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             interrupted = True
         except ValueError as error:  # of the scheduler; a clip's is in its outcome
-            say(console, f"{program()}: {sentence_of(error)}")
+            say(console, f"{program()}: {wording(error)}")
             return 2
-    Console().print(_table(outcomes), soft_wrap=True)
-    _write_pages(options.output, outcomes, console)
+    conclude(options.output, outcomes, console)
     if interrupted:
         finished = sum(outcome.state != FAILED for outcome in outcomes)
         say(console, f"Interrupted: {finished} of {len(paths)} clips are complete; run the same command to continue.")
         return INTERRUPTED
     return int(any(outcome.state == FAILED for outcome in outcomes))
-
-
-def _write_pages(output: Path, outcomes: list[Outcome], console: Console) -> None:
-    """Write the batch's page and its clips', and say where; one that can't be written is no clip's failure."""
-    failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
-    try:
-        say(console, f"Look at {write_pages(output, failed, anew=False)}")
-    except store.OutputError as error:
-        say(console, f"no page: {error}")
-
-
-def _table(outcomes: list[Outcome]) -> Table:
-    """Clips with what was counted in them, and where the results lie."""
-    table = Table(title="Clips", title_justify="left")
-    table.add_column("clip", no_wrap=True, max_width=24)
-    table.add_column("result", no_wrap=True)
-    table.add_column("found", no_wrap=True)
-    table.add_column("results in, or why not", overflow="fold")
-    for outcome in outcomes:
-        # A line a status: a column each would leave no room for the rest on a narrow terminal.
-        counts = "\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items())
-        table.add_row(Text(plain(outcome.name)), outcome.state, Text(counts), Text(plain(outcome.where)))
-    return table

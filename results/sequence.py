@@ -1,7 +1,7 @@
-"""Results of a sequence beside a robot, in its own frame and metres: particles as VTK and PLY, and tables.
+"""Results of a sequence beside a robot, in its own frame and metres: particles as VTK, and tables.
 
-`particles_N.vtk` and `particles_N.ply` hold every frame's particles where they are; `particles.csv` the last one's, and
-`parameters.csv` a line a frame. What isn't known is not a number there.
+`particles_N.vtk` hold every frame's particles where they are; `particles.csv` the last one's, and `parameters.csv` a
+line a frame. What isn't known is not a number there.
 """
 
 import time
@@ -24,7 +24,7 @@ from palpate.results import columns as described
 from palpate.results import store
 from palpate.results.record import FORMAT_VERSION, sha256_of, versions
 
-PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "forces", "camera")
+PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
 """Of particles.csv, before what is found at each [m]."""
@@ -72,8 +72,7 @@ def write_sequence(
             rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
             cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
             inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
-            for ending, kept in (("vtk", cells | inner), ("ply", cells)):
-                Mesh(field.positions, kept, values).write(partial / f"particles_{number:06d}.{ending}")
+            Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
             columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
             done()
         particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]

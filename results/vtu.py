@@ -17,9 +17,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import fitted_press
 from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
 from palpate.estimators.online.particle_field import FieldEstimate
-from palpate.estimators.palpation.material_fit import MaterialFit
 from palpate.estimators.records import InteractionEstimate
-from palpate.physics.fem.solid import EIGHTHS, outer_faces
 from palpate.physics.mechanics import PARAMETERS, Mechanics
 from palpate.physics.msd.simulation import simulate
 
@@ -47,7 +45,7 @@ class Deformation:
     units: Mapping[str, str]
     """Units by name, `displacement` included."""
     tetrahedra: np.ndarray | None = None
-    """Vertices of the tetrahedra, linear or quadratic in VTK's order, shape [E, 4] or [E, 10]; None = a sheet."""
+    """Vertices of the tetrahedra, shape [E, 4]; None = a sheet."""
 
 
 def deformation_of(run: InteractionEstimate, times: np.ndarray) -> Deformation:
@@ -101,27 +99,14 @@ def _field(found: FieldEstimate) -> Deformation:
     return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, units, solid)
 
 
-def palpation_deformation(found: MaterialFit, number: int) -> Deformation:
-    """Return the body of a fit that determines E under the force of a palpation, counted from 0."""
-    rest = found.rests[number]
-    solid, spread = rest.energy.solid, NINETY * ENDS
-    parameters = {"young": found.young * np.exp(spread * found.young_sd)}
-    parameters |= {"poisson": found.poisson + spread * found.poisson_sd}
-    units = {"displacement": "m", "young": "Pa", "load": "N", "held": "1: does not move"}
-    fields = {"load": rest.energy.forces.reshape(-1, 3), "held": rest.held.all(axis=1)}
-    faces, moved = outer_faces(solid.elements[:, EIGHTHS].reshape(-1, 4)), rest.displacement[None]
-    return Deformation(solid.rest, faces, moved, np.zeros(1), parameters, fields, units, solid.elements)
-
-
-def write_series(folder: Path, name: str, found: Deformation) -> list[str]:
-    """Write `name.ply`, `name_K.vtu` for every frame K and their index `name.pvd`; returns the files' names."""
+def write_series(folder: Path, name: str, found: Deformation) -> None:
+    """Write `name.ply`, `name_K.vtu` for every frame K and their index `name.pvd`."""
     from meshio import Mesh  # takes a quarter of a second
 
     faces: dict[str, Any] = {"triangle": found.triangles.astype(np.int32)}
     Mesh(found.points, faces).write(folder / f"{name}.ply")
     solid = found.tetrahedra
-    kind = "" if solid is None else "tetra" if solid.shape[1] == 4 else "tetra10"
-    inner: dict[str, Any] = {} if solid is None else {kind: solid.astype(np.int32)}
+    inner: dict[str, Any] = {} if solid is None else {"tetra": solid.astype(np.int32)}
     fields = {key: each.astype(np.int32 if each.dtype == bool else np.float64) for key, each in found.fields.items()}
     files = [f"{name}_{frame:04d}.vtu" for frame in range(len(found.times))]
     for file, time, moved in zip(files, found.times.tolist(), found.displacement, strict=True):
@@ -132,7 +117,6 @@ def write_series(folder: Path, name: str, found: Deformation) -> list[str]:
     sets = (f'<DataSet timestep="{time}" file="{file}"/>' for time, file in zip(found.times, files, strict=True))
     index = '<VTKFile type="Collection" version="0.1">\n<Collection>\n{}\n</Collection>\n</VTKFile>\n'
     (folder / f"{name}.pvd").write_text(index.format("\n".join(sets)), encoding="utf-8")
-    return [f"{name}.ply", f"{name}.pvd", *files]
 
 
 def _annotate(path: Path, parameters: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:

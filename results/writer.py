@@ -50,7 +50,6 @@ class ClipResults:
         fields: whether the estimator gives fields of stiffness.
         waits: whether pictures of a contact wait for its end, so that they agree with it.
         alarm: takes the frames' forces, in newtons where there is a `calibration` with the clip's length.
-        limit: of the force's magnitude for forces.json, and its unit.
         seconds: time after the onset of contact up to which an estimate by depth constrains the force [s].
         export: whether the deformation of every contact is written as .vtu files.
         bag: writes a bag into a folder from what forces.json has of the contacts.
@@ -70,13 +69,12 @@ class ClipResults:
         fields: bool = False,
         waits: bool = False,
         alarm: ForceAlarm | None = None,
-        limit: tuple[float, str] | None = None,
         seconds: float = math.inf,
         export: bool = False,
         bag: Callable[[Path, list[dict[str, Any]]], None] | None = None,
     ) -> None:
         self.folder, self._size, self._export, self._bag = folder, size, export, bag
-        self._fps, self._seconds, self._limit = fps, seconds, limit
+        self._fps, self._seconds = fps, seconds
         self.calibration, self.alarm = calibration, alarm
         self.encoder = Video.encoder if overlay else None
         """Name of the video encoder; None without an overlay."""
@@ -238,7 +236,7 @@ class ClipResults:
                 table.writerows(columns.row(columns.CALIBRATED, values) for values in rows)
             self._open.close()
             write_figure(self._partial / store.FIT, draw_fits(self.drawn, self.counts, title))
-            report = forces_record(self._contacts, self.estimates, self._fps, self._limit, rows, self.length)
+            report = forces_record(self._contacts, self.estimates, self._fps, rows, self.length)
             (self._partial / store.REPORT).write_text(as_json(report) + "\n", encoding="utf-8")
             if self._bag is not None:
                 self._bag(self._partial, report["contacts"])

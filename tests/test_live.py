@@ -133,7 +133,7 @@ def test_an_openigtlink_client_gets_the_same_lines(pictures) -> None:
     source = LiveSource("somewhere", pictures[:3], 25.0, 600.0)
     server, client = igtl_server(port), OpenIGTLinkClient("127.0.0.1", port)
     try:
-        lines = JsonLines(source, None, server, None)
+        lines = JsonLines(source, server, None)
         for _ in range(100):
             if server.is_connected() and client.is_connected():
                 break

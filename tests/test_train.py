@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import mlflow
-import numpy as np
 import pytest
 import torch
 import yaml
@@ -599,7 +598,7 @@ def artifacts(client: MlflowClient, run_id: str, folder: str | None = None) -> s
 
 
 @pytest.mark.slow
-def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Path, tmp_path: Path, capsys):
+def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Path, tmp_path: Path):
     folder, output = tmp_path / "größe", tmp_path / "out.onnx"
     given = ["-c", str(config), "--tracking", "true", f"--trainer.default_root_dir={folder}", "--run_name", "a/first"]
     assert train.main(["fit", *given]) == 0
@@ -607,7 +606,6 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     assert train.main(["validate", *given, "--ckpt_path", "best"]) == 0
     assert train.main(["test", *given, "--ckpt_path", "best"]) == 0
     assert train.main(["export", *given, "--ckpt_path", "best", "--output", str(output)]) == 0
-    assert "MLflow: models:/a-first@best is version 1" in capsys.readouterr().out
     client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
     experiment = client.get_experiment_by_name(tracking.EXPERIMENT)
     [run] = client.search_runs([experiment.experiment_id])
@@ -627,7 +625,7 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     files = artifacts(client, run.info.run_id)
     commands = ("fit", "fit", "validate", "test", "export")
     configs = [f"configs/{number}_{command}.yaml" for number, command in enumerate(commands, start=1)]
-    assert {*configs, "best/best.ckpt", "last/last.ckpt", "evaluation/table_2.csv"} <= files
+    assert {*configs, "best/best.ckpt", "last/last.ckpt", "evaluation/table_2.csv", "network/out.onnx"} <= files
     settings = [yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/{path}")) for path in configs]
     assert [each["trainer"]["max_epochs"] for each in settings] == [1, 2, 1, 1, 1]
     kept = client.download_artifacts(run.info.run_id, "last/last.ckpt", str(tmp_path))
@@ -636,13 +634,6 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     [given_data] = run.inputs.dataset_inputs
     assert given_data.dataset.name == clips.name
     assert given_data.dataset.digest == sha256_of(clips)[:16]
-
-    version = client.get_model_version_by_alias("a-first", "best")
-    assert (version.run_id, version.version) == (run.info.run_id, 1)
-    mlflow.set_tracking_uri(f"sqlite:///{tmp_path / 'mlflow.db'}")
-    network = mlflow.pyfunc.load_model("models:/a-first@best")
-    windows = np.random.default_rng(0).random((2, 6, 40, 56), dtype=np.float32)
-    np.testing.assert_allclose(network.predict({"depth": windows})["theta"], ParameterModel(output)(windows), atol=1e-6)
 
 
 def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, config: Path, tmp_path: Path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Clouds of points from files: PLY, in text or binary, binary PCD, and NumPy's."""
+"""Clouds of points from files: PLY, in text or binary, and NumPy's."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_HEAD = 2**14
 
 
 def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
-    """Points of a file, by its ending: .ply, .pcd, or .npz with `points`.
+    """Points of a file, by its ending: .ply, or .npz with `points`.
 
     Args:
         path: the file.
@@ -38,7 +38,7 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
             raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
         why = reason(error).rstrip(".")
-        said = f"can't be read as points ({why}); give a PLY, binary PCD or NPZ file of x, y, z"
+        said = f"can't be read as points ({why}); give a PLY or NPZ file of x, y, z"
         raise InputError(f"{printable(path)} {said}.") from error
     return points
 
@@ -50,21 +50,8 @@ def _ply(content: bytes) -> np.ndarray:
     return np.empty((0, 3)) if empty else load_ply(io.BytesIO(content))["vertices"]
 
 
-def _pcd(content: bytes) -> np.ndarray:
-    found = re.search(rb"(?:^|\n)DATA binary\r?\n", content[:MOST_HEAD])
-    if found is None:
-        raise ValueError("it has no line DATA binary")
-    lines = content[: found.start()].decode().splitlines()
-    head, stored = {line.split()[0]: line.split()[1:] for line in lines if line.split()}, content[found.end() :]
-    columns, counts = [head["FIELDS"].index(axis) for axis in "xyz"], [int(count) for count in head["COUNT"]]
-    kinds = map("<{}{}".format, map(str.lower, head["TYPE"]), head["SIZE"])
-    layout = [(str(at), *each) for at, each in enumerate(zip(kinds, counts, strict=True))]
-    rows: np.ndarray = np.frombuffer(stored, np.dtype(layout), int(head["POINTS"][0]))
-    return np.stack([rows[str(column)].reshape(-1) for column in columns], axis=1)
-
-
 def _npz(content: bytes) -> np.ndarray:
     return np.load(io.BytesIO(content), allow_pickle=False)["points"]
 
 
-_READERS = {".ply": _ply, ".pcd": _pcd, ".npz": _npz}
+_READERS = {".ply": _ply, ".npz": _npz}

@@ -23,13 +23,10 @@ Row = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 UNITS = {"m": 1.0, "mm": 1e-3}
 POSES = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
-WRENCH = ("time_s", "Fx", "Fy", "Fz")
 ROUNDED = 1e-3
-"""Tables of poses and forces reach farther by this, since their times are rounded [s]."""
+"""Tables of poses reach farther by this, since their times are rounded [s]."""
 GRIPPED = 6e-3
 """What a gripper holds around its tip, where nobody says [m]."""
-STILL = 5e-4
-"""A tip that has moved by less since the first row of forces is at rest, where they are the sensor's bias [m]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class SequenceFile:
     poses: str
     """CSV file of the tool's poses in the robot's frame: time_s with x, y, z, qx, qy, qz, qw."""
     clouds: str | None = None
-    """Clouds of tissue alone: PLY, binary PCD or NPZ, as clouds/{number}.ply."""
+    """Clouds of tissue alone: PLY or NPZ, as clouds/{number}.ply."""
     depth: str | None = None
     """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
     camera: str | None = None
@@ -63,17 +60,13 @@ class SequenceFile:
     tip: Place = (0.0, 0.0, 0.0)
     """Where the tool touches tissue, in its own frame."""
     grip_radius: float | None = None
-    """Tissue around the tip that moves with it, or on which it presses; none = GRIPPED."""
+    """Tissue around the tip that moves with it; none = GRIPPED."""
     gripped_s: tuple[float, float] | None = None
     """From when to when the tool holds tissue [s]; none = throughout."""
     pins: tuple[dict[str, Place], ...] = ()
     """Boxes in the robot's frame, each with `low` and `high`: tissue in them stands still. None = its far edge does."""
     points: str | None = None
     """NPZ file with `points`, followed on the tissue, ids × frames × 3, where clouds are; not seen = NaN."""
-    forces: str | None = None
-    """CSV file with time_s, Fx, Fy, Fz [N]: what the tissue does to the tool, in the tool's frame."""
-    thickness: float | None = None
-    """Of pressed tissue, down to the flat support it lies on."""
 
     def __post_init__(self) -> None:
         if (self.clouds is None) == (self.depth is None) or (self.depth is None) != (self.camera is None):
@@ -82,7 +75,7 @@ class SequenceFile:
             raise ValueError("give times or fps.")
         if any({*pin} != {"low", "high"} for pin in self.pins):
             raise ValueError("each of pins is to have low and high.")
-        require_numbers(self, positive=("fps", "depth_factor", "grip_radius", "thickness"))
+        require_numbers(self, positive=("fps", "depth_factor", "grip_radius"))
         turn = np.array(self.hand_eye)[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
             raise ValueError("hand_eye is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")
@@ -155,25 +148,6 @@ class Sequence:
             return None
         found = read_cloud(self.path.parent / self.given.points, (len(self.times), 3)) * UNITS[self.given.unit]
         return np.stack([moved(found[:, frame], self.eye(frame)) for frame in range(len(self.times))])
-
-    @cached_property
-    def forces(self) -> np.ndarray | None:
-        """What the tissue does to the tool in every frame, less the sensor's bias, shape [T, 3] [N].
-
-        The bias is the mean while the tip has not moved yet, from the first row on.
-
-        Raises:
-            InputError: the file can't be used, or doesn't reach over all frames.
-        """
-        if self.given.forces is None:
-            return None
-        file = self.path.parent / self.given.forces
-        times, *forces = read_series(file, WRENCH, "table of forces", 2).T
-        _require_reach(file, times, self.times)
-        way = np.linalg.norm(self.tool.tips(self.times) - self.tool.tips(self.times[:1]), axis=1)
-        still = times <= self.times[max(int(np.argmax(way > STILL)) - 1, 0)] + ROUNDED
-        found = np.stack([np.interp(self.times, times, each - each[still].mean()) for each in forces], axis=1)
-        return np.einsum("tij,tj->ti", self.tool.at(self.times)[:, :3, :3], found)
 
     def eye(self, frame: int) -> np.ndarray:
         """Pose of the camera in a frame, shape [4, 4]."""

@@ -1,16 +1,16 @@
-"""Whether a sequence's files fit together, told from the data: units, frames, clocks, and the sign of a wrench."""
+"""Whether a sequence's files fit together, told from the data: units, frames and clocks."""
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
-from palpate.data.source.sequence import UNITS, Sequence, Tool
+from palpate.data.source.sequence import Sequence, Tool
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
-TALLEST, THINNEST = 10.0, 5e-5
-"""Thickness over the tissue's width, and the least of radius and thickness [m], beyond which they have another unit."""
+THINNEST = 5e-5
+"""A smaller grip has another unit [m]."""
 LOOKED_AT, THINNED = 150, 3000
 """Frames, and points of each, by which clocks and frames are compared."""
 NEAR = 0.01
@@ -49,13 +49,6 @@ def require_fit(sequence: Sequence) -> None:
         motion = np.linalg.norm(sequence.points[frames][:, near] - there[near], axis=2).mean(axis=1)
     if len(frames) > 1:
         _require_clock(sequence.tool, sequence.times[frames], motion, origin)
-    if sequence.forces is not None:
-        # Tissue pulls a tool back and pushes it out: its force is against the tool's way.
-        ways, forces = (sequence.tool.tips(sequence.times) - origin)[held], sequence.forces[held]
-        most = np.linalg.norm(forces, axis=1) @ np.linalg.norm(ways, axis=1)
-        if (forces * ways).sum() > 0.5 * most:
-            said = "acts along the tool's motion, so it is what the tool does to the tissue"
-            raise InputError(f"{sequence.given.forces} in {printable(sequence.path)} {said}; reverse Fx, Fy and Fz.")
 
 
 def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
@@ -66,9 +59,8 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
     radius = sequence.grip_radius
-    thickness = UNITS[sequence.given.unit] * (sequence.given.thickness or 0.0) or radius
-    if not (min(radius, thickness) > THINNEST and max(radius, thickness / TALLEST) < size):
-        raise InputError(f"{printable(sequence.path)}: grip_radius or thickness can't be the tissue's; check `unit`.")
+    if not THINNEST < radius < size:
+        raise InputError(f"{printable(sequence.path)}: grip_radius can't be the tissue's; check `unit`.")
 
 
 def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) -> None:

@@ -5,8 +5,7 @@ registration depth points laid onto a surface (ICP)
 bench       a body on which tools pressed, simulated, and where sensors' sights meet it
 gauss_newton points' distances from a simulated surface, linearised by the material and the poses, and their least sum
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
-scene       the file that names a surface and what was pressed on it, or a sequence beside a robot
-presses     what such a sequence shows: the surface at rest, and each press's largest force
+scene       the file that names a surface and what was pressed on it
 """
 
 from palpate.common.lazy import exported

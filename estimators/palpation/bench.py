@@ -42,10 +42,8 @@ class Palpation:
 class Bench:
     """A body with its palpations, that counts what it simulates."""
 
-    def __init__(
-        self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str, widened: float = 1.0
-    ) -> None:
-        self.skin, self.held, self.palpations, self.law, self.widened = skin, held, palpations, law, widened
+    def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
+        self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         """Equilibria that were computed, those that failed included."""

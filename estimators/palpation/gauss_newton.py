@@ -109,7 +109,7 @@ class System:
         self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
         self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
         self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
-        self.precision = self.weight / (bench.widened * self.noise) ** 2
+        self.precision = self.weight / self.noise**2
         """What a residual weighs, shape [R] [1/m²]."""
 
     def solved(self) -> System:

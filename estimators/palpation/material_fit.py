@@ -38,9 +38,6 @@ class FitSettings:
     """E to begin at [Pa]."""
     poisson: float = 0.3
     """ν to begin at."""
-    widened: float = 1.0
-    """Standard deviation of a point's distance from the surface at rest over the point's own: more than 1 where that
-    surface is made of points as noisy."""
     model_error: float = 0.02
     """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
@@ -110,7 +107,7 @@ def fit_material(
                 f"the force of palpation {number} points out of the body; give what the tool does to the body, the "
                 "negative of what a sensor in its handle feels."
             )
-    bench = Bench(skin, held, palpations, settings.law, settings.widened)
+    bench = Bench(skin, held, palpations, settings.law)
     poisson = float(np.clip(settings.poisson, *POISSON))
     rests = bench.linear(settings.young, poisson)
     scale = _scale(bench, rests)

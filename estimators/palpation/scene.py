@@ -3,7 +3,7 @@
 import codecs
 import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,13 +13,10 @@ from palpate.common.files import read_file
 from palpate.common.settings import LARGEST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-from palpate.data.source.sequence import moved
 from palpate.data.source.table import read_columns
 from palpate.estimators.palpated import YOUNG
 from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import FitSettings
-from palpate.estimators.palpation.presses import read_presses
-from palpate.estimators.palpation.registration import Triangles
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
@@ -116,61 +113,39 @@ class Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene, or a sequence beside a robot (`data.source.sequence`) whose tool presses.
+    """Read a scene, and lay its surface on a mesh that fills it.
 
     Raises:
         InputError: it, or a file that it names, can't be read or can't be.
     """
-    values = read_mapping(path, "a palpation scene")
-    if "poses" in values:
-        return _meshed(path, *read_presses(path))
-    scene = from_mapping(SceneFile, values, printable(path))
+    scene = from_mapping(SceneFile, read_mapping(path, "a palpation scene"), printable(path))
     file, axis = path.parent / scene.surface, "xyz".index(scene.held_axis)
-    surface = read_obj(file)
-    _require_metres(file, surface[0])
+    vertices, triangles = read_obj(file)
+    _require_metres(file, vertices)
     palpations = [
         _palpation(values, f"{printable(path)}, palpation {number}", path.parent)
         for number, values in enumerate(scene.palpations, start=1)
     ]
-    settings = FitSettings(scene.law, scene.young, scene.poisson)
-    found = _meshed(file, surface, palpations, settings, np.eye(4), (axis, scene.held_below), scene.cells)
-    if found.held.sum() < 9:
-        count, low = int(found.held.sum() / 3), found.skin.body.rest[:, axis].min()
-        raise InputError(f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low:.4g} m).")
-    return found
-
-
-def _meshed(
-    path: Path,
-    surface: Triangles,
-    palpations: list[Palpation],
-    settings: FitSettings,
-    upright: np.ndarray,
-    floor: tuple[int, float],
-    cells: int,
-) -> Scene:
-    """Fill a surface and lay it on what fills it; the floor and the mesh's grid are along a pose's axes, upright."""
-    vertices, triangles = surface
-    standing = moved(vertices, np.linalg.inv(upright))
-    contacts = moved(np.array([each.contact for each in palpations]), np.linalg.inv(upright))
-    radius = min(each.tool_radius for each in palpations)
+    radius, floor = min(each.tool_radius for each in palpations), (axis, scene.held_below)
     # With edges of 0.6 radii under the tool a slab's E was off by 1.5 % (docs/reports/palpation.md).
-    crowded = around(contacts, radius, 0.6 * radius)
+    crowded = around(np.array([each.contact for each in palpations]), radius, 0.6 * radius)
     try:
-        meshed = mesh_surface(standing, triangles, cells=cells, floor=floor, longest=crowded)
+        meshed = mesh_surface(vertices, triangles, cells=scene.cells, floor=floor, longest=crowded)
     except NoBody as error:
-        raise InputError(f"{printable(path)}: {error}") from error
-    axis, below = floor
+        raise InputError(f"{printable(file)}: {error}") from error
     body = make_solid(meshed.nodes, meshed.tetrahedra, order=2)
     low = body.rest[:, axis]
     # Nodes at a body's own base are drawn to it only nearly.
-    slack = 1e-9 if low.min() >= below - 1e-9 else 0.0
-    still = low <= below + slack
-    body = curve(body, standing[triangles], still)
+    base = scene.held_below + (1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0)
+    still = low <= base
+    if (count := int(still.sum())) < 3:
+        raise InputError(
+            f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low.min():.4g} m)."
+        )
+    body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
-    body = replace(body, rest=moved(body.rest, upright), gradients=body.gradients @ upright[:3, :3].T)
-    skin = cover(body, vertices, triangles, standing[:, axis] <= below + slack)
-    return Scene(skin, held, palpations, settings, meshed.notes)
+    skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
+    return Scene(skin, held, palpations, FitSettings(scene.law, scene.young, scene.poisson), meshed.notes)
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:

@@ -1,23 +1,21 @@
 """From measured forces to material constants.
 
-    palpate calibrate palpation SCENE.yaml|SEQUENCE.yaml --output OUT
+    palpate calibrate palpation SCENE.yaml --output OUT
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
-(Frank 2010), or to clouds, poses and forces of a robot whose tool presses (sequence.yaml). Writes calibration.json,
-and errors.csv, the distance of every point from the fitted surface.
+(Frank 2010). Writes calibration.json, and errors.csv, the distance of every point from the fitted surface.
 
 Not a medical device.
 """
 
 import argparse
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import add_listed, described_parser, path_option, real_number, say
+from palpate.common.command_line import add_listed, described_parser, path_option, say
 from palpate.common.files import as_json, read_beside
 from palpate.common.output import require_own, write_own
 from palpate.common.tables import to_csv
@@ -28,17 +26,15 @@ from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.store import OutputError, make_output, writing
-from palpate.results.vtu import palpation_deformation, write_series
 
 PALPATION = ("calibration.json", "errors.csv")
-TYPES = {"path": path_option, "size": real_number("a positive number", 1e-6)}
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Command line."""
     statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
     parser = described_parser("palpate calibrate", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), TYPES, {"kinds": ("palpation",)})
+    add_listed(parser, read_beside(__file__), {"path": path_option}, {"kinds": ("palpation",)})
     return parser
 
 
@@ -56,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _palpation(options: argparse.Namespace, console: Console) -> int:
-    path, thickness, output = options.scene, options.sheet_thickness, options.output
+    path, output = options.scene, options.output
     scene = read_scene(path)
     for note in scene.notes:
         say(console, f"surface: {note}", "yellow")
@@ -71,8 +67,6 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     record: dict[str, object] = {"law": scene.settings.law, "verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
-    if thickness is not None:
-        record["thickness_m"] = thickness / 1000
     if not nothing:
         half = NINETY * found.young_sd
         record |= {
@@ -83,13 +77,7 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
         }
     _write(output, "calibration.json", as_json(record, indent=1) + "\n")
     _write(output, "errors.csv", _errors(scene, found))
-    names = list(PALPATION)
-    with TemporaryDirectory() as folder:
-        for number in range(len(found.rests) if options.export and not nothing else 0):
-            for name in write_series(Path(folder), f"scene_{number + 1}", palpation_deformation(found, number)):
-                _write(output, name, (Path(folder) / name).read_bytes())
-                names.append(name)
-    say(console, f"written: {', '.join(f'{output}/{name}' for name in names)}")
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
@@ -109,7 +97,7 @@ def _errors(scene: Scene, found: MaterialFit) -> str:
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
 
 
-def _write(output: Path, name: str, content: str | bytes) -> None:
+def _write(output: Path, name: str, content: str) -> None:
     make_output(output)
     with writing(output):
         write_own(output / name, content)

@@ -15,7 +15,6 @@ import argparse
 import dataclasses
 import math
 import signal
-import socket
 import sys
 import threading
 import time
@@ -101,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     alarm = None
     if options.force_limit is not None:
         alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator))
-    lines = JsonLines(source, options.port, server, alarm)
+    lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
             for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
@@ -121,14 +120,12 @@ class JsonLines:
 
     Args:
         source: whose estimates are printed.
-        port: UDP port of this machine to which lines are sent, too; None = none.
         server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
-    def __init__(self, source: LiveSource, port: int | None, server: Any, alarm: ForceAlarm | None) -> None:
-        self.source, self.port, self.server, self.alarm = source, port, server, alarm
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def __init__(self, source: LiveSource, server: Any, alarm: ForceAlarm | None) -> None:
+        self.source, self.server, self.alarm = source, server, alarm
         self._late: dict[bool, deque[float]] = {decided: deque(maxlen=1 << 16) for decided in (False, True)}
         """Of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
@@ -164,8 +161,6 @@ class JsonLines:
         line, server = as_json(found), self.server
         with self._one:
             print(line, flush=True)
-            if self.port is not None:
-                self._socket.sendto(line.encode(), ("127.0.0.1", self.port))
             # A client that is too slow misses lines.
             if server is not None and server.is_connected() and len(server.outgoing_messages) < 100:
                 from pyigtl import StringMessage

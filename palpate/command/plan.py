@@ -7,8 +7,8 @@ same tissue finds them there. Writes plan.json and plan.png: the way, what it co
 cost, the tissue pushed aside and the forces along both.
 
 A scene with a mesh is planned in space, past a body of any shape and through a port: its road map is kept in the cache
-for other starts, goals, moduli and limits. Writes plan.json, and path.csv and path.json: times, poses and expected
-forces. Not a medical device.
+for other starts, goals, moduli and limits. Writes plan.json, and path.csv: times, poses and expected forces. Not a
+medical device.
 """
 
 import argparse
@@ -31,13 +31,13 @@ from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
 from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
-from palpate.planning.waypoints import COLUMNS, as_path, waypoints
+from palpate.planning.waypoints import COLUMNS, waypoints
 from palpate.results.store import OutputError, make_output, writing
 
 SOFTEST = 50.0
 """Tissue is stiffer [Pa]."""
 NAMES = ("plan.json", "plan.png")
-SPACE_NAMES = ("plan.json", "path.csv", "path.json")
+SPACE_NAMES = ("plan.json", "path.csv")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -124,7 +124,7 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Consol
     record |= {"alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
     record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
     table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
-    texts = as_json(record, indent=1) + "\n", table, as_json(as_path(rows, scene.frame)) + "\n"
+    texts = as_json(record, indent=1) + "\n", table
     with writing(output):
         for name, text in zip(SPACE_NAMES, texts, strict=True):
             write_own(output / name, text)

@@ -6,7 +6,6 @@ with that run.
 
 import contextlib
 import os
-import re
 import sqlite3
 import tempfile
 from pathlib import Path
@@ -33,9 +32,6 @@ RUN_ID = "mlflow_run_id"
 PLACES = (
     ("experiments", "artifact_location"),
     ("runs", "artifact_uri"),
-    ("logged_models", "artifact_location"),
-    ("model_versions", "source"),
-    ("model_versions", "storage_location"),
 )
 """Tables and columns of MLflow's database that hold places of artifacts."""
 LOCK_TIMEOUT_S = 5.0
@@ -140,30 +136,6 @@ def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
     data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:16], **place)
     given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
     logger.experiment.log_inputs(logger.run_id, [given])
-
-
-def log_network(logger: MLFlowLogger, path: Path, checkpoint: Path) -> None:
-    """Log an exported network to the run, and register it under the run's name.
-
-    The alias of the version is the checkpoint's name, best, last or epoch_NNN, and `other` for one that isn't named so.
-    """
-    import mlflow.onnx
-    import onnx
-
-    client = logger.experiment
-    name = re.sub("[/:]", "-", client.get_run(logger.run_id).info.run_name)
-    with mlflow.start_run(logger.run_id):
-        logged = mlflow.onnx.log_model(
-            onnx.load(path),
-            name="network",
-            registered_model_name=name,
-            pip_requirements=mlflow.onnx.get_default_pip_requirements(),  # to infer them it would start a process
-            save_as_external_data=False,
-        )
-    version = str(logged.registered_model_version)
-    alias = checkpoint.stem if re.fullmatch(r"best|last|epoch_\d+", checkpoint.stem) else "other"
-    client.set_registered_model_alias(name, alias, version)
-    print(f"MLflow: models:/{name}@{alias} is version {version}")
 
 
 def _require_database(path: Path) -> None:

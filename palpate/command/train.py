@@ -31,7 +31,7 @@ from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
-from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_network, log_settings, run_loggers, tracked
+from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_settings, run_loggers, tracked
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, require_own
@@ -274,11 +274,11 @@ class TrainCLI(LightningCLI):
             print(f"{name}: {path}")
 
     def after_export(self) -> None:
-        """Log the settings and the network, and register it, where the run is tracked."""
+        """Log the settings and the network, where the run is tracked."""
         config = self.config[self.subcommand]  # ty: ignore[invalid-argument-type]  a command is required
         for logger in tracked(self.trainer):
             log_settings(logger, self._parser(self.subcommand).dump(config), "export")
-            log_network(logger, Path(config.output), Path(config.ckpt_path))
+        log_artifact(self.trainer, Path(config.output), "network")
 
 
 CHOSEN: dict[str, Any] = {

@@ -12,8 +12,6 @@ from scipy.sparse import bsr_array, csr_array
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners between which nodes 4 … 9 of a quadratic tetrahedron lie."""
-EIGHTHS = [0, 4, 6, 7, 4, 1, 5, 8, 6, 5, 2, 9, 7, 8, 9, 3, 4, 5, 6, 8, 4, 6, 7, 8, 6, 5, 9, 8, 6, 9, 7, 8]
-"""Corners of eight linear tetrahedra between the ten nodes of a quadratic one."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 """Corners of a tetrahedron's faces, anticlockwise seen from outside."""
 _FLAT = 1e-9

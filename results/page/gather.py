@@ -34,6 +34,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     order = [*COLORS, *contacts]
     return {
         "name": folder.name,
+        "page": store.TABLE if record.get("kind") == "sequence" else store.PAGES[1],
         "contacts": [(name, in_words(name), int(contacts[name])) for name in sorted(contacts, key=order.index)],
         "frames": int(given["frames"]),
         "seconds": given["frames"] / given["fps"],
@@ -45,22 +46,21 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 def clip_of(folder: Path) -> dict[str, Any]:
-    """What a clip's page shows, and by which template.
+    """What a clip's page shows.
 
     Raises:
         OSError: a table can't be read.
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
     record = store.read_record(folder)
-    template, more = PAGES[record.get("kind", "video")]  # earlier versions didn't say
     # A series of .vtu files is listed by its index.
     files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
-    shown = summary_of(folder) | more(folder, record) | {"template": template, "files": files}
+    shown = summary_of(folder) | _of_video(folder, record) | {"files": files}
     return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
 
 
 def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page of a video shows besides what all show."""
+    """Curves, contacts and forces of a video."""
     columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
     frames, runs = _table(folder / store.TABLE, columns), _table(folder / store.INTERACTIONS)
     report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
@@ -69,23 +69,11 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
-        "limit": report["force_limit"],
         "states": [_explained(*item) for item in record["statuses"].items()],
         "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "curves": _curves(record, frames, contacts),
     }
-
-
-def _of_sequence(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of a sequence: the last frame's row."""
-    last, texts = _table(folder / store.TABLE)[-1], record["columns"][store.TABLE]
-    rows = [(name, _number(cell) or cell, texts.get(name, "")) for name, cell in last.items() if cell]  # frame first
-    return {"last": rows[1:]}
-
-
-PAGES = {"video": ("clip.html", _of_video), "sequence": ("sequence.html", _of_sequence)}
-"""Template of the page, and what that shows besides what all show, by the record's kind."""
 
 
 def advice(warning: str) -> str:

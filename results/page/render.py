@@ -37,9 +37,9 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
             page, text = folder / CLIP, ""
             try:
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
-                if anew or not page.exists() or page.stat().st_mtime_ns < made:
+                if summary["page"] == CLIP and (anew or not page.exists() or page.stat().st_mtime_ns < made):
                     shown = clip_of(folder)
-                    text = environment.get_template(shown["template"]).render(clip=shown, colors=COLORS)
+                    text = environment.get_template("clip.html").render(clip=shown, colors=COLORS)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
                 why = f"its results are damaged or of another version ({type(error).__name__}: {error})"
                 failures.append((folder.name, f"{folder}: {why}; compute it again with palpate infer --overwrite."))

@@ -37,14 +37,13 @@ def test_a_known_force_belongs_to_the_contact_of_its_time(tmp_path: Path) -> Non
 
 
 def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> None:
-    rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 3, 0.1)]
+    rows = [f"{time:.2f},{3.0 if time < 1 else 5.0}" for time in np.arange(0, 1.3, 0.1)]
     (tmp_path / "forces.csv").write_text("\n".join(["time_s,force_N", *rows]))
-    calibration = read(tmp_path, measured="forces.csv", known_s=[0.0, 1.2])
+    calibration = read_calibration(tmp_path / "forces.csv")
     scale = calibration.scale([KNOWN, OTHER], UNKNOWN)
     assert (scale.homogeneous, scale.source) == (MASS, "forces measured at frame 10")
     assert math.exp(scale.log) == pytest.approx(3.0 / 0.2)
-    assert calibration.known.times.max() == pytest.approx(1.2)
-    assert calibration.files == (tmp_path / "known.yaml", tmp_path / "forces.csv")
+    assert calibration.files == (tmp_path / "forces.csv",)
     with pytest.raises(NoEstimate, match="3 or more forces are known"):
         calibration.scale([OTHER], UNKNOWN)
 
@@ -67,14 +66,9 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
     assert math.exp(scale.log) == pytest.approx(SHEET_FACTOR * 1e4 * 0.004 * 0.2)
     assert scale.variance == pytest.approx(0.1**2 + 0.05**2)
     assert scale.source == "palpation, E = 1e+04 Pa, in a sheet of 4 mm"
-    (tmp_path / "sheet.json").write_text(json.dumps({**found, "thickness_m": 0.004, "verdict": "young"}))
-    whole = read_calibration(tmp_path / "sheet.json").scale([], METRIC)
-    assert (whole.log, whole.variance) == pytest.approx((scale.log, 0.01))
-    with pytest.raises(InputError, match="holds no thickness_m"):
-        read_calibration(tmp_path / "calibration.json")
-    (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4, "thickness_m": 0.004}))
+    (tmp_path / "calibration.json").write_text(json.dumps({"young_pa": 1e4}))
     with pytest.raises(InputError, match="holds no E with an interval"):
-        read_calibration(tmp_path / "calibration.json")
+        read(tmp_path, palpation="calibration.json", thickness_m=0.004)
 
 
 def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
@@ -83,31 +77,25 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
     )
     assert (stated.metres, stated.log_sd) == pytest.approx((0.2, 0.1))
     with pytest.raises(InputError, match="by metres_per_depth 100 tissue is 80 m away; give metres"):
-        read(tmp_path, **FORCE, metres_per_depth=100).length(ClipLength(0.8, stored=True))
+        read(tmp_path, **FORCE, metres_per_depth=100).length(ClipLength(0.8))
     with pytest.raises(InputError, match=r"by metres_per_depth 0\.001 tissue is 0\.0008 m away; give metres"):
-        read(tmp_path, **FORCE, metres_per_depth=0.001).length(ClipLength(0.8, stored=True))
+        read(tmp_path, **FORCE, metres_per_depth=0.001).length(ClipLength(0.8))
     bare = read(tmp_path, **FORCE)
     assert bare.length(ClipLength(2.0, 2.0, by="stereo")).metres == 2.0
-    assert bare.length(ClipLength(2.0, stored=True)).metres is None
+    assert bare.length(ClipLength(2.0)).metres is None
 
 
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
-        ({}, "nothing is known; give one of force_N, known_s, stiffness, palpation."),
+        ({}, "nothing is known; give one of force_N, stiffness, palpation."),
         ({**FORCE, "stiffness": 3.0}, "force_N and stiffness each tell newtons; give one."),
         ({"force_N": 4.0}, "force_N and force_time_s belong together; give both."),
         ({**FORCE, "force_N": -1.0}, "force_N is -1.0; give a positive number."),
         ({**FORCE, "force_sd_N": -1.0}, "force_sd_N is -1.0; give 0 or more."),
-        ({**FORCE, "known_s": [0, 1]}, "force_N and known_s each tell newtons; give one."),
-        ({"known_s": [0, 1]}, "measured and known_s belong together; give both."),
-        ({"measured": "forces.csv"}, "measured and known_s belong together; give both."),
-        ({"measured": "forces.csv", "known_s": [1, 1]}, "known_s is [1, 1]; give a beginning before an end."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
-        ({"stiffness": 3.0, "clip": "a"}, "clip names that of a known force; leave it out next to stiffness."),
         ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
-        ({"measured": "no.csv", "known_s": [0, 1]}, "no.csv is no table of forces"),
         ({"palpation": "no.json", "thickness_m": 0.1}, "no.json can't be read as a palpation's calibration.json"),
     ],
 )

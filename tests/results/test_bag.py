@@ -30,7 +30,7 @@ def contacts(*runs: InteractionEstimate, count: int = 24, calibrated: tuple = ()
     onsets = [run.onset for run in runs]
     frames = [FrameEstimate(at, STEP * at, "ok", contact=at + 1 not in onsets) for at in range(count)]
     found = [ContactForce.of(run, frames[:end]) for run, end in zip(runs, [*onsets[1:], count], strict=True)]
-    return forces_record(found, frames, 25.0, None, calibrated)["contacts"]
+    return forces_record(found, frames, 25.0, calibrated)["contacts"]
 
 
 def at(run: InteractionEstimate, onset: int) -> InteractionEstimate:

@@ -18,12 +18,12 @@ STEP = 0.04
 BLIND = dataclasses.replace(ESTIMATE, given_verdict="onset_in_view", covariance=None)
 
 
-def told(run: InteractionEstimate, contact: str, *, newtons=None, calibrated=(), seconds=math.inf, limit=None) -> dict:
+def told(run: InteractionEstimate, contact: str, *, newtons=None, calibrated=(), seconds=math.inf) -> dict:
     """What forces.json has of a run in frames of which `x` are in contact, `?` undecided, and `.` not."""
     states, onset = [{"x": True, "?": None, ".": False}[letter] for letter in contact], contact.index("x")
     estimates = [FrameEstimate(at, STEP * at, "ok", contact=touches) for at, touches in enumerate(states)]
     run = dataclasses.replace(run, onset=onset, onset_frame=onset, onset_time_s=STEP * onset)
-    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, limit, calibrated)
+    found = forces_record([ContactForce.of(run, estimates, newtons, seconds)], estimates, 25.0, calibrated)
     document = json.loads(as_json(found))
     return document["contacts"][0]
 
@@ -94,26 +94,3 @@ def test_where_nothing_is_determined_all_of_the_contact_is_unknown(run: Interact
     assert found == found | {"unit": "", "mean": None, "peak": None, "peak_time_s": None, "force": [None] * 3}
     assert (found["unknown_frames"], found["unknown_s"]) == (3, pytest.approx(3 * STEP))
     assert found["why"].startswith(why)
-
-
-def test_time_above_a_limit_has_the_interval_of_the_force() -> None:
-    """GOOD is followed for eight frames after its onset."""
-    held, names = dataclasses.replace(GOOD, load_s=None), ("above_s", "above_s_low", "above_s_high", "above_unknown_s")
-    low, high = (held.main_estimate.numbers()[f"force_{end}"] for end in ("low", "high"))
-    frames = {low - 1e-6: [9, 9, 9], low + 1e-6: [9, 0, 9], high - 1e-6: [0, 0, 9], high + 1e-6: [0, 0, 0]}
-    for limit, counts in frames.items():
-        found = told(held, ".xxxxxxxxxxxx", limit=(limit, "scene units"))
-        assert [found[name] for name in names] == pytest.approx([STEP * count for count in (*counts, 3)])
-    found = told(held, ".xxxxxxxxxxxx", limit=(0.1, "N"))  # nothing tells newtons
-    assert [found[name] for name in names] == pytest.approx([0, 0, 0, 12 * STEP])
-    row = {
-        "onset_frame": 1,
-        "determined": "force",
-        "force": 2,
-        "force_low": 1.5,
-        "force_high": 2.5,
-        "force_unit": "N, by",
-    }
-    found = told(held, ".xxxxxxxxxxxx", limit=(2.2, "N"), calibrated=[row])
-    assert [found[name] for name in names] == pytest.approx([0, 0, 9 * STEP, 3 * STEP])
-    assert told(GOOD, ".xxxxxx.")["above_s"] is None

@@ -20,32 +20,26 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     given = [str(path), "--output", str(tmp_path / "out"), "--estimator", "online", "--settings", str(settings)]
     assert main(given) == 0
     folder = tmp_path / "out/pull"
-    made = (folder / "particles_000003.ply").stat().st_mtime_ns
+    made = (folder / "particles_000003.vtk").stat().st_mtime_ns
     assert main(given) == 0
-    assert (folder / "particles_000003.ply").stat().st_mtime_ns == made  # nothing has changed
+    assert (folder / "particles_000003.vtk").stat().st_mtime_ns == made  # nothing has changed
     assert main([*given, "--overwrite"]) == 0
-    assert (folder / "particles_000003.ply").stat().st_mtime_ns > made
+    assert (folder / "particles_000003.vtk").stat().st_mtime_ns > made
     record = json.loads((folder / "run.json").read_text())
     assert (record["input"]["frames"], record["verdicts"]) == (3, {"undetermined": 3})
     assert record["input"]["fps"] == pytest.approx(10)
     assert record["units"] == {"length": "m", "time": "s"}
-    assert {"particles_000001.vtk", "particles_000003.ply", "particles.csv", "parameters.csv"} <= {*record["files"]}
-    page, index = (folder / "page.html").read_text(), (tmp_path / "out/index.html").read_text()
-    assert "3 frames in which the tool holds tissue" in page
-    assert "Lengths are in metres" in page
-    assert "scene units" not in page
-    assert "missed what the frame shows, m" in page
-    assert 'href="pull/page.html"' in index
+    assert {"particles_000001.vtk", "particles_000003.vtk", "particles.csv", "parameters.csv"} <= {*record["files"]}
+    assert "missed what the frame shows, m" in record["columns"]["parameters.csv"]["gap"]
     write_sequence(tmp_path / "pull", 3, length=1000.0, unit="mm", grip_radius=13.0)
     assert main(given) == 1  # another input: its results are not replaced unasked
     assert main([*given, "--overwrite"]) == 0
     assert sorted(file.name for file in folder.glob("particles_*")) == [
-        f"particles_00000{number}.{ending}" for number in (1, 2, 3) for ending in ("ply", "vtk")
+        f"particles_00000{number}.vtk" for number in (1, 2, 3)
     ]
     rows = list(csv.DictReader((folder / "particles.csv").open()))
     rest, now = (np.array([[float(row[f"{of}{axis}"]) for axis in "xyz"] for row in rows]) for of in ("rest_", ""))
-    ply, vtk = (meshio.read(folder / f"particles_000003.{ending}") for ending in ("ply", "vtk"))
-    np.testing.assert_allclose(ply.points, now)
+    vtk = meshio.read(folder / "particles_000003.vtk")
     np.testing.assert_allclose(vtk.points, now)
     sheet = (rest - SHIFT) @ TURN
     np.testing.assert_allclose(sheet[:, 2], 0, atol=2e-4)
@@ -57,7 +51,7 @@ def test_particles_and_tables_are_in_the_robots_frame_and_metres(tmp_path: Path)
     assert np.isnan(vtk.point_data["stiffness"]).all()  # three frames determine nothing
     assert {row["stiffness"] for row in rows} == {""}
     np.testing.assert_allclose(
-        ply.point_data["simulated_stiffness"], [float(row["simulated_stiffness"]) for row in rows]
+        vtk.point_data["simulated_stiffness"], [float(row["simulated_stiffness"]) for row in rows]
     )
     table = list(csv.DictReader((folder / "parameters.csv").open()))
     assert [(row["frame"], row["time_s"], row["verdict"]) for row in table][:2] == [
@@ -80,11 +74,13 @@ def test_frames_without_tissue_are_counted_and_shown(tmp_path: Path, capsys: pyt
     assert f"pull: {said}" in " ".join(capsys.readouterr().err.split())
     folder = tmp_path / "out/pull"
     assert json.loads((folder / "run.json").read_text())["warnings"] == [said]
-    assert said in (folder / "page.html").read_text()
+    index = (tmp_path / "out/index.html").read_text()
+    assert said in index
+    assert 'href="pull/parameters.csv"' in index
     rows = list(csv.DictReader((folder / "parameters.csv").open()))
     assert [row["frame"] for row in rows] == ["2", "3", "4"]
-    tip = meshio.read(folder / "particles_000003.ply").points  # follows the tool and followed points
-    assert np.linalg.norm(tip - meshio.read(folder / "particles_000002.ply").points, axis=1).max() > 1e-4
+    tip = meshio.read(folder / "particles_000003.vtk").points  # follows the tool and followed points
+    assert np.linalg.norm(tip - meshio.read(folder / "particles_000002.vtk").points, axis=1).max() > 1e-4
 
 
 def test_a_bad_sequence_does_not_stop_the_others(tmp_path: Path) -> None:

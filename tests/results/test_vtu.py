@@ -11,12 +11,10 @@ from palpate.estimators.direct.estimator import fitted_press
 from palpate.estimators.estimate import NINETY, NoEstimate
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.surface import make_surface
-from palpate.estimators.palpation import FitSettings, fit_material
 from palpate.physics.mechanics import PARAMETERS
-from palpate.results.vtu import deformation_of, palpation_deformation, write_series
+from palpate.results.vtu import deformation_of, write_series
 from tests.estimators.estimates import CONTACT, GOOD, MECHANICS, NONE, THETA
 from tests.estimators.online.test_driven import CAMERA, GEOMETRY, driven, first_frame
-from tests.estimators.palpation.test_material_fit import BODY, observed
 from tests.physics.sheets import whole_field
 from tests.results.fields import PULL
 
@@ -81,16 +79,6 @@ def test_a_field_has_a_stiffness_at_every_particle(thickness, tmp_path):
     np.testing.assert_allclose(read.point_data["stiffness"], stiffness, rtol=1e-9)
     np.testing.assert_array_equal(read.point_data["shape_stiffness_known"], np.zeros(count))
     assert ("tetra" in read.cells_dict) == (thickness is not None)
-
-
-def test_a_palpation_is_in_metres_and_newtons(tmp_path):
-    fit = fit_material(*BODY.skin(4, BODY.size / 20), [observed(1.0)], FitSettings())
-    write_series(tmp_path, "scene_1", palpation_deformation(fit, 0))
-    read, rest = meshio.read(tmp_path / "scene_1_0000.vtu"), fit.rests[0]
-    np.testing.assert_allclose(read.point_data["displacement"], rest.displacement, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(read.point_data["load"].sum(axis=0), rest.energy.forces.sum(axis=0), atol=1e-9)
-    assert read.cells_dict["tetra10"].shape == rest.energy.solid.elements.shape
-    assert np.ravel(read.field_data["young"])[0] == pytest.approx(fit.young)
 
 
 def test_what_is_not_determined_is_not_exported():

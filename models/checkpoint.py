@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.pytorch import LightningModule
 
 from palpate.models.onnx_session import METADATA_KEY
 from palpate.models.posterior import ContactPosterior
@@ -66,12 +65,12 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
             )
 
 
-def require_same_weights(path: Path, model: LightningModule, command: str) -> None:
+def require_same_weights(path: Path, model: Any, command: str) -> None:
     """Refuse a checkpoint that a network can't take over, although the settings agree.
 
     Args:
         path: checkpoint.
-        model: the network, with its optimisers.
+        model: the network, a LightningModule with its optimisers.
         command: fit, whose training goes on, validate, test or export.
 
     Raises:
@@ -88,7 +87,7 @@ def require_same_weights(path: Path, model: LightningModule, command: str) -> No
         )
     try:
         if command == "fit":
-            optimizers: Any = model.configure_optimizers()
+            optimizers = model.configure_optimizers()
             for optimizer, state in zip(optimizers, checkpoint["optimizer_states"], strict=True):
                 optimizer.load_state_dict(state)
         if command != "export":

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from packaging.version import InvalidVersion, Version
 
 from palpate.models.onnx_session import METADATA_KEY
 from palpate.models.posterior import ContactPosterior
@@ -23,6 +24,8 @@ FIXED = (
 
 WRITER = "train.py fit -c configs/contact.yaml"
 """The command that writes pretrained posteriors, for messages."""
+VERSION = "pytorch-lightning_version"
+"""Name of Lightning's version in a checkpoint."""
 EXPORTED_PREFIX = "network."
 """Prefix of a weight's name in an exported posterior."""
 
@@ -38,11 +41,19 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: no such file, or not such a checkpoint.
     """
     checkpoint = _read(path, "train.py fit")
-    kinds = {"hyper_parameters": dict, "state_dict": dict, "callbacks": dict, "pytorch-lightning_version": str}
+    kinds = {"hyper_parameters": dict, "state_dict": dict, "callbacks": dict, VERSION: str}
     whole = all(isinstance(checkpoint.get(name), kind) for name, kind in kinds.items())
-    if not (whole and "bounds" in checkpoint["hyper_parameters"]):
+    if not (whole and "bounds" in checkpoint["hyper_parameters"] and _is_version(checkpoint[VERSION])):
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
+
+
+def _is_version(text: str) -> bool:
+    try:
+        Version(text)
+    except InvalidVersion:
+        return False
+    return True
 
 
 def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:

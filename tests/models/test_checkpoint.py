@@ -67,8 +67,8 @@ def test_unusable_files(checkpoint: Path, tmp_path: Path):
         with pytest.raises(checkpoints.CheckpointError, match="another program"):
             checkpoints.read_checkpoint(broken)
     good = torch.load(checkpoint, weights_only=True)
-    for name in ("callbacks", "pytorch-lightning_version"):  # Lightning fails without
-        torch.save(good | {name: 5}, broken)
+    for wrong in ({"callbacks": 5}, {checkpoints.VERSION: 5}, {checkpoints.VERSION: "new"}):  # Lightning fails with
+        torch.save(good | wrong, broken)
         with pytest.raises(checkpoints.CheckpointError, match="another program"):
             checkpoints.read_checkpoint(broken)
     torch.save(good | {"hyper_parameters": good["hyper_parameters"] | {"bounds": "x"}}, broken)

@@ -18,10 +18,20 @@ LARGEST_NUMBER = 2**63 - 1
 """Largest whole number of an option: larger ones are no counts, and no seeds of random generators."""
 
 
-def described_parser(program: str, text: str | None, statuses: str) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """A parser that refuses `--option=--`, of which argparse makes an empty list."""
+
+    def parse_args(self, *given: Any, **options: Any) -> Any:
+        found = super().parse_args(*given, **options)
+        if [] in vars(found).values():
+            self.error("an option is --; give its value or leave it out.")
+        return found
+
+
+def described_parser(program: str, text: str | None, statuses: str) -> Parser:
     """A parser whose help shows a program's text as it stands, and its exit statuses."""
     how: dict[str, Any] = {"description": text, "formatter_class": argparse.RawDescriptionHelpFormatter}
-    return argparse.ArgumentParser(prog=program, epilog=f"Exit status: {statuses}.", **how)
+    return Parser(prog=program, epilog=f"Exit status: {statuses}.", **how)
 
 
 def add_listed(

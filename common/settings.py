@@ -42,6 +42,8 @@ def sound(value: Any) -> bool:
     for _ in range(MOST_LEVELS):
         if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):
             return False
+        if any(isinstance(each, str) and "\0" in each for each in row):  # no name of a file
+            return False
         held = (each.values() if isinstance(each, dict) else each for each in row if isinstance(each, (dict, list)))
         row = list(itertools.islice(itertools.chain.from_iterable(held), MOST_VALUES))
     return not row

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from palpate.common.onnx_devices import DeviceError, first_line, open_session, opening_problem, provider_of
+from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import InputError
 
 _NUMBERS = {"float": np.float32, "float16": np.float16, "double": np.float64, "uint8": np.uint8}
@@ -58,7 +59,7 @@ class PictureNetwork:
             axes: order of the input's axes, NCHW or NHWC.
 
         Raises:
-            InputError: the file does not take one picture of three channels in that order.
+            InputError: the file does not take one picture of three channels in that order, or none of usable size.
         """
         # A dimension that is a name or None is free.
         fixed = [side if isinstance(side, int) else None for side in self._input.shape]
@@ -70,6 +71,10 @@ class PictureNetwork:
             raise InputError(
                 f"{self.path} takes an input '{self._input.name}' of shape {self._input.shape}, and not one colour "
                 f"picture as {axes}; correct the order of the axes in its settings."
+            )
+        if any(side is not None and not 1 <= side <= MOST_SIDE for side in (sides["H"], sides["W"])):
+            raise InputError(
+                f"{self.path} takes pictures of {sides['H']}x{sides['W']}; export it for 1 to {MOST_SIDE}."
             )
         return sides["H"], sides["W"]
 

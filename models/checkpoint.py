@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from packaging.version import InvalidVersion, Version
 
 from palpate.models.onnx_session import METADATA_KEY
 from palpate.models.posterior import ContactPosterior
@@ -23,8 +24,8 @@ FIXED = (
 
 WRITER = "train.py fit -c configs/contact.yaml"
 """The command that writes pretrained posteriors, for messages."""
-OPTIMIZER_KEYS = {"state", "param_groups"}
-"""Keys of an optimiser's state in a checkpoint."""
+VERSION = "pytorch-lightning_version"
+"""Name of Lightning's version in a checkpoint."""
 EXPORTED_PREFIX = "network."
 """Prefix of a weight's name in an exported posterior."""
 
@@ -40,10 +41,19 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         CheckpointError: no such file, or not such a checkpoint.
     """
     checkpoint = _read(path, "train.py fit")
-    settings, weights = (checkpoint.get(name) for name in ("hyper_parameters", "state_dict"))
-    if not (isinstance(settings, dict) and isinstance(weights, dict) and "bounds" in settings):
+    kinds = {"hyper_parameters": dict, "state_dict": dict, "callbacks": dict, VERSION: str}
+    whole = all(isinstance(checkpoint.get(name), kind) for name, kind in kinds.items())
+    if not (whole and "bounds" in checkpoint["hyper_parameters"] and _is_version(checkpoint[VERSION])):
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
+
+
+def _is_version(text: str) -> bool:
+    try:
+        Version(text)
+    except InvalidVersion:
+        return False
+    return True
 
 
 def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
@@ -66,19 +76,19 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
             )
 
 
-def require_same_weights(path: Path, own: Mapping[str, torch.Tensor], *, resume: bool) -> None:
+def require_same_weights(path: Path, model: Any, command: str) -> None:
     """Refuse a checkpoint that a network can't take over, although the settings agree.
 
     Args:
         path: checkpoint.
-        own: the network's weights by name.
-        resume: whether its training goes on.
+        model: the network, a LightningModule with its optimisers.
+        command: fit, whose training goes on, validate, test or export.
 
     Raises:
         CheckpointError: weights of other names or shapes, or no state to go on from.
     """
     checkpoint = read_checkpoint(path)
-    here = {name: value.shape for name, value in own.items()}
+    here = {name: value.shape for name, value in model.state_dict().items()}
     there = {name: getattr(value, "shape", None) for name, value in checkpoint["state_dict"].items()}
     other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
     if other:
@@ -86,10 +96,16 @@ def require_same_weights(path: Path, own: Mapping[str, torch.Tensor], *, resume:
             f"{path} holds other weights than this network has, {len(other)} of them, such as {other[0]}; give the "
             "configuration it was trained with."
         )
-    states, loops = (checkpoint.get(name) for name in ("optimizer_states", "loops"))
-    whole = isinstance(states, list) and isinstance(loops, dict) and isinstance(loops.get("fit_loop"), dict)
-    if resume and not (whole and all(isinstance(state, dict) and set(state) >= OPTIMIZER_KEYS for state in states)):
-        raise CheckpointError(f"{path} holds no state of a training to go on from; give the last.ckpt of a run folder.")
+    try:
+        if command == "fit":
+            optimizers = model.configure_optimizers()
+            for optimizer, state in zip(optimizers, checkpoint["optimizer_states"], strict=True):
+                optimizer.load_state_dict(state)
+        if command != "export":
+            dict(**checkpoint["loops"][f"{command}_loop"])
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        problem = "holds no state of a training to go on from; give the last.ckpt of a run folder"
+        raise CheckpointError(f"{path} {problem}.") from error
 
 
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:
@@ -157,5 +173,5 @@ def _field(settings: Mapping[str, Any], name: str) -> Any:
     """A nested setting by its dotted name, None where there is none; tuples as lists, so that they compare."""
     value: Any = settings
     for part in name.split("."):
-        value = value.get(part)
+        value = value.get(part) if isinstance(value, Mapping) else None
     return list(value) if isinstance(value, tuple) else value

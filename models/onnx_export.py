@@ -34,6 +34,7 @@ from palpate.models.onnx_session import (
     METADATA_KEY,
     POSTERIOR,
     ExportedModel,
+    ModelFileError,
     ParameterModel,
     PosteriorModel,
 )
@@ -145,13 +146,16 @@ def write(
         difference_of: the file's largest difference from torch, which is returned.
 
     Raises:
-        ForeignFile, ParityError: as of `export`.
+        ForeignFile, ParityError: as of `export`, or its numbers are not finite.
     """
     onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing_own(output) as partial:
         onnx.save(model, partial, format="protobuf")
-        difference = difference_of(partial)
+        try:
+            difference = difference_of(partial)
+        except ModelFileError as error:
+            raise ParityError(str(error).replace(str(partial), str(output))) from error
         if not difference <= PARITY_TOLERANCE:  # or it is no number
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "

@@ -262,6 +262,7 @@ def test_a_bad_configuration_gets_a_sentence(config: Path, tmp_path: Path, capsy
         (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number out of range"),
+        (b'data: {root: "a\\0b"}', "or a NUL; correct the file"),
         (None, "can't be read as a configuration (no file but a pipe or a device); check the path."),
     ],
 )
@@ -286,6 +287,9 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("model.width", 100_000, "width 100000 and residual_blocks 1; give 1 channel or more, a width of 1 to 256"),
         ("model.residual_blocks", 100_000, "and 0 to 64 blocks"),
         ("trainer.devices", 100_000, "trainer.devices is 100000; give 1 to at most"),
+        ("trainer.devices", "[1, 2]", "`devices` selected with `CPUAccelerator` should be an int > 0"),
+        ("trainer.max_time", "{a: 1}", "invalid keyword argument"),
+        ("trainer.check_val_every_n_epoch", 0, "trainer.check_val_every_n_epoch is 0; give more than 0."),
         ("seed_everything", 2**32, "seed_everything is 4294967296; give 0 to 4294967295"),
         ("seed_everything", "9" * 400, "seed_everything is a number beyond ±1e+15; give 0 to 4294967295"),
         ("trainer.precision", "bf16-true", "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16"),
@@ -327,6 +331,11 @@ def test_a_damaged_tracking_database_gets_a_sentence_at_once(config: Path, tmp_p
     assert f"{tmp_path / 'mlflow.db'} can't be used (" in said
     assert said.endswith("); move it away, or add --tracking false.")
     assert not (tmp_path / "run" / "checkpoints").exists()
+
+
+def test_a_folder_that_takes_no_tracking_database_gets_a_sentence_at_once(config: Path, capsys):
+    said = refused(capsys, "fit", "-c", config, "--tracking=true", "--trainer.default_root_dir=/proc/palpate")
+    assert "/proc/mlflow.db can't be used (" in said
 
 
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
@@ -376,6 +385,9 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         ({"optimizer_states": "none"}, "fit", "holds no state of a training to go on from"),
         ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
         ({"loops": None}, "fit", "holds no state of a training to go on from"),
+        ({"loops": {"fit_loop": {}}}, "validate", "holds no state of a training to go on from"),
+        ({"optimizer_states": []}, "fit", "holds no state of a training to go on from"),
+        ({"optimizer_states": [{"state": {}, "param_groups": []}] * 3}, "fit", "holds no state of a training to go"),
     ]
     for change, command, expected in cases:
         torch.save(whole | change, path)
@@ -386,6 +398,10 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         assert train.main(["export", "-c", str(config), "--ckpt_path", str(path), "--output", str(output)]) == 1
         assert "doesn't say what it was trained on; give one that train.py fit" in capsys.readouterr().err
         assert not output.exists()
+    torch.save(whole | {"state_dict": {name: values * torch.nan for name, values in weights.items()}}, path)
+    assert train.main(["export", "-c", str(config), "--ckpt_path", str(path), "--output", str(output)]) == 1
+    assert f"{output} gives a number that is not finite" in capsys.readouterr().err
+    assert list(tmp_path.glob("*.onnx")) == []
 
 
 @pytest.mark.parametrize(

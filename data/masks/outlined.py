@@ -27,6 +27,8 @@ ENTERS = 0.012
 """Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side."""
 BEYOND = 2.0
 """How far beyond the edge a shaft goes on, in longer sides of the picture."""
+MOST_OUTLINES = 50
+"""Most instruments of a frame."""
 
 
 class OutlinedMasks:
@@ -95,15 +97,18 @@ def read_outlines(path: Path) -> Mapping[int, list[np.ndarray]]:
     outlines: dict[int, list[np.ndarray]] = {}
     for key, polygons in read_mapping(path, "outlines of instruments").items():
         try:
-            number = int(key)
+            number = int(str(key))  # none of 0.5 and true
             corners = [np.array(polygon, np.float64) for polygon in polygons]
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"{path} holds {str(key)[:20]!r} with what are no polygons; {wanted}.") from None
         for polygon in corners:
             if polygon.ndim != 2 or polygon.shape[1:] != (2,) or len(polygon) < 3 or number < 0:
-                raise InputError(f"{path} has an outline in frame {number} of fewer than three corners; {wanted}.")
+                few = "of fewer than three corners, or before frame 0"
+                raise InputError(f"{path} has an outline in frame {number} {few}; {wanted}.")
             if not (np.abs(polygon) <= MOST_SIDE).all():
                 raise InputError(f"{path} has a corner in frame {number} that lies in no picture; {wanted}.")
+        if len(corners) > MOST_OUTLINES:
+            raise InputError(f"{path} has {len(corners)} outlines in frame {number}; give {MOST_OUTLINES} at most.")
         outlines[number] = corners
     if not outlines:
         raise InputError(f"{path} holds no frame; {wanted}.")

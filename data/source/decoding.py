@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import islice, pairwise
 from pathlib import Path
 from statistics import median
@@ -128,7 +129,8 @@ def _decoded(container: InputContainer, track: VideoStream, damage: _Damage) -> 
 
 def _time(frame: av.VideoFrame) -> float | None:
     stamp = frame.dts if frame.pts is None else frame.pts
-    return None if stamp is None else float(stamp * (frame.time_base or 1))
+    unit = frame.time_base or Fraction(1)
+    return None if stamp is None else stamp * unit.numerator / unit.denominator
 
 
 def numbered(frames: Iterable[tuple[float | None, Kind]], step: float) -> Iterator[Timed[Kind]]:
@@ -285,7 +287,9 @@ class VideoTrack:
         how = Interpolation.BILINEAR if size == (frame.width, frame.height) else Interpolation.BICUBIC
         with suppress(av.FFmpegError):
             if not frame.is_corrupt:
-                return _upright(reformatter.reformat(frame, *size, "rgb24", interpolation=how).to_ndarray(), frame)
+                # Its threads cost more than they save.
+                shown = reformatter.reformat(frame, *size, "rgb24", interpolation=how, threads=1)
+                return _upright(shown.to_ndarray(), frame)
         self._damage.pictures += 1
         return None
 
@@ -295,8 +299,9 @@ class VideoTrack:
             frames, reformatter = self._stored(container, track), VideoReformatter()
             if self.fields:
                 frames = filtered(frames, *self.fields)
-            for number, time_s, frame in numbered(((_time(frame), frame) for frame in frames), 1 / self.fps):
-                yield Timed(number, time_s, self._picture(frame, reformatter))
+            # Converted at once, while the decoder's picture is in the processor's cache.
+            pictures = ((_time(frame), self._picture(frame, reformatter)) for frame in frames)
+            yield from numbered(pictures, 1 / self.fps)
 
     def damage(self) -> list[str]:
         """Complaints about what the last pass, once complete, has not decoded."""

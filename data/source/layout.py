@@ -170,7 +170,7 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     """
     is_json = path.suffix.lower() == ".json"
     try:
-        text = read_file(path, MOST_JSON_BYTES if is_json else MOST_YAML_BYTES).decode("utf-8")
+        text = read_file(path, MOST_JSON_BYTES if is_json else MOST_YAML_BYTES).decode("utf-8-sig")
         values = json.loads(text) if is_json else _unfolded(text)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
@@ -185,7 +185,14 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader that refuses mappings which merging others into them makes endless."""
+    """A safe loader that refuses names given twice, and mappings which merging others into them makes endless."""
+
+    def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"it gives {max(names, key=names.count)[:40]} twice")
+        return node
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         super().flatten_mapping(node)

@@ -40,6 +40,7 @@ from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
+from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import REGIMES
@@ -97,8 +98,8 @@ class ContactSettings:
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
         # Fewest steps of a stage.
         steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST_NUMBER))
-        any_number = 0, LARGEST_NUMBER
-        require_between(self, contacts=(1, LARGEST_NUMBER), seed=any_number, workers=any_number, **steps)
+        numbers = {"contacts": (1, LARGEST_NUMBER), "seed": (0, LARGEST_NUMBER), "workers": (0, MOST_THREADS)}
+        require_between(self, **numbers, **steps)
 
 
 def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import require_between, require_numbers
 from palpate.physics.load import Grip
 from palpate.physics.mesh import incidence
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
-from palpate.physics.pbd.simulation import Motion, Stepping, simulate
+from palpate.physics.pbd.simulation import MOST_ITERATIONS, Motion, Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
 
 
@@ -117,8 +117,7 @@ class Mapping:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if self.steps < 1:
-            raise ValueError(f"steps is {self.steps}; give 1 at least.")
+        require_between(self, steps=(1, MOST_ITERATIONS))
         require_numbers(self, positive=("rate",))
 
 

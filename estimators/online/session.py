@@ -68,8 +68,9 @@ class Method:
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
     def __post_init__(self) -> None:
-        """Check the name."""
+        """Check name and rate."""
         require_choices(self)
+        require_numbers(self, positive=("rate",))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ clips stay, and the same command continues).
 import argparse
 from typing import Any
 
-from palpate.common.command_line import add_listed, path_option, real_number, whole_number
+from palpate.common.command_line import Parser, add_listed, path_option, real_number, whole_number
 from palpate.common.files import read_beside
 from palpate.common.onnx_devices import DEVICES
 from palpate.common.provenance import __version__
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     texts = read_beside(__file__)
-    parser = argparse.ArgumentParser(description=texts["description"], epilog=texts["epilog"])
+    parser = Parser(description=texts["description"], epilog=texts["epilog"])
     add_listed(parser, declared(), TYPES, CHOICES, **WORDS)
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     return parser

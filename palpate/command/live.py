@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from palpate.command import infer
-from palpate.common.command_line import add_listed, real_number, size_of, whole_number
+from palpate.common.command_line import Parser, add_listed, real_number, size_of, whole_number
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json, read_beside
 from palpate.data.clip import ClipStream
@@ -199,7 +199,7 @@ TYPES = infer.TYPES | {
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     shared = ("--force-limit", "--model", "--masks", "--depth", "--camera")
     options = read_beside(__file__) | {name: infer.declared()[name] for name in shared}
     add_listed(parser, options, TYPES, {"halves": HALVES}, **infer.WORDS)

@@ -7,6 +7,7 @@ with that run.
 import contextlib
 import os
 import sqlite3
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -141,11 +142,12 @@ def _require_database(path: Path) -> None:
     """Refuse a file that is no tracking database, which would end in a traceback or in minutes of retries.
 
     Raises:
-        InputError: the file is no database, is damaged or locked, or belongs to another program or version.
+        InputError: the file can't be made, is no database, is damaged or locked, or of another program or version.
     """
-    if not os.path.lexists(path):
-        return
     try:
+        if not os.path.lexists(path):
+            with tempfile.TemporaryFile(dir=path.parent):  # MLflow would try for minutes
+                return
         if not path.is_file():
             raise sqlite3.DatabaseError("not a file")
         with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database:

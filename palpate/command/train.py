@@ -84,7 +84,7 @@ class SentenceParser(LightningArgumentParser):
         except InputError as error:
             raise UsageError(str(error)) from error
         if not sound(settings):
-            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range; correct the file.")
+            raise UsageError(f"{cfg_path} nests too deeply, or holds a number out of range or a NUL; correct the file.")
         sections = {action.dest.partition(".")[0] for action in self._actions}
         unknown = [str(name) for name in settings if str(name).partition(".")[0] not in sections]
         if unknown:  # jsonargparse lets empty sections pass
@@ -215,6 +215,9 @@ class TrainCLI(LightningCLI):
         for name, refused in REFUSED.items():
             if trainer[name] not in refused["work"]:
                 raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {refused['because']}.")
+        for name in ("check_val_every_n_epoch", "val_check_interval"):
+            if isinstance(trainer[name], (int, float)) and trainer[name] <= 0:
+                raise UsageError(f"trainer.{name} is {trainer[name]}; give more than 0.")
         on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
         if trainer.deterministic is True and not on_cpu:
             raise UsageError(
@@ -231,9 +234,11 @@ class TrainCLI(LightningCLI):
             super().instantiate_classes()
         except (ValueError, MisconfigurationException) as error:  # from the check of a setting
             raise UsageError(str(error)) from error
+        except TypeError as error:  # Lightning's, of a trainer's option
+            raise UsageError(f"an option of trainer can't be used ({error}); correct it.") from error
         checkpoint = self.config_init[self.subcommand].ckpt_path
         if checkpoint is not None:
-            require_same_weights(Path(checkpoint), self.model.state_dict(), resume=self.subcommand == "fit")
+            require_same_weights(Path(checkpoint), self.model, self.subcommand or "")
 
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
         config = self.config_init[self.subcommand]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import require_between, require_numbers
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import unturned
@@ -15,6 +15,8 @@ from palpate.physics.pbd.sweep_kernel import sweep_adjoint, sweep_forward
 
 Grips = Grip | Sequence[Grip] | int
 """One for all bodies, one for each, or how many steps nothing is gripped."""
+MOST_ITERATIONS = 1000
+"""Most sweeps or gradient steps a frame."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,7 @@ class Stepping:
     def __post_init__(self) -> None:
         """Check ranges."""
         require_numbers(self, positive=("time_step",), not_negative=("foundation",))
-        if self.iterations < 1:
-            raise ValueError(f"iterations is {self.iterations}; give 1 at least.")
+        require_between(self, iterations=(1, MOST_ITERATIONS))
 
 
 @dataclass(frozen=True, eq=False)

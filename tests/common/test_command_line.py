@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from palpate.common.command_line import path_option, real_number, say, size_of, whole_number
+from palpate.common.command_line import described_parser, path_option, real_number, say, size_of, whole_number
 
 
 def test_an_empty_path_is_refused() -> None:
@@ -39,6 +39,14 @@ def test_a_sentence_is_printed_as_it_is() -> None:
     written = io.StringIO()
     say(Console(file=written, width=20), "[red]a\x1b[2Jb[/red] " + 30 * "c", "red")
     assert written.getvalue() == "[red]a\\x1b[2Jb[/red] " + 30 * "c" + "\n"
+
+
+def test_an_option_that_is_two_dashes_is_refused(capsys: pytest.CaptureFixture) -> None:
+    parser = described_parser("program", "", "")
+    parser.add_argument("--path", type=Path)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--path=--"])
+    assert "an option is --; give its value or leave it out." in capsys.readouterr().err
 
 
 def test_sizes() -> None:

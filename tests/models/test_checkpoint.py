@@ -26,7 +26,8 @@ SETTINGS |= {"bounds": asdict(Bounds()), "mechanics": asdict(Mechanics(steps=40,
 def checkpoint(tmp_path: Path) -> Path:
     module = PhysicsInformedGAN(width=4, residual_blocks=1, mechanics=Mechanics(steps=40, load_steps=10))
     path = tmp_path / "last.ckpt"
-    torch.save({"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}, path)
+    whole = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams), "callbacks": {}}
+    torch.save(whole | {"pytorch-lightning_version": "2.6.6"}, path)
     return path
 
 
@@ -65,6 +66,14 @@ def test_unusable_files(checkpoint: Path, tmp_path: Path):
         torch.save(foreign, broken)
         with pytest.raises(checkpoints.CheckpointError, match="another program"):
             checkpoints.read_checkpoint(broken)
+    good = torch.load(checkpoint, weights_only=True)
+    for wrong in ({"callbacks": 5}, {checkpoints.VERSION: 5}, {checkpoints.VERSION: "new"}):  # Lightning fails with
+        torch.save(good | wrong, broken)
+        with pytest.raises(checkpoints.CheckpointError, match="another program"):
+            checkpoints.read_checkpoint(broken)
+    torch.save(good | {"hyper_parameters": good["hyper_parameters"] | {"bounds": "x"}}, broken)
+    with pytest.raises(checkpoints.CheckpointError, match=r"model\.bounds\.stiffness = None"):
+        checkpoints.require_same_model(broken, SETTINGS)
 
 
 def test_files_damaged_inside(checkpoint: Path, tmp_path: Path):

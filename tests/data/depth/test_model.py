@@ -235,6 +235,8 @@ def test_only_the_bad_frame_is_bad(tmp_path):
         ({"output": "depth", "focal_output": "fov"}, {"focal": 1.0}, "has the outputs depth, focal, and not"),
         ({}, {"focal": 1.0}, "has the outputs depth, focal, and not one alone"),
         ({"size": [32, 32]}, {"shape": (1, 3, 48, 80)}, "takes pictures of 48x80"),
+        ({}, {"shape": (1, 3, 5000, 80)}, "takes pictures of 5000x80; export it for 1 to 4096."),
+        ({}, {"shape": (1, 3, 0, 80)}, "takes pictures of 0x80; export it for 1 to 4096."),
         ({"layout": "NHWC"}, {"shape": (1, 3, 48, 80)}, "and not one colour picture as NHWC"),
         ({}, {"shape": (2, 3, "h", "w")}, "takes 2 pictures at once; export it with a batch of 1"),
         ({}, {"shape": ("h", 3), "rank": 1}, "and not one colour picture"),

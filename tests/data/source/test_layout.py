@@ -75,6 +75,7 @@ def test_impossible_values_are_refused(values, message):
         ("tool_values: 3", r"gives tool_values 3; give \[a whole number, …\]"),
         ("fps: " + "[" * 5000, "nests too deeply"),
         ("fps: " + "[" * 400 + "]" * 400, r"nests too deeply|gives fps \[.{,60}; give a number"),
+        ("fps: 25\nimage: a\nfps: 30", "is not a clip layout \\(it gives fps twice\\); correct the file"),
         ("fps: &a [*a]", "is not a clip layout \\(its references have no end\\); correct the file"),
         ("fps: 0x" + "f" * 5000, "gives fps a number beyond ±1e\\+15; give a number"),
         ("fps: " + "9" * 5000, "is not a clip layout"),

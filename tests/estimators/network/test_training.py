@@ -194,7 +194,7 @@ def test_contacts_and_fits_are_the_same_in_processes_of_their_own(drawn, unsure:
         ("bound_steps", "3", "bound_steps is 3; give 4 to"),
         ("seed", "-1", "seed is -1; give 0 to"),
         ("seed", str(2**63), f"seed is {2**63}; give 0 to {2**63 - 1}."),
-        ("workers", "-1", "workers is -1; give 0 to"),
+        ("workers", "-1", "workers is -1; give 0 to 1024"),
         ("output", "", "output is empty or the working folder"),
     ],
 )

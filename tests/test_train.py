@@ -473,15 +473,20 @@ def together(*commands: list[str], **environment: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path):
+def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path, capsys):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
     same = "--model.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
     same += " --data.samples.onset_within 7 --trainer.deterministic true"
     arguments = ["-c", str(config), *same.split()]
     one, two = tmp_path / "one", tmp_path / "two"
-    together(command("fit", *arguments, "--trainer.default_root_dir", one))
-    apart = ("--data.loading.batch_size", 1, "--trainer.num_nodes", 2, "--trainer.default_root_dir", two)
-    together(*[command("fit", *arguments, *apart)] * 2)
+    assert train.main(["fit", *arguments, f"--trainer.default_root_dir={one}"]) == 0
+    tested = ["test", *arguments, f"--ckpt_path={one / 'checkpoints' / 'last.ckpt'}", "--trainer.default_root_dir"]
+    capsys.readouterr()
+    assert train.main([*tested, str(one)]) == 0
+    apart = ["--trainer.num_nodes=2", "--data.loading.batch_size=1"]
+    fit = ["fit", *arguments, "--trainer.default_root_dir", str(two), *apart]
+    code = f"from palpate.command.train import main\nassert main({fit}) == main({[*tested, str(two), apart[0]]}) == 0"
+    told = capsys.readouterr().out, together(*[[sys.executable, "-c", code]] * 2)[0]
     expected, found = last(one), last(two)
     assert found["global_step"] == expected["global_step"] == 3 * 14 / 2
     for name, weights in expected["state_dict"].items():
@@ -491,13 +496,11 @@ def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_p
     for ours, theirs in zip(*logged, strict=True):
         for name, value in theirs.items():
             assert not value or float(ours[name]) == pytest.approx(float(value), rel=0.05), name
-    tested = []
-    for folder, devices in ((one, 1), (two, 2)):
-        given = ("--ckpt_path", one / "checkpoints" / "last.ckpt", "--trainer.devices", devices)
-        [said] = together(command("test", *arguments, *given, "--trainer.default_root_dir", folder))
-        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", said)}
-        tested.append((means, read_rows(folder / "evaluation" / "per_frame.csv")))
-    (means, rows), (means_of_two, rows_of_two) = tested
+    results = []
+    for folder, text in zip((one, two), told, strict=True):
+        means = {name: float(number) for name, number in re.findall(r"test/(\w+) +│ +(\S+)", text)}
+        results.append((means, read_rows(folder / "evaluation" / "per_frame.csv")))
+    (means, rows), (means_of_two, rows_of_two) = results
     assert len(means) == 4
     assert means_of_two == pytest.approx(means, rel=1e-5)
     assert [row["frame"] for row in rows_of_two] == [row["frame"] for row in rows]

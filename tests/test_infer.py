@@ -511,10 +511,10 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
         (["--force-scale", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
         (["--smoothing", "2"], "--smoothing is for --estimator direct"),
-        (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network or direct."),
+        (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network."),
         (
             ["--estimator", "online", "--force-limit", "1"],
-            "which --estimator online does not give; take network or direct.",
+            "which --estimator online does not give; take network.",
         ),
         (
             ["--estimator", "online", "--bag", "ros2"],

@@ -182,5 +182,6 @@ def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
         covariance=both,
         information=np.asarray(by_depth.information) + np.asarray(by_light.information),
         expected_information=by_depth.verdict_information + by_light.verdict_information,
+        lag=by_light.lag,
         refuted=refuted,
     )

@@ -192,7 +192,7 @@ def test_fields_that_are_not_explained_or_not_determined_are_undetermined(tmp_pa
 
 
 def test_the_fit_of_a_press_by_its_shading_stands_in_all_its_frames(tmp_path: Path) -> None:
-    fit = dataclasses.replace(GOOD.estimate, by_light=True)
+    fit = dataclasses.replace(GOOD.estimate, by_light=True, lag=0.4)
     empty = dataclasses.replace(ESTIMATE, estimate=None, verdict="")
     with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, waits=True) as output:
         for contact in (False, True, True, False):
@@ -200,6 +200,7 @@ def test_the_fit_of_a_press_by_its_shading_stands_in_all_its_frames(tmp_path: Pa
         output.add(dataclasses.replace(GOOD, onset=1, onset_time_s=0.0, estimate=fit))
         output.write(FRAME, dataclasses.replace(empty, contact=True))  # of a run that has no record
         output.finish({"program": PROGRAM}, title="clip")
+        assert output.lag == 0.4
     rows = read_rows(tmp_path / "clip" / "parameters.csv")
     force = pytest.approx(abs(fit.theta[2]))
     assert [float(row["force"] or 0) for row in rows] == [0, force, force, 0, 0]

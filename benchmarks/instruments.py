@@ -1,0 +1,156 @@
+"""Automatic masks against outlines that people drew, a row a source.
+
+    python -m benchmarks.instruments --data DIR [--network FILE.onnx] [--output DIR]
+
+A source is a folder below DIR of pictures NAME.png or .jpg with NAME_tool.png beside them (255 = instrument, 127 = not
+known), or a clip in CholecSeg8k's or our own layout; folders below `free` have trained the network that ships and are
+left out. Pictures are compared at 384×224. table.csv has for every source the pictures with an instrument, their mean
+IoU, the share with an IoU below 0.05, the mean number of stray pixels (farther than 4 px from an instrument), the share
+of pictures with more than 100 of them, and tool-free pictures in which one is found; at last the time a frame.
+"""
+
+from palpate.common.doors import enter_door, run_door
+
+if __name__ == "__main__":
+    enter_door()  # before the slow imports
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from benchmarks.harness import csv_of, show
+from palpate.common.command_line import say
+from palpate.common.options import options
+from palpate.data.labels import TOOL
+from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
+from palpate.data.masks.sources import MaskClasses, read_class_mask
+from palpate.data.source.frames import Frame
+from palpate.data.source.images import read_image
+from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
+from palpate.results.store import OutputError, make_output
+
+SIZE = (224, 384)
+"""Rows and columns of the pictures that are compared [px]."""
+HALO = 9
+"""Side of the square by which an instrument is widened before pixels count as stray [px]."""
+OWN, CLIP = "_tool", "_color_mask"
+"""Endings of masks of own pictures, and of clips."""
+CLASSES = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
+"""Instruments in the masks of clips."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """What is measured."""
+
+    data: Path
+    """folder of sources"""
+    network: Path = WEIGHTS
+    """the network; by default the one that ships"""
+    output: Path = Path("runs/instruments")
+    """folder of table.csv"""
+
+
+def sources(folder: Path) -> dict[str, list[tuple[Path, Path]]]:
+    """Pictures with their masks by source.
+
+    Raises:
+        InputError: there are none.
+    """
+    found: dict[str, list[tuple[Path, Path]]] = {}
+    for mask in sorted(folder.rglob("*.png")):
+        name, parts = mask.stem, mask.relative_to(folder).parts
+        stem = next((name.removesuffix(end) for end in (OWN, CLIP) if name.endswith(end)), None)
+        if stem is None or "free" in parts:
+            continue
+        picture = next((file for end in IMAGE_SUFFIXES if (file := mask.with_name(stem + end)).is_file()), None)
+        if picture is not None:
+            found.setdefault("/".join(parts[:-1]), []).append((picture, mask))
+    if not found:
+        raise InputError(f"{folder} holds no pictures with masks NAME_tool.png; give a folder of such folders.")
+    return found
+
+
+def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
+    """1 = instrument, 0 = none, 2 = not known, uint8 [H, W]."""
+    if not mask.stem.endswith(OWN):
+        return (read_class_mask(mask, size, CLASSES) == TOOL).astype(np.uint8)
+    stored = read_image(mask, cv2.IMREAD_GRAYSCALE)
+    return np.where(stored == 255, 1, np.where(stored > 0, 2, 0)).astype(np.uint8)
+
+
+def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[dict[str, float]]:
+    """Measures of the pictures of one source; each is masked by itself."""
+    masks = AutomaticMasks(network, threads=1)
+    for number, (picture, mask) in enumerate(pictures):
+        masks.reset()
+        frame = Frame(number, number, number / 25, read_image(picture))
+        began = time.perf_counter()
+        labels = masks(frame)
+        seconds = time.perf_counter() - began
+        found, true = (
+            cv2.resize(each.astype(np.uint8), SIZE[::-1], interpolation=cv2.INTER_NEAREST)
+            for each in (labels == TOOL, instrument(mask, labels.shape))
+        )
+        known, tool = true != 2, true == 1
+        found = (found > 0) & known
+        near = cv2.dilate((true > 0).astype(np.uint8), np.ones((HALO, HALO))) > 0
+        union = (found | tool).sum()
+        row = {"seconds": seconds, "stray": float((found & ~near).sum())}
+        if tool.sum() < 20:
+            yield row | {"free": 1.0, "false": float(found.sum() > 60)}
+        else:
+            yield row | {"iou": float((found & tool).sum() / union)}
+
+
+def table(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row a source, and their mean."""
+    summed = rows.groupby("source", sort=False).apply(
+        lambda part: pd.Series(
+            {
+                "pictures": part.iou.count(),
+                "IoU": part.iou.mean(),
+                "below 0.05": (part.iou < 0.05).sum() / max(part.iou.count(), 1),
+                "stray pixels": part.stray.mean(),
+                "above 100": (part.stray > 100).mean(),
+                "tool-free": part.get("free", pd.Series(dtype=float)).sum(),
+                "tool found there": part.get("false", pd.Series(dtype=float)).sum(),
+                "ms a frame": 1e3 * part.seconds.median(),
+            }
+        ),
+        include_groups=False,
+    )
+    all_of = summed.mean()
+    all_of[["pictures", "tool-free", "tool found there"]] = summed[["pictures", "tool-free", "tool found there"]].sum()
+    summed.loc["all"] = all_of
+    return summed.reset_index()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure all sources and write the table; returns the exit status."""
+    asked: Instruments = options(Instruments, arguments, "benchmarks.instruments", __doc__)
+    cv2.setNumThreads(1)
+    try:
+        make_output(asked.output)
+        rows = [
+            {"source": source, "free": np.nan, "false": np.nan, "iou": np.nan} | row
+            for source, pictures in sources(asked.data).items()
+            for row in measured(asked.network, pictures)
+        ]
+        found = table(pd.DataFrame(rows))
+        (asked.output / "table.csv").write_text(csv_of(found), encoding="utf-8")
+    except (InputError, OutputError) as error:
+        say(Console(stderr=True), str(error), "red")
+        return 1
+    show(found)
+    return 0
+
+
+if __name__ == "__main__":
+    run_door(main)

@@ -1,0 +1,70 @@
+"""The pictures that a training of the instrument network reads, and those that validate it."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from lightning.pytorch import LightningDataModule
+from torch.utils.data import DataLoader, TensorDataset
+
+from palpate.data.training.instruments.composites import SIZE, InstrumentPictures, RealPictures
+
+
+class InstrumentData(LightningDataModule):
+    """Composites drawn on the fly and real pictures; a fixed set of composites validates.
+
+    Args:
+        real: folders of real pictures, with outlines NAME_tool.png beside them or without instruments.
+        real_share: share of labelled real pictures in a batch.
+        batch_size: pictures in a batch.
+        workers: processes that draw; two cores draw as fast as one trains.
+        validation: number of pictures that validate.
+        seed: of all that is drawn.
+    """
+
+    def __init__(
+        self,
+        real: list[Path] | None = None,
+        real_share: float = 0.25,
+        batch_size: int = 16,
+        workers: int = 1,
+        validation: int = 64,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.save_hyperparameters()
+        self.real_pictures = RealPictures.read(real) if real else RealPictures((), ())
+
+    def train_dataloader(self) -> DataLoader:
+        """Endless batches."""
+        settings = self.hparams
+        pictures = InstrumentPictures(self.real_pictures, settings["seed"], settings["real_share"])
+        workers = settings["workers"]
+        return DataLoader(
+            pictures,
+            settings["batch_size"],
+            num_workers=workers,
+            prefetch_factor=4 if workers else None,
+            worker_init_fn=_one_thread,
+        )
+
+    def val_dataloader(self) -> DataLoader:
+        """Composites of a seed of their own."""
+        settings = self.hparams
+        source, rng = (
+            InstrumentPictures(self.real_pictures, real_share=0.0),
+            np.random.default_rng([settings["seed"], 7]),
+        )
+        drawn = zip(*(source.draw(rng) for _ in range(settings["validation"])), strict=True)
+        pictures, tool, between = (torch.from_numpy(np.stack(each)) for each in drawn)
+        return DataLoader(TensorDataset(pictures.permute(0, 3, 1, 2), tool.long(), between), settings["batch_size"])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a picture [px]."""
+        return SIZE
+
+
+def _one_thread(worker: int) -> None:
+    cv2.setNumThreads(1)

@@ -1,0 +1,130 @@
+"""Training of the instrument network: weighted cross-entropy and Dice, one cycle of the rate, averaged weights."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import onnxruntime
+import torch
+from lightning.pytorch import LightningModule
+from torch import Tensor
+from torch.nn import functional
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from palpate.models.instruments.network import InstrumentNet
+from palpate.models.onnx_export import to_onnx, write
+
+IGNORED = 255
+"""Label of pixels that no loss counts."""
+
+
+class PictureBatch(NamedTuple):
+    """Pictures with labels."""
+
+    picture: Tensor
+    """Shape [B, 3, H, W], in [0, 1]."""
+    tool: Tensor
+    """1 = instrument, 0 = none, 255 = not known, int64 [B, H, W]."""
+    between: Tensor
+    """1 at the boundary between two instruments, float32 [B, H, W]."""
+
+
+class InstrumentSegmentation(LightningModule):
+    """Trains an `InstrumentNet` on pictures with outlines; validation reports the mean IoU.
+
+    Args:
+        learning_rate: peak of the one-cycle schedule.
+        weight_decay: of AdamW.
+        edge_weight: weight of pixels within 2 px of an instrument's edge over that of others.
+        average: decay a step of the moving average of weights, which is what is validated and exported.
+        weights: file of weights to begin with, as the training writes it; null = random ones.
+    """
+
+    def __init__(
+        self,
+        learning_rate: float = 3e-3,
+        weight_decay: float = 1e-2,
+        edge_weight: float = 3.0,
+        average: float = 0.998,
+        weights: Path | None = None,
+    ) -> None:
+        super().__init__()
+        self.save_hyperparameters()
+        network = InstrumentNet()
+        if weights is not None:
+            network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+        self.network = network.to(memory_format=torch.channels_last)
+        self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(average), use_buffers=True)
+
+    def training_step(self, batch: list[Tensor], index: int) -> Tensor:
+        """Loss of a batch."""
+        pictures = PictureBatch(*batch)
+        logits = self.network(pictures.picture.to(memory_format=torch.channels_last)).float()
+        loss = segmentation_loss(logits, pictures, self.hparams["edge_weight"])
+        self.log("train/loss", loss, prog_bar=True)
+        return loss
+
+    def on_train_batch_end(self, *arguments: Any) -> None:
+        self.averaged.update_parameters(self.network)
+
+    def validation_step(self, batch: list[Tensor], index: int) -> None:
+        """IoU of a batch's pictures."""
+        pictures = PictureBatch(*batch)
+        logits = self.averaged(pictures.picture).float()[:, :1]
+        found = functional.interpolate(logits, scale_factor=2.0, mode="bilinear")[:, 0] > 0
+        known, true = pictures.tool != IGNORED, pictures.tool == 1
+        both, either = (found & true & known).sum((1, 2)), ((found | true) & known).sum((1, 2))
+        self.log("val/iou", torch.where(either > 0, both / either.clamp(min=1), 1.0).mean(), prog_bar=True)
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """AdamW and one cycle over all steps."""
+        rate, decay = self.hparams["learning_rate"], self.hparams["weight_decay"]
+        optimizer = torch.optim.AdamW(self.network.parameters(), rate, weight_decay=decay)
+        steps = int(self.trainer.estimated_stepping_batches)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps, pct_start=0.1)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def export(self, output: Path, size: tuple[int, int]) -> float:
+        """Write the averaged network for pictures of a height and width, its weights beside it as `.pt`.
+
+        Returns:
+            Largest difference of the file from torch.
+
+        Raises:
+            ForeignFile, ParityError: as of `models.onnx_export.export`.
+        """
+        network = self.averaged.module.cpu().eval()
+        pictures = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
+        model = to_onnx(network, {"picture": pictures}, ["logits"])
+
+        def difference_of(file: Path) -> float:
+            session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+            with torch.inference_mode():
+                expected = network(pictures).numpy()
+            return float(abs(session.run(None, {"picture": pictures.numpy()})[0] - expected).max() / 10)
+
+        difference = write(model, {"kind": "instruments"}, output, difference_of)
+        torch.save(network.state_dict(), output.with_suffix(".pt"))
+        return difference
+
+
+def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -> Tensor:
+    """Loss of logits [B, 2, H/2, W/2] against labels at the picture's size; a scalar.
+
+    The binary cross-entropy, in which edges count more, one minus Dice's coefficient, and the cross-entropy of the
+    boundaries between instruments.
+    """
+    known = (batch.tool != IGNORED).float()[:, None]
+    tool = (batch.tool == 1).float()[:, None]
+    inside = functional.avg_pool2d(tool * known, 2)
+    counted = functional.avg_pool2d(known, 2)
+    target = inside / counted.clamp(min=1e-6)
+    spread = functional.max_pool2d(target, 5, 1, 2) + functional.max_pool2d(-target, 5, 1, 2)  # 1 near an edge
+    seen = counted > 0.5
+    weight = seen * (1 + (edge_weight - 1) * spread)
+    entropy = functional.binary_cross_entropy_with_logits(logits[:, :1], target, reduction="none")
+    probability, target = torch.sigmoid(logits[:, :1]) * seen, target * seen
+    overlap, both = (probability * target).sum((1, 2, 3)), (probability + target).sum((1, 2, 3))
+    dice = 1 - (2 * overlap + 30) / (both + 30)
+    between = functional.max_pool2d(batch.between[:, None], 2)
+    seam = functional.binary_cross_entropy_with_logits(logits[:, 1:], between, pos_weight=logits.new_tensor(5.0))
+    return (weight * entropy).sum() / weight.sum().clamp(min=1) + dice.mean() + 0.3 * seam

@@ -1,0 +1,44 @@
+"""Trains the network that outlines instruments, and exports it.
+
+    palpate train fit -c configs/masks.yaml [--data.real [DIR, …]] [--output FILE.onnx] [--ckpt_path last]
+
+Lightning's command line; the run folder (`trainer.default_root_dir`) gets log and checkpoints.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.loggers import CSVLogger
+
+EVERY = 200
+"""Steps from checkpoint to checkpoint."""
+
+
+class MasksCLI(LightningCLI):
+    """Command line of the training."""
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--output", type=Path | None, default=None, help="ONNX file; by default in the run folder.")
+
+    def instantiate_trainer(self, **kwargs: Any) -> Any:
+        folder = Path(self._get(self.config_init, "trainer.default_root_dir"))
+        saved = ModelCheckpoint(folder, every_n_train_steps=EVERY, save_last=True, save_top_k=0)
+        return super().instantiate_trainer(
+            **kwargs, logger=CSVLogger(folder, name="", version=""), callbacks=[saved], use_distributed_sampler=False
+        )
+
+    def _parse_ckpt_path(self) -> None:
+        """Resolve `last` to the run folder's, or to none where there is none yet."""
+        config = self.config[self.config.subcommand]
+        if config.ckpt_path == "last":
+            file = Path(config.trainer.default_root_dir) / "last.ckpt"
+            config.ckpt_path = str(file) if file.exists() else None
+
+    def after_fit(self) -> None:
+        """Export the averaged network."""
+        config = self.config[self.subcommand]
+        output = config.output or Path(config.trainer.default_root_dir) / "instruments.onnx"
+        difference = self.model.export(output, self.datamodule.size)
+        print(f"{output}: written; largest difference from torch is {difference:.1e}")

@@ -1,0 +1,66 @@
+"""The instrument network learns, and its exported form is the same."""
+
+import onnxruntime
+import pytest
+import torch
+from lightning.pytorch import Trainer
+from torch.utils.data import DataLoader, TensorDataset
+
+from palpate.models.instruments.module import InstrumentSegmentation, PictureBatch, segmentation_loss
+from palpate.models.instruments.network import InstrumentNet
+
+
+def batch(count: int = 4) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Pictures whose bright half is instrument."""
+    picture = 0.2 * torch.rand(count, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    tool = torch.zeros(count, 64, 96, dtype=torch.int64)
+    tool[:, :, 48:] = 1
+    picture[:, :, :, 48:] += 0.6
+    return picture, tool, torch.zeros(count, 64, 96)
+
+
+def test_loss_is_the_closed_form_of_sure_and_unsure_answers():
+    picture, tool, between = batch(1)
+    target = torch.nn.functional.avg_pool2d(tool.float()[:, None], 2)
+    right = torch.cat([40 * (2 * target - 1), torch.full_like(target, -40.0)], dim=1)
+    assert segmentation_loss(right, PictureBatch(picture, tool, between), 3.0) == pytest.approx(0, abs=1e-3)
+    unsure = torch.zeros_like(right)
+    # log 2 from the entropy, 0.3 log 2 from boundaries, and Dice of a half everywhere.
+    dice = 1 - (target.sum() + 30) / (0.5 * target.numel() + target.sum() + 30)
+    found = segmentation_loss(unsure, PictureBatch(picture, tool, between), 3.0)
+    assert found.item() == pytest.approx(1.3 * 0.6931472 + dice.item(), rel=1e-5)
+
+
+def test_pixels_that_nobody_labelled_do_not_count():
+    picture, tool, between = batch(1)
+    logits = torch.randn(1, 2, 32, 48, generator=torch.Generator().manual_seed(1))
+    tool[:, :, :24] = 255
+    before = segmentation_loss(logits, PictureBatch(picture, tool, between), 1.0)
+    changed = logits.clone()
+    changed[:, 0, :, :12] += 5.0
+    assert segmentation_loss(changed, PictureBatch(picture, tool, between), 1.0) == pytest.approx(
+        before.item(), rel=1e-6
+    )
+
+
+def test_training_learns_and_the_file_agrees(tmp_path):
+    torch.manual_seed(0)
+    module = InstrumentSegmentation(average=0.5, learning_rate=3e-3)
+    trainer = Trainer(max_steps=40, logger=False, enable_checkpointing=False, enable_progress_bar=False,
+                      enable_model_summary=False, default_root_dir=tmp_path, accelerator="cpu")  # fmt: skip
+    data = TensorDataset(*(torch.cat([each] * 40) for each in batch()))
+    trainer.fit(module, DataLoader(data, 4), DataLoader(TensorDataset(*batch()), 4))
+    [found] = trainer.validate(module, DataLoader(TensorDataset(*batch()), 4), verbose=False)
+    assert found["val/iou"] > 0.8
+    file = tmp_path / "instruments.onnx"
+    assert module.export(file, (64, 96)) < 1e-5
+    again = InstrumentSegmentation(weights=file.with_suffix(".pt"))
+    picture = batch(1)[0]
+    with torch.inference_mode():
+        expected = again.network.eval()(picture).numpy()
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    assert session.run(None, {"picture": picture.numpy()})[0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_output_has_half_the_size():
+    assert InstrumentNet()(torch.zeros(2, 3, 64, 96)).shape == (2, 2, 32, 48)

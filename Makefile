@@ -3,6 +3,7 @@
 # make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
 # make bench — timings of networks and of whole videos (python -m benchmarks.inference)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
+# make masks — trains the network that outlines instruments, on REAL=DIR of labelled pictures and drawn ones, and judges it
 # make paper — trains the paper's own design for its 100 epochs, small, and evaluates it (docs/reports/paper.md); goes on where it stopped
 # make gan   — the same of the recommended system, which starts from that posterior
 PYTHON ?= python3
@@ -12,7 +13,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint lock bench model gan paper clean
+.PHONY: demo test test-fast lint lock bench model masks gan paper clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -89,6 +90,12 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
 	$(BIN)/python train.py fit -c configs/contact.yaml --contact.output $(MODEL)
+
+MASKS := runs/masks
+masks: $(INSTALLED)
+	$(BIN)/python train.py fit -c configs/masks.yaml --ckpt_path last --trainer.default_root_dir $(MASKS) $(if $(REAL),--data.real $(REAL))
+	$(BIN)/python -m benchmarks.instruments --network $(MASKS)/instruments.onnx --output $(MASKS) \
+		--data $(or $(TISSUE_REAL_DATA),../shared/data)
 
 # The recommended system on pictures of two sizes with three kinds of noise, its networks an eighth as wide as the paper's.
 GAN := runs/gan

@@ -12,7 +12,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("common", "data", "estimators", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """What a prepared clip does not depend on."""
-PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "physics/mesh.py")
+MASKS = "models/weights/instruments.onnx"
+"""The network that outlines instruments."""
+PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/mesh.py", MASKS)
 """What it depends on outside data/."""
 Part = Literal["all", "preparation", "kernels"]
 
@@ -51,4 +53,6 @@ def _belongs(name: str, part: Part) -> bool:
         return name.startswith("physics/")
     if part == "preparation":
         return name in PREPARATION or (name.startswith("data/") and not name.startswith(NOT_PREPARATION))
-    return not name.startswith("models/weights/")  # an estimator's network is known by the hash of its own file
+    return name == MASKS or not name.startswith(
+        "models/weights/"
+    )  # an estimator's network is known by the hash of its own file

@@ -48,6 +48,11 @@ class PictureNetwork:
         """Names of the network's outputs."""
 
     @property
+    def outlines_instruments(self) -> bool:
+        """Whether `configs/masks.yaml` trained it, as it says itself."""
+        return '"kind": "instruments"' in self._session.get_modelmeta().custom_metadata_map.get("palpate", "")
+
+    @property
     def provider(self) -> str:
         """What of ONNX Runtime runs the network."""
         return provider_of(self._session)

@@ -33,7 +33,7 @@ class PrepareSettings:
     """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
     every: int = 1
     """In one of so many frames automatic masks and guessed depth are found anew; in between depth is what it was, and
-    instruments are followed, or sought where none is known and the picture has changed."""
+    instruments move along with the picture."""
 
     def __post_init__(self) -> None:
         require_numbers(self, not_negative=NUMBERS)

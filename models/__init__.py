@@ -8,5 +8,6 @@ module          the training step; losses: its five terms
 records         one record a test pair; checkpoint: reading checkpoints
 onnx_export     writes a trained network as one ONNX file, and calibrates such a file
 onnx_session    runs an exported network, without torch
+instruments/    the network that outlines instruments, and its training
 weights/        the networks that ship with the program, and their model cards
 """

@@ -35,11 +35,14 @@ public face alone, `command` what a user types. `benchmarks` is not installed, a
 FENCES = {
     "lightning": (
         "palpate/command/train.py",
+        "palpate/command/train_masks.py",
         "palpate/command/tracking.py",
         "models/module.py",
+        "models/instruments/module.py",
         "data/training/datamodule.py",
+        "data/training/instruments/datamodule.py",
     ),
-    "lightning.pytorch.loggers": ("palpate/command/tracking.py",),
+    "lightning.pytorch.loggers": ("palpate/command/tracking.py", "palpate/command/train_masks.py"),
     "mlflow": ("palpate/command/train.py", "palpate/command/tracking.py"),
     "cv2": ("data/", "results/", "benchmarks/"),
     "matplotlib": (

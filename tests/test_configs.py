@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 
@@ -23,7 +25,10 @@ ONLINE_FILE = CHECKOUT / "configs" / "online.yaml"
 """Settings of an estimator, which no command trains."""
 CONTACT_FILE = CHECKOUT / "configs" / "contact.yaml"
 """Settings of the posterior's training, which `fit` takes as well."""
-SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in (ONLINE_FILE, CONTACT_FILE)]
+MASKS_FILE = CHECKOUT / "configs" / "masks.yaml"
+"""Settings of the training of the network that outlines instruments, likewise."""
+OTHERS = (ONLINE_FILE, CONTACT_FILE, MASKS_FILE)
+SHIPPED = [path for path in sorted((CHECKOUT / "configs").glob("*.yaml")) if path not in OTHERS]
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +62,21 @@ def test_the_posterior_s_configuration_holds_every_setting_with_its_default(monk
     monkeypatch.setattr(train, "train_contact", chosen.append)
     assert train.main(["fit", "-c", str(CONTACT_FILE), "--contact.output", "elsewhere"]) == 0
     assert chosen == [ContactSettings(Path("elsewhere"))]
+
+
+@pytest.mark.slow
+def test_the_masks_configuration_trains_on_own_pictures_and_exports(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "one.png"), np.full((60, 90, 3), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / "one_tool.png"), np.tile(np.repeat(np.uint8([0, 255]), 45), (60, 1)))
+    run = tmp_path / "run"
+    small = ["--data.batch_size=2", "--data.workers=0", "--data.validation=1", "--trainer.accelerator=cpu"]
+    small += ["--trainer.val_check_interval=1", "--trainer.enable_progress_bar=false", f"--data.real={tmp_path}"]
+    command = ["fit", "-c", str(MASKS_FILE), *small, f"--trainer.default_root_dir={run}"]
+    assert train.main([*command, "--trainer.max_steps=1"]) == 0
+    assert "largest difference from torch is" in capsys.readouterr().out
+    assert (run / "instruments.onnx").is_file()
+    assert train.main([*command, "--trainer.max_steps=2"]) == 1
+    assert "holds a training already; add --ckpt_path last" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

@@ -16,6 +16,7 @@ MODULES = [
     "benchmarks.compare_with_truth",
     "benchmarks.goldens",
     "benchmarks.inference",
+    "benchmarks.instruments",
     "benchmarks.online",
     "benchmarks.palpation",
     "benchmarks.palpation.example",

@@ -1,7 +1,8 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
-The network's probability is averaged over time: that of the frame before is moved along the optical flow. Small or
-unsure parts are left out. docs/reports/masks.md reports its accuracy on real pictures.
+The network's probability is averaged over time: that of the frame before is moved along the optical flow. Of its parts
+those count that are large and sure, enter the view, and were there in the frame before, too. docs/reports/masks.md
+reports its accuracy on real pictures.
 """
 
 from pathlib import Path
@@ -11,20 +12,24 @@ import numpy as np
 from scipy.special import expit
 
 from palpate.common.files import file_sha256
-from palpate.common.provenance import ROOT
+from palpate.common.provenance import MASKS, ROOT
 from palpate.data.labels import TISSUE, TOOL
-from palpate.data.masks.lit import lit_picture
+from palpate.data.masks.lit import lit_picture, picture_field
 from palpate.data.picture_network import PictureNetwork, network_input, resized
 from palpate.data.source.frames import Frame
 
-WEIGHTS = ROOT / "models" / "weights" / "instruments.onnx"
+WEIGHTS = ROOT / MASKS
 """The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 2, H/2, W/2] of instrument and boundary."""
 NEW_SHARE = 0.7
 """Weight of a frame's own probability; the rest is that of the frame before."""
-LEAST_SHARE = 0.0015
-"""Smallest part of an instrument, as a share of the picture; smaller ones are stray pixels."""
-LEAST_SURE = 0.7
-"""Smallest mean probability of a part."""
+LEAST_SHARE, LEAST_SURE = 0.004, 0.6
+"""Smallest part of an instrument, as a share of the picture, and its smallest mean probability."""
+RIM = 0.04
+"""A part that reaches less far into the view is its rim, as a share of the picture's longer side."""
+HIDDEN = 0.5
+"""How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest."""
+FAINT = 0.3
+"""A part has been there before if the frame before has so much probability in it, moved along the flow."""
 
 
 class AutomaticMasks:
@@ -37,7 +42,7 @@ class AutomaticMasks:
     """
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:
-        self._network, self._every = PictureNetwork(path, threads=threads, device=device), every
+        self.network, self._every = PictureNetwork(path, threads=threads, device=device), every
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         self.identity = f"automatic:{file_sha256(path)}" + (f":{every}" if every > 1 else "")
         self.reset()
@@ -52,43 +57,60 @@ class AutomaticMasks:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame."""
         image = frame.picture
-        probability = self._averaged(image)
-        kept = np.where(instrument_parts(probability), probability, np.minimum(probability, 0.4))
-        labels = lit_picture(image).astype(np.uint8) * np.uint8(TISSUE)
+        lit = lit_picture(image)
+        probability, before = self._averaged(image)
+        view = picture_field(cv2.resize(lit.astype(np.uint8), probability.shape[::-1]) > 0)
+        kept = np.where(instrument_parts(probability, view, before), probability, np.minimum(probability, 0.4))
+        labels = lit.astype(np.uint8) * np.uint8(TISSUE)
         labels[cv2.resize(kept, image.shape[1::-1], interpolation=cv2.INTER_LINEAR) > 0.5] = TOOL
         return labels
 
-    def _averaged(self, image: np.ndarray) -> np.ndarray:
-        """Probability of an instrument at half of the network's size, float32 [h, w]."""
-        height, width = self._network.fixed_size("NCHW")
+    def _averaged(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Probability of an instrument at half of the network's size, and that before, moved; float32 [h, w] each.
+
+        The first frame of a clip is its own frame before.
+        """
+        height, width = self.network.fixed_size("NCHW")
         assert height is not None and width is not None  # noqa: PT018  the file fixes them
         small = resized(image, height, width)
         gray = cv2.cvtColor(resized(small, height // 2, width // 2), cv2.COLOR_RGB2GRAY)
-        moved = None
+        before = None
         if self._gray is not None:
             flow = self._flow.calc(gray, self._gray, None)  # ty: ignore[no-matching-overload]  no first guess
             rows, columns = np.indices(gray.shape, np.float32)
             ahead = columns + flow[..., 0], rows + flow[..., 1]
-            moved = cv2.remap(self._probability, *ahead, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        if moved is None or self._since % self._every == 0:
-            found = self._network.run(network_input(small, 1 / 255, (0, 0, 0), (1, 1, 1), "NCHW"))[0]
-            probability = expit(found[0, 0])
-            moved = probability if moved is None else NEW_SHARE * probability + (1 - NEW_SHARE) * moved
+            before = cv2.remap(self._probability, *ahead, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        now = before
+        if now is None or self._since % self._every == 0:
+            found = self.network.run(network_input(small, 1 / 255, (0, 0, 0), (1, 1, 1), "NCHW"))[0]
+            own = expit(found[0, 0])
+            now = own if before is None else NEW_SHARE * own + (1 - NEW_SHARE) * before
         self._since += 1
-        self._gray, self._probability = gray, moved
-        return moved
+        self._gray, self._probability = gray, now
+        return now, now if before is None else before
 
 
-def instrument_parts(probability: np.ndarray) -> np.ndarray:
-    """Connected parts of an instrument that are large and sure enough, bool [h, w].
+def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Connected parts that are instruments, bool [h, w]: large and sure, and there in the frame before, too.
+
+    An instrument enters the view: a part begins at the view's end, or not far from it for its length, and reaches into
+    the view.
 
     Args:
         probability: of an instrument, [h, w].
+        view: the endoscope's view, bool [h, w], convex.
+        before: the probability in the frame before, moved to this one's.
     """
-    mask = (probability > 0.5).astype(np.uint8)
-    count, parts = cv2.connectedComponents(mask)
-    sizes = np.bincount(parts.ravel(), minlength=count)
-    sums = np.bincount(parts.ravel(), probability.ravel(), minlength=count)
-    kept = (sizes >= LEAST_SHARE * mask.size) & (sums >= LEAST_SURE * sizes)
-    kept[0] = False
-    return kept[parts]
+    mask = ((probability > 0.5) & view).astype(np.uint8)
+    within = cv2.distanceTransform(np.pad(view.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    count, numbers, boxes, _ = cv2.connectedComponentsWithStats(mask)
+    kept = np.zeros(count, bool)
+    for index in np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= LEAST_SHARE * mask.size):
+        left, top, width, height, _ = boxes[index]
+        box = np.s_[top : top + height, left : left + width]
+        part = numbers[box] == index
+        depth = within[box][part]
+        enters = depth.min() - 2 <= HIDDEN * np.hypot(width, height) and depth.max() >= RIM * max(mask.shape)
+        sure = probability[box][part].mean() >= LEAST_SURE and before[box][part].max() >= FAINT
+        kept[index] = index > 0 and enters and sure
+    return kept[numbers]

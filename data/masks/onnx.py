@@ -16,7 +16,7 @@ from scipy.special import expit, softmax
 from palpate.common.files import file_sha256
 from palpate.common.settings import require_choices
 from palpate.data.labels import TISSUE, TOOL
-from palpate.data.masks.automatic import lit_picture
+from palpate.data.masks.lit import lit_picture
 from palpate.data.picture_network import PictureNetwork, network_input, resized
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame

@@ -14,9 +14,8 @@ import numpy as np
 
 from palpate.common.files import file_sha256
 from palpate.data.labels import TISSUE, TOOL, MaskError
-from palpate.data.masks.automatic import lit_picture, picture_field
-from palpate.data.masks.instrument_bands import WORKING_SIZE
-from palpate.data.masks.rigid import RigidInstrument, filled
+from palpate.data.masks.lit import lit_picture, picture_field
+from palpate.data.masks.rigid import WORKING_SIZE, RigidInstrument, filled
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import InputError, read_mapping

@@ -11,6 +11,8 @@ import numpy as np
 
 from palpate.data.tracks.linking import followed
 
+WORKING_SIZE = 640
+"""Longer side that pictures are brought to, so that lengths mean the same everywhere [px]."""
 MOST_POINTS, SPACING, TEXTURE = 200, 4, 0.005
 """Followed points of an instrument, their least distance [px] and their least contrast, as a share of the best."""
 FEWEST, LEAST_SHARE = 6, 0.4

@@ -87,7 +87,7 @@ def open_masks(
         layout: how the clip's files are named.
         classes: which annotated classes are tool and tissue.
         clip: the clip's folder or video file.
-        threads, device: of a segmentation model, as of `data.picture_network.PictureNetwork`.
+        threads, device: of a network, as of `data.picture_network.PictureNetwork`.
         every: of automatic masks, as of `data.settings.PrepareSettings`.
 
     Raises:
@@ -100,7 +100,7 @@ def open_masks(
         return AnnotationMasks(layout, classes, clip)
     from palpate.data.masks.automatic import AutomaticMasks
 
-    return AutomaticMasks(every)
+    return AutomaticMasks(every=every, threads=threads, device=device)
 
 
 def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> MaskSource:
@@ -111,9 +111,12 @@ def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> Mask
     """
     # The imports stand here because only the dependencies of the chosen source are needed.
     if file.suffix.lower() == ".onnx":
+        from palpate.data.masks.automatic import AutomaticMasks
         from palpate.data.masks.onnx import OnnxMasks
+        from palpate.data.picture_network import PictureNetwork
 
-        return OnnxMasks(file, threads=threads, device=device)
+        own = PictureNetwork(file, device=device, raw=True).outlines_instruments
+        return (AutomaticMasks if own else OnnxMasks)(file, threads=threads, device=device)
     from palpate.data.masks.outlined import OutlinedMasks
 
     return OutlinedMasks(file)

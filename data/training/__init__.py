@@ -4,4 +4,5 @@ samples      pairs of frames with their windows, contacts and interactions
 splits       training, validation and test, by video
 batches      samples as torch batches; datamodule: the loaders that Lightning asks for
 preparation  the clips of a data set, prepared one after the other
+instruments/ pictures of instruments with their outlines, drawn and real
 """

@@ -52,7 +52,7 @@ class InstrumentSegmentation(LightningModule):
         network = InstrumentNet()
         if weights is not None:
             network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
-        self.network = network.to(memory_format=torch.channels_last)
+        self.network = network.to(memory_format=torch.channels_last)  # ty: ignore[no-matching-overload]
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(average), use_buffers=True)
 
     def training_step(self, batch: list[Tensor], index: int) -> Tensor:
@@ -63,7 +63,7 @@ class InstrumentSegmentation(LightningModule):
         self.log("train/loss", loss, prog_bar=True)
         return loss
 
-    def on_train_batch_end(self, *arguments: Any) -> None:
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
         self.averaged.update_parameters(self.network)
 
     def validation_step(self, batch: list[Tensor], index: int) -> None:
@@ -75,7 +75,7 @@ class InstrumentSegmentation(LightningModule):
         both, either = (found & true & known).sum((1, 2)), ((found | true) & known).sum((1, 2))
         self.log("val/iou", torch.where(either > 0, both / either.clamp(min=1), 1.0).mean(), prog_bar=True)
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> Any:
         """AdamW and one cycle over all steps."""
         rate, decay = self.hparams["learning_rate"], self.hparams["weight_decay"]
         optimizer = torch.optim.AdamW(self.network.parameters(), rate, weight_decay=decay)

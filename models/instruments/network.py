@@ -36,6 +36,7 @@ class InstrumentNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
+        self.mean: Tensor
         self.register_buffer("mean", torch.tensor([0.45, 0.3, 0.27]).view(1, 3, 1, 1))
         self.levels = nn.ModuleList()
         for before, width, repeats in zip((3, *WIDTHS), WIDTHS, REPEATS, strict=False):
@@ -47,7 +48,7 @@ class InstrumentNet(nn.Module):
             after = [Residual(fine)] if fine > WIDTHS[0] else []
             self.merges.append(nn.Sequential(convolution(fine + coarse, fine, 1), convolution(fine, fine), *after))
         self.head = nn.Conv2d(WIDTHS[0], 2, 3, padding=1)
-        nn.init.constant_(self.head.bias, -2.0)
+        nn.init.constant_(self.head.bias, -2.0)  # ty: ignore[invalid-argument-type]  it has one
 
     def forward(self, picture: Tensor) -> Tensor:
         """Logits [B, 2, H/2, W/2] of a picture [B, 3, H, W]."""

@@ -1,9 +1,10 @@
-"""Train, validate, test or export the parameter network, or train a contact posterior, from one configuration file.
+"""Train, validate, test or export the parameter network, or train another one, from one configuration file.
 
     palpate train fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
     palpate train fit -c configs/contact.yaml [--contact.contacts 3200 …]
+    palpate train fit|validate -c configs/masks.yaml [--data.real DIR]
 
 `--ckpt_path` is a file, or `best` or `last` of the run folder (`trainer.default_root_dir`), which also gets logs,
 pictures and the evaluation. All commands log to one MLflow run, called by `--run_name`. Exit status: 0 done, 1 failed,
@@ -32,6 +33,7 @@ from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_settings, run_loggers, tracked
+from palpate.command.train_masks import MasksCLI
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, require_own
@@ -42,8 +44,10 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.datamodule import ClipDataModule
+from palpate.data.training.instruments.datamodule import InstrumentData
 from palpate.estimators.network.training import WEIGHTS, ContactSettings, TrainingError, train_contact
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
+from palpate.models.instruments.module import InstrumentSegmentation
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError, export
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
@@ -294,6 +298,8 @@ CHOSEN: dict[str, Any] = {
     **{"seed_everything_default": 0, "auto_configure_optimizers": False},
 }
 """How Lightning's command line is made."""
+CHOSEN_MASKS = {name: CHOSEN[name] for name in ("parser_class", "seed_everything_default", "auto_configure_optimizers")}
+"""The same for the training of masks."""
 
 
 def contact_features(observation: str, smoothing: float) -> int:
@@ -311,16 +317,20 @@ def resumes(checkpoint: str | None, folder: Path) -> bool:
     return checkpoint is not None and Path(checkpoint).resolve().parent == folder.resolve()
 
 
-def trains_contact(arguments: list[str]) -> bool:
-    """Whether `fit` is to train the contact posterior: a configuration or an option holds its settings."""
+def trained(arguments: list[str]) -> Literal["contact", "masks", "parameters"]:
+    """What is to be trained, by the settings that a configuration or an option holds."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-c", "--config", action="append", default=[])
     given, others = parser.parse_known_args(arguments)
-    sections = {option.removeprefix("--").partition(".")[0] for option in others if option.startswith("--")}
+    names = {option.removeprefix("--").partition("=")[0] for option in others if option.startswith("--")}
     with contextlib.suppress(InputError):  # the parser of the settings says what is wrong with the file
         for path in given.config:
-            sections |= set(read_mapping(Path(path), "a configuration"))
-    return "contact" in sections
+            settings = read_mapping(Path(path), "a configuration")
+            names |= {str(name) for name in settings}
+            if isinstance(settings.get("model"), dict):
+                names |= {f"model.{name}" for name in settings["model"]}
+    sections = {name.partition(".")[0] for name in names}
+    return "contact" if "contact" in sections else "masks" if "model.edge_weight" in names else "parameters"
 
 
 def fit_contact(arguments: list[str]) -> None:
@@ -350,8 +360,12 @@ def main(arguments: list[str] | None = None) -> int:
     disable_possible_user_warnings()  # guesses about worker counts
     command = sys.argv[1:] if arguments is None else arguments
     try:
-        if command[:1] == ["fit"] and trains_contact(command[1:]):
+        kind = trained(command[1:])
+        if command[:1] == ["fit"] and kind == "contact":
             fit_contact(command[1:])
+        elif kind == "masks":
+            with interruptible():
+                MasksCLI(InstrumentSegmentation, InstrumentData, **CHOSEN_MASKS, args=arguments)
         else:
             with interruptible():
                 TrainCLI(PhysicsInformedGAN, ClipDataModule, **CHOSEN, args=arguments)

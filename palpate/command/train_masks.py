@@ -1,6 +1,6 @@
 """Trains the network that outlines instruments, and exports it.
 
-    palpate train fit -c configs/masks.yaml [--data.real [DIR, …]] [--output FILE.onnx] [--ckpt_path last]
+    palpate train fit -c configs/masks.yaml [--data.real DIR] [--output FILE.onnx] [--ckpt_path last]
 
 Lightning's command line; the run folder (`trainer.default_root_dir`) gets log and checkpoints.
 """
@@ -12,12 +12,19 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger
 
+from palpate.data.source.layout import InputError
+
 EVERY = 200
 """Steps from checkpoint to checkpoint."""
 
 
 class MasksCLI(LightningCLI):
     """Command line of the training."""
+
+    @staticmethod
+    def subcommands() -> dict[str, set[str]]:
+        loaders = {"model", "dataloaders", "train_dataloaders", "val_dataloaders", "datamodule", "weights_only"}
+        return {"fit": loaders, "validate": loaders}
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--output", type=Path | None, default=None, help="ONNX file; by default in the run folder.")
@@ -26,7 +33,7 @@ class MasksCLI(LightningCLI):
         folder = Path(self._get(self.config_init, "trainer.default_root_dir"))
         saved = ModelCheckpoint(folder, every_n_train_steps=EVERY, save_last=True, save_top_k=0)
         return super().instantiate_trainer(
-            **kwargs, logger=CSVLogger(folder, name="", version=""), callbacks=[saved], use_distributed_sampler=False
+            **kwargs, logger=CSVLogger(folder, name="log"), callbacks=[saved], use_distributed_sampler=False
         )
 
     def _parse_ckpt_path(self) -> None:
@@ -36,9 +43,21 @@ class MasksCLI(LightningCLI):
             file = Path(config.trainer.default_root_dir) / "last.ckpt"
             config.ckpt_path = str(file) if file.exists() else None
 
+    def before_fit(self) -> None:
+        """Refuse to begin beside the checkpoints of another training.
+
+        Raises:
+            InputError: there are some.
+        """
+        config = self.config["fit"]
+        folder = config.trainer.default_root_dir
+        if config.ckpt_path is None and any(Path(folder).glob("*.ckpt")):
+            other = "add --ckpt_path last to go on with it, or give another --trainer.default_root_dir"
+            raise InputError(f"{folder} holds a training already; {other}.")
+
     def after_fit(self) -> None:
         """Export the averaged network."""
-        config = self.config[self.subcommand]
+        config = self.config["fit"]
         output = config.output or Path(config.trainer.default_root_dir) / "instruments.onnx"
         difference = self.model.export(output, self.datamodule.size)
         print(f"{output}: written; largest difference from torch is {difference:.1e}")

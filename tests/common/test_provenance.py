@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.common.provenance import NOT_PREPARATION, PACKAGES, PREPARATION, code_digest
+from palpate.common.provenance import MASKS, NOT_PREPARATION, PACKAGES, PREPARATION, code_digest
 from tests.conftest import CHECKOUT
 
 SETUP = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
@@ -46,6 +46,7 @@ def installed(site: Path) -> Path:
         ("data/training/samples.py", ("all",)),
         ("estimators/network/fits.py", ("all",)),
         ("models/weights/contact.onnx", ()),
+        (MASKS, ("all", "preparation")),
     ],
 )
 def test_a_changed_source_changes_the_digests_of_its_parts(tmp_path: Path, monkeypatch, name, parts) -> None:
@@ -89,4 +90,4 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     others = {name for name in ours if not name.startswith("data/")}
     # The helpers load modules, name sources, show names, read and list files, refuse settings and hand items on.
     helpers = ("__init__", "ahead", "lazy", "provenance", "doors", "settings", "files", "output")
-    assert others - {f"common/{name}.py" for name in helpers} == {"physics/__init__.py", *PREPARATION}
+    assert others - {f"common/{name}.py" for name in helpers} == {"physics/__init__.py", *PREPARATION} - {MASKS}

@@ -3,4 +3,5 @@
 drawing     instruments as shaded solids
 scenery     backgrounds without instruments, and what lies over a picture
 composites  instruments on backgrounds as a camera shows them; the pictures with labels that training reads
+datamodule  batches of them
 """

@@ -231,8 +231,8 @@ def filmed(rng: np.random.Generator, picture: np.ndarray, view: np.ndarray) -> n
     if rng.random() < 0.15:  # by motion
         kernel, turn = np.zeros((15, 15), np.float32), rng.uniform(0, np.pi)
         way = np.array([np.cos(turn), np.sin(turn)]) * rng.uniform(1, 7)
-        ends = (tuple(np.int32(np.round(7 + side * way)).tolist()) for side in (-1, 1))
-        cv2.line(kernel, *ends, 1.0)
+        begin, end = (np.round(7 + side * way).astype(int) for side in (-1, 1))
+        cv2.line(kernel, begin, end, 1.0)
         picture = cv2.filter2D(picture, -1, kernel / kernel.sum())
     picture = np.clip(picture, 0, 1) ** np.exp(rng.normal(0, 0.25))
     mean = picture.mean(axis=2, keepdims=True)
@@ -248,7 +248,7 @@ def filmed(rng: np.random.Generator, picture: np.ndarray, view: np.ndarray) -> n
         eight = cv2.resize(small, size[::-1], interpolation=cv2.INTER_LINEAR)
     if rng.random() < 0.5:
         coded = cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 95))])[1]
-        eight = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED)
+        eight = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
     return eight.astype(np.float32) / 255
 
 

@@ -15,7 +15,7 @@ class InstrumentData(LightningDataModule):
     """Composites drawn on the fly and real pictures; a fixed set of composites validates.
 
     Args:
-        real: folders of real pictures, with outlines NAME_tool.png beside them or without instruments.
+        real: a folder, or folders, of real pictures, with outlines NAME_tool.png beside them or without instruments.
         real_share: share of labelled real pictures in a batch.
         batch_size: pictures in a batch.
         workers: processes that draw; two cores draw as fast as one trains.
@@ -25,7 +25,7 @@ class InstrumentData(LightningDataModule):
 
     def __init__(
         self,
-        real: list[Path] | None = None,
+        real: list[Path] | Path | None = None,
         real_share: float = 0.25,
         batch_size: int = 16,
         workers: int = 1,
@@ -34,7 +34,7 @@ class InstrumentData(LightningDataModule):
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
-        self.real_pictures = RealPictures.read(real) if real else RealPictures((), ())
+        self.real_pictures = RealPictures.read([real] if isinstance(real, Path) else real or [])
 
     def train_dataloader(self) -> DataLoader:
         """Endless batches."""

@@ -157,7 +157,7 @@ def _jaws(canvas: Canvas, neck: np.ndarray, tip: np.ndarray, width: float, metal
         canvas.part(last - way * radius, last + way * radius, (radius * 1.6, radius * 0.8), metal)
         if before is not None:
             slot = np.zeros(canvas.owner.shape, np.uint8)
-            ends = [tuple(np.int32(start + (last - start) * share).tolist()) for share in (0.25, 0.8)]
+            ends = [(start + (last - start) * share).astype(int) for share in (0.25, 0.8)]
             cv2.line(slot, *ends, 1, max(int(wide * 0.4), 1), cv2.LINE_AA)
             canvas.picture[slot > 0] = before[slot > 0] * 0.8
 
@@ -196,5 +196,5 @@ def _stump(canvas: Canvas, neck: np.ndarray, tip: np.ndarray, width: float, meta
     rim = tip + axis * max(width * rng.uniform(0.02, 0.2), 1)
     canvas.part(tip, rim, (width * rng.uniform(0.5, 1.0), width * rng.uniform(0.3, 0.8)), metal)
     for _ in range(rng.integers(0, 4) if end == "suction" else 0):
-        hole = np.int32(neck + (tip - neck) * rng.uniform(0.3, 0.95)).tolist()
+        hole = (neck + (tip - neck) * rng.uniform(0.3, 0.95)).astype(int)
         cv2.circle(canvas.picture, hole, max(int(width * 0.12), 1), (0.02, 0.01, 0.01), -1, cv2.LINE_AA)

@@ -81,11 +81,11 @@ def lamp(rng: np.random.Generator, size: tuple[int, int], relief: np.ndarray | N
 
 def real(rng: np.random.Generator, size: tuple[int, int], pictures: Sequence[np.ndarray]) -> np.ndarray:
     """A real tool-free picture, cropped, turned, mirrored and recoloured, RGB float32 [H, W, 3]."""
-    source = pictures[rng.integers(len(pictures))]
+    source = pictures[int(rng.integers(len(pictures)))]
     height, width = size
     if rng.random() < 0.5:
         source = source[:, ::-1]
-    source = np.rot90(source, rng.integers(4))
+    source = np.rot90(source, int(rng.integers(4)))
     h, w = source.shape[:2]
     part = rng.uniform(0.45, 1.0)
     ch = min(h, w * height / width) * part
@@ -106,7 +106,7 @@ def sparkle(rng: np.random.Generator, picture: np.ndarray) -> None:
         middle, spread = rng.uniform(0, 1, 2) * (width, height), width * rng.uniform(0.01, 0.09, 2)
         for place in rng.normal(middle, spread, (rng.integers(5, 70), 2)):
             axes = tuple(rng.integers(0, 4, 2).tolist())
-            cv2.ellipse(light, tuple(np.int32(place).tolist()), axes, rng.uniform(0, 180), 0, 360, 1.0, -1, cv2.LINE_AA)
+            cv2.ellipse(light, place.astype(int), axes, rng.uniform(0, 180), 0, 360, 1.0, -1, cv2.LINE_AA)
     light = cv2.GaussianBlur(light, (0, 0), rng.uniform(0.4, 1.0))[..., None] * rng.uniform(0.4, 1.2)
     picture += light * (np.array([1.05, 1.0, 1.0]) - 0.5 * picture)
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.data.masks import sources
-from palpate.data.masks.automatic import AutomaticMasks
+from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.masks.sources import MaskClasses, MaskError, open_masks, read_class_mask
 from palpate.data.source.frames import Frame, open_source
@@ -152,6 +152,7 @@ def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
     assert isinstance(opened("auto", tmp_path), sources.AnnotationMasks)
     assert isinstance(opened("automatic", tmp_path), AutomaticMasks)
+    assert opened(str(WEIGHTS), tmp_path).identity == AutomaticMasks().identity
     other = MaskClasses(tool=("l-hook electrocautery",))
     assert opened("auto", tmp_path).identity != opened("auto", tmp_path, classes=other).identity
 

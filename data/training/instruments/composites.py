@@ -231,7 +231,7 @@ def filmed(rng: np.random.Generator, picture: np.ndarray, view: np.ndarray) -> n
     if rng.random() < 0.15:  # by motion
         kernel, turn = np.zeros((15, 15), np.float32), rng.uniform(0, np.pi)
         way = np.array([np.cos(turn), np.sin(turn)]) * rng.uniform(1, 7)
-        begin, end = (np.round(7 + side * way).astype(int) for side in (-1, 1))
+        begin, end = (np.round(7 + side * way).astype(int).tolist() for side in (-1, 1))
         cv2.line(kernel, begin, end, 1.0)
         picture = cv2.filter2D(picture, -1, kernel / kernel.sum())
     picture = np.clip(picture, 0, 1) ** np.exp(rng.normal(0, 0.25))

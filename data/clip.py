@@ -19,6 +19,7 @@ from palpate.common.ahead import ahead
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
 from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import GeometryStatus, frame_geometry
+from palpate.data.contact.instruments import InstrumentNumbers
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth, resize_labels
@@ -179,6 +180,7 @@ class ClipStream:
         frames = mark_repeats(self.source, look_ahead=noticed is None)
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         kept: np.ndarray | None = None
+        instruments = InstrumentNumbers()
         for count in itertools.count():
             with self._timed("decode"):
                 frame, repeats = next(frames, (None, False))
@@ -188,6 +190,7 @@ class ClipStream:
                 prepared = gap(frame, shape)
             else:
                 prepared = self.prepared(frame, kept if count % self.settings.every else None)
+                prepared.instruments = instruments.push(prepared)
                 kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
             if noticed is not None:
                 noticed(prepared)
@@ -262,7 +265,8 @@ class ClipStream:
     def _judge(self, prepared: PreparedFrame, depth_error: str) -> PreparedFrame:
         """Contact and mesh, or the status that says why there is none."""
         try:
-            geometry = frame_geometry(prepared.depth, prepared.labels, self.camera, self.settings.geometry)
+            seen = prepared.depth, prepared.labels, self.camera, self.settings.geometry
+            geometry = frame_geometry(*seen, ends=prepared.ends)
         except GeometryStatus as status:
             prepared.status, prepared.distance = status.status, status.distance
             prepared.detail = depth_error if status.status == "bad_depth" and depth_error else status.detail

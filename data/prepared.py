@@ -4,9 +4,12 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from palpate.data.contact.geometry import FrameGeometry, GeometrySettings, GeometryStatus, dent_geometry
+from palpate.data.contact.tips import free_ends
+from palpate.data.labels import TOOL
 from palpate.data.shading.registration import View
 from palpate.data.source.camera import Camera
 from palpate.data.source.frames import Frame
@@ -69,6 +72,8 @@ class PreparedFrame:
     is lost."""
     skipped: tuple["PreparedFrame", ...] = ()
     """Frames right before it that measure nothing: their picture repeats, or their depth jumps."""
+    instruments: np.ndarray | None = None
+    """Number of the instrument at every pixel of the grid, 0 = none, shape [h, w], uint8 (`data.contact.instruments`)."""
 
     def follows(self, number: int) -> bool:
         """Whether it is the next measurement after the frame of that number."""
@@ -121,6 +126,24 @@ class PreparedFrame:
     def shown(self) -> Shown:
         """That view as points are followed in it, made once for all who follow."""
         return Shown.of_view(self.view)
+
+    @cached_property
+    def ends(self) -> np.ndarray | None:
+        """Where the free ends of instruments are, which may touch, bool [h, w]; None where nothing is visible."""
+        if not self.visible:
+            return None
+        size = self.labels.shape[::-1]
+        lit = cv2.resize(self.shown.lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return free_ends(self.labels == TOOL, lit)
+
+    @property
+    def instrument(self) -> int | None:
+        """Number of the instrument that touches; None where none does."""
+        if self.geometry is None or self.instruments is None or not self.instruments.any():
+            return None
+        places = np.argwhere(self.instruments)
+        nearest = np.square(places - np.array(self.geometry.pixel[::-1])).sum(axis=1).argmin()
+        return int(self.instruments[tuple(places[nearest])])
 
     @property
     def has_depth(self) -> bool:

@@ -45,6 +45,8 @@ class FrameEstimate:
     """Column of the tissue's contact point [px of the source frame]."""
     contact_v: float | None = None
     """Row of the tissue's contact point [px of the source frame]."""
+    instrument: int | None = None
+    """Number of the instrument that touches (`data.contact.instruments`)."""
     simulated_displacement: float | None = None
     """Length of the simulated displacement of the contact vertex [scene units]."""
     observed_displacement: float | None = None
@@ -86,6 +88,8 @@ class InteractionEstimate:
     """Its time stamp [s]."""
     load_s: float | None = None
     """Time from the onset to the release [s]; None where either was not observed."""
+    instrument: int | None = None
+    """Number of the instrument that touches."""
     interaction: Interaction | None = None
     """What was observed; None where the tissue was not followed from an onset."""
     estimate: Estimate | None = None

@@ -42,6 +42,8 @@ class Run:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
         """Index in the clip, number, time stamp [s] and warnings of the first frame."""
+        self.instrument = first.instrument
+        """Number of the instrument that touches."""
         self.last = frame.index
         """Index of the last frame in contact."""
         self.contact = math.nan
@@ -82,7 +84,7 @@ class Run:
     def estimate(self, **results) -> InteractionEstimate:
         """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
         load = None if self.builder is None else self.builder.load_seconds
-        return InteractionEstimate(self.index, self.number, self.time_s, load, **results)
+        return InteractionEstimate(self.index, self.number, self.time_s, load, self.instrument, **results)
 
     @property
     def unobserved(self) -> str:
@@ -342,6 +344,7 @@ def frame_estimate(
         contact_distance=finite(prepared.distance),
         contact_u=u,
         contact_v=v,
+        instrument=prepared.instrument,
         simulated_displacement=lengths[0],
         observed_displacement=lengths[1],
         arrow=arrow,

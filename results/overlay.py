@@ -77,6 +77,8 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) ->
         center = (round((estimate.contact_u + 0.5) * factor), round((estimate.contact_v + 0.5) * factor))
         cv2.circle(canvas, center, max(4, round(7 * scale)), (20, 20, 20), max(3, round(4 * scale)), cv2.LINE_AA)
         cv2.circle(canvas, center, max(4, round(7 * scale)), WHITE, max(1, round(2 * scale)), cv2.LINE_AA)
+        if estimate.instrument is not None:
+            text(canvas, str(estimate.instrument), (center[0] + 11 * scale, center[1]), max(11.0, 15 * scale), WHITE)
 
 
 def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:

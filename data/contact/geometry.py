@@ -145,8 +145,9 @@ class FrameGeometry:
 
 
 def frame_geometry(
-    depth: np.ndarray, labels: np.ndarray, camera: Camera, settings: GeometrySettings, rest: RestTissue | None = None
-) -> FrameGeometry:
+    depth: np.ndarray, labels: np.ndarray, camera: Camera, settings: GeometrySettings, rest: RestTissue | None = None,
+    ends: np.ndarray | None = None,
+) -> FrameGeometry:  # fmt: skip
     """Contact and mesh of one frame.
 
     With `contact` touching a frame is in contact when the masks touch or the clouds are close. Monocular depth of a
@@ -160,12 +161,15 @@ def frame_geometry(
         camera: intrinsics of the grid.
         rest: the tissue at rest; None = as it is visible. The mesh covers all of it, the contact lies on
             what is visible.
+        ends: the parts of the tool that may touch, bool [h, w]; None = all of it, as with nearest.
 
     Raises:
         GeometryStatus: `no_tool`, `no_tissue`, `bad_depth` or `no_contact`, in this order.
     """
     tool, tissue = labels == TOOL, labels == TISSUE
     _require_pixels(tool, tissue, depth, settings)
+    if ends is not None and settings.contact == "touching" and (tool & ends).any():
+        tool = tool & ends
     rest, noise = smooth_rest(depth, labels, settings, rest)
     sheet = back_project(rest.depth, camera)
     points = np.where(tissue[..., None], sheet, back_project(depth, camera))

@@ -169,7 +169,7 @@ class ContactMotion:
                 if onset.press is not None:
                     resting = dent_geometry(*seen, onset.contact.pixel, *given)
                 else:
-                    resting = frame_geometry(*seen, *given)
+                    resting = frame_geometry(*seen, *given, onset.ends)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
         pixel = picture_pixel(onset, self.size)
         template = self._tracker.template(onset.view, pixel)

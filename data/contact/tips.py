@@ -3,6 +3,10 @@
 import cv2
 import numpy as np
 
+END = 0.11
+"""Part of an instrument that may touch: so far back from the end which is farthest from where it enters, as a share of
+the picture's longer side."""
+
 
 def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> list[np.ndarray]:
     """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere.
@@ -27,3 +31,11 @@ def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> li
             part = part[away > away.max() - reach]
         tips.append(part[:, ::-1])
     return tips
+
+
+def free_ends(tool: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Where the free ends of instruments are, bool [h, w], by their mask and by where the picture shows anything."""
+    ends = np.zeros(tool.shape, bool)
+    for tip in tool_tips(tool, lit, END * max(tool.shape), 1):
+        ends[tip[:, 1], tip[:, 0]] = True
+    return ends

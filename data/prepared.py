@@ -73,7 +73,7 @@ class PreparedFrame:
     skipped: tuple["PreparedFrame", ...] = ()
     """Frames right before it that measure nothing: their picture repeats, or their depth jumps."""
     instruments: np.ndarray | None = None
-    """Number of the instrument at every pixel of the grid, 0 = none, shape [h, w], uint8 (`data.contact.instruments`)."""
+    """Number of the instrument at every pixel of the grid (`data.contact.instruments`), 0 = none, uint8 [h, w]."""
 
     def follows(self, number: int) -> bool:
         """Whether it is the next measurement after the frame of that number."""

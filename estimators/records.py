@@ -88,8 +88,6 @@ class InteractionEstimate:
     """Its time stamp [s]."""
     load_s: float | None = None
     """Time from the onset to the release [s]; None where either was not observed."""
-    instrument: int | None = None
-    """Number of the instrument that touches."""
     interaction: Interaction | None = None
     """What was observed; None where the tissue was not followed from an onset."""
     estimate: Estimate | None = None
@@ -104,6 +102,8 @@ class InteractionEstimate:
     """What it tells of stiffness place by place, from the estimator that finds that."""
     detail: str = ""
     """Why there is no estimate, or why it can't be trusted."""
+    instrument: int | None = None
+    """Number of the instrument that touches."""
 
     @property
     def main_estimate(self) -> Estimate | GripEstimate | FieldEstimate | None:

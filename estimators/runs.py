@@ -84,7 +84,7 @@ class Run:
     def estimate(self, **results) -> InteractionEstimate:
         """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
         load = None if self.builder is None else self.builder.load_seconds
-        return InteractionEstimate(self.index, self.number, self.time_s, load, self.instrument, **results)
+        return InteractionEstimate(self.index, self.number, self.time_s, load, **results, instrument=self.instrument)
 
     @property
     def unobserved(self) -> str:

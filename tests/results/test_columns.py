@@ -14,7 +14,7 @@ from tests.results.fields import GRIP
 
 PROMISED = (
     "frame,time_s,stiffness,stiffness_sd,damping,damping_sd,force,force_sd,contact,contact_distance,contact_u,"
-    "contact_v,simulated_displacement,observed_displacement,status,damping_over_stiffness,damping_over_stiffness_sd,"
+    "contact_v,instrument,simulated_displacement,observed_displacement,status,damping_over_stiffness,damping_over_stiffness_sd,"
     "damping_over_stiffness_low,damping_over_stiffness_high,force_over_stiffness,force_over_stiffness_sd,"
     "force_over_stiffness_low,force_over_stiffness_high,verdict,determined"
 )

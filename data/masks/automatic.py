@@ -26,7 +26,7 @@ LEAST_SHARE, LEAST_SURE = 0.004, 0.6
 """Smallest part of an instrument, as a share of the picture, and its smallest mean probability."""
 RIM = 0.04
 """A part that reaches less far into the view is its rim, as a share of the picture's longer side."""
-HIDDEN = 0.5
+HIDDEN = 0.3
 """How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest."""
 FAINT = 0.3
 """A part has been there before if the frame before has so much probability in it, moved along the flow."""

@@ -111,20 +111,18 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
 
 def table(rows: pd.DataFrame) -> pd.DataFrame:
     """A row a source, and their mean."""
-    summed = rows.groupby("source", sort=False).apply(
-        lambda part: pd.Series(
-            {
-                "pictures": part.iou.count(),
-                "IoU": part.iou.mean(),
-                "below 0.05": (part.iou < 0.05).sum() / max(part.iou.count(), 1),
-                "stray pixels": part.stray.mean(),
-                "above 100": (part.stray > 100).mean(),
-                "tool-free": part.get("free", pd.Series(dtype=float)).sum(),
-                "tool found there": part.get("false", pd.Series(dtype=float)).sum(),
-                "ms a frame": 1e3 * part.seconds.median(),
-            }
-        ),
-        include_groups=False,
+    parts = rows.groupby("source", sort=False)
+    summed = pd.DataFrame(
+        {
+            "pictures": parts.iou.count(),
+            "IoU": parts.iou.mean(),
+            "below 0.05": parts.iou.apply(lambda iou: (iou < 0.05).sum() / max(iou.count(), 1)),
+            "stray pixels": parts.stray.mean(),
+            "above 100": parts.stray.apply(lambda stray: (stray > 100).mean()),
+            "tool-free": parts.free.sum(),
+            "tool found there": parts.false.sum(),
+            "ms a frame": 1e3 * parts.seconds.median(),
+        }
     )
     all_of = summed.mean()
     all_of[["pictures", "tool-free", "tool found there"]] = summed[["pictures", "tool-free", "tool found there"]].sum()

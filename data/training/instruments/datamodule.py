@@ -40,22 +40,15 @@ class InstrumentData(LightningDataModule):
         """Endless batches."""
         settings = self.hparams
         pictures = InstrumentPictures(self.real_pictures, settings["seed"], settings["real_share"])
-        workers = settings["workers"]
-        return DataLoader(
-            pictures,
-            settings["batch_size"],
-            num_workers=workers,
-            prefetch_factor=4 if workers else None,
-            worker_init_fn=_one_thread,
-        )
+        count, size = settings["workers"], settings["batch_size"]
+        ahead = 4 if count else None
+        return DataLoader(pictures, size, num_workers=count, prefetch_factor=ahead, worker_init_fn=_one_thread)
 
     def val_dataloader(self) -> DataLoader:
         """Composites of a seed of their own."""
         settings = self.hparams
-        source, rng = (
-            InstrumentPictures(self.real_pictures, real_share=0.0),
-            np.random.default_rng([settings["seed"], 7]),
-        )
+        source = InstrumentPictures(self.real_pictures, real_share=0.0)
+        rng = np.random.default_rng([settings["seed"], 7])
         drawn = zip(*(source.draw(rng) for _ in range(settings["validation"])), strict=True)
         pictures, tool, between = (torch.from_numpy(np.stack(each)) for each in drawn)
         return DataLoader(TensorDataset(pictures.permute(0, 3, 1, 2), tool.long(), between), settings["batch_size"])

@@ -15,7 +15,7 @@ from palpate.common.files import file_sha256
 from palpate.common.provenance import MASKS, ROOT
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.masks.lit import lit_picture, picture_field
-from palpate.data.picture_network import PictureNetwork, network_input, resized
+from palpate.data.picture_network import PictureNetwork, resized
 from palpate.data.source.frames import Frame
 
 WEIGHTS = ROOT / MASKS
@@ -82,7 +82,7 @@ class AutomaticMasks:
             before = cv2.remap(self._probability, *ahead, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         now = before
         if now is None or self._since % self._every == 0:
-            found = self.network.run(network_input(small, 1 / 255, (0, 0, 0), (1, 1, 1), "NCHW"))[0]
+            found = self.network.run(small.transpose(2, 0, 1)[None] * np.float32(1 / 255))[0]
             own = expit(found[0, 0])
             now = own if before is None else NEW_SHARE * own + (1 - NEW_SHARE) * before
         self._since += 1

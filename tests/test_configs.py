@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from palpate.command import train
+from palpate.command.train_masks import MasksCLI
 from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER
@@ -64,7 +65,16 @@ def test_the_posterior_s_configuration_holds_every_setting_with_its_default(monk
     assert chosen == [ContactSettings(Path("elsewhere"))]
 
 
-@pytest.mark.slow
+def test_the_masks_configuration_builds_its_own_model(monkeypatch, tmp_path):
+    built: list[MasksCLI] = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(MasksCLI, "_run_subcommand", lambda cli, subcommand: built.append(cli))
+    assert train.main(["fit", "-c", str(MASKS_FILE), "--trainer.accelerator", "cpu"]) == 0
+    assert (type(built[0].model).__name__, built[0].datamodule.size) == ("InstrumentSegmentation", (224, 384))
+    assert built[0].trainer.default_root_dir == "runs/masks"
+
+
+@pytest.mark.acceptance
 def test_the_masks_configuration_trains_on_own_pictures_and_exports(tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "one.png"), np.full((60, 90, 3), 90, np.uint8))
     cv2.imwrite(str(tmp_path / "one_tool.png"), np.tile(np.repeat(np.uint8([0, 255]), 45), (60, 1)))

@@ -129,12 +129,13 @@ class PreparedFrame:
 
     @cached_property
     def ends(self) -> np.ndarray | None:
-        """Where the free ends of instruments are, which may touch, bool [h, w]; None where nothing is visible."""
-        if not self.visible:
+        """Where the free ends of instruments are, which may touch, bool [h, w]; None where there is none."""
+        tool = self.labels == TOOL
+        if not (self.visible and tool.any()):
             return None
         size = self.labels.shape[::-1]
         lit = cv2.resize(self.shown.lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return free_ends(self.labels == TOOL, lit)
+        return free_ends(tool, lit)
 
     @property
     def instrument(self) -> int | None:

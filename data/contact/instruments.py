@@ -61,7 +61,7 @@ class InstrumentNumbers:
         """The numbers of the frame before, moved along the optical flow where there are several, uint8 [h, w]."""
         before, shape = self._gray, prepared.labels.shape
         self._gray = None
-        if prepared.visible:
+        if prepared.visible and (prepared.labels == TOOL).any():
             self._gray = cv2.resize(prepared.shown.gray, shape[::-1], interpolation=cv2.INTER_AREA)
         if self._numbers.shape != shape:
             return np.zeros(shape, np.uint8)

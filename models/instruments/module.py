@@ -48,7 +48,7 @@ class InstrumentSegmentation(LightningModule):
         weights: Path | None = None,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters()
+        self.save_hyperparameters(ignore=["weights"])  # a path, which no checkpoint is to hold
         network = InstrumentNet()
         if weights is not None:
             network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))

@@ -188,7 +188,7 @@ class InstrumentPictures(IterableDataset):
             entry = np.array([[0, place], [1, place], [place, 0], [place, 1]][rng.integers(4)]) * size
             way = rng.uniform(0.1, 0.9, 2) * size - entry
             begin = entry - way / max(float(np.hypot(*way)), 1) * 0.12 * width
-            wide = rng.uniform(-1.9, -1.1) if rng.random() < 0.08 else rng.uniform(-3.9, -1.9)  # at times an endoscope
+            wide = rng.uniform(-1.9, -1.1) if rng.random() < 0.14 else rng.uniform(-3.9, -1.9)  # at times an endoscope
             draw_instrument(canvas, begin, entry + way * rng.uniform(0.25, 1.0), width * np.exp(wide))
         mask = canvas.owner > 0
         if rng.random() < 0.15:  # tissue in front of it

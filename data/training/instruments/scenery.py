@@ -10,10 +10,11 @@ PALETTE = np.array(
         [120, 40, 35], [85, 25, 25], [150, 60, 50], [190, 90, 80], [205, 130, 120], [225, 170, 150], [215, 160, 80],
         [200, 150, 60], [170, 120, 70], [160, 140, 110], [120, 90, 60],
         [180, 80, 70], [90, 60, 70], [140, 110, 120], [200, 180, 170],
+        [205, 195, 195], [165, 170, 185], [225, 215, 200], [150, 145, 155],
     ],
     np.float32,
 ) / 255  # fmt: skip
-"""Colours of liver, bowel, peritoneum, fat, bile bladder and bloody tissue under white light."""
+"""Colours of liver, bowel, fat, gall bladder, bloody tissue, and of pale and grey membranes under white light."""
 
 
 def smooth_noise(rng: np.random.Generator, size: tuple[int, int], cells: float) -> np.ndarray:

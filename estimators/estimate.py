@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, describe, verdict
+from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
@@ -106,11 +106,10 @@ class Estimate:
 
     @property
     def explanation(self) -> str:
-        """The verdict's reason in words (see physics.identifiability.describe)."""
+        """What verdict and numbers alone don't say."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        described = "" if self.given_verdict else describe(self.verdict_information)
-        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light)))
+        return BY_LIGHT * self.by_light
 
     @property
     def verdict_information(self) -> np.ndarray:

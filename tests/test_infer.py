@@ -419,9 +419,15 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
         assert f"reached the limit {limit} in scene units" in flat(capsys.readouterr().err)
     assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
     capsys.readouterr()
-    (tmp_path / "known.yaml").write_text("stiffness: 8.0\nstiffness_unit: N/scene unit\n")
+    told = json.loads((synthetic / "video01_00000" / "clip.json").read_text())
+    told["camera"]["metres_per_depth"] = 0.1
+    shutil.copytree(synthetic, tmp_path / "clips")
+    (tmp_path / "clips" / "video01_00000" / "clip.json").write_text(json.dumps(told))
+    metres = 0.1 * record(folder)["scale"]["depth_at_1"]
+    (tmp_path / "known.yaml").write_text(f"stiffness: {8.0 / metres}\n")
     given = ["--force-scale", str(tmp_path / "known.yaml"), "--overwrite"]
-    assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
+    assert infer.main([str(tmp_path / "clips"), *arguments[1:], "0.5", *given]) == 0  # 20 N a unit: 1 N
+    (folder,) = tmp_path.glob("video01_00000-*")
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from palpate.data.depth.preset import DepthPreset, fitting_presets
+from palpate.data.depth.preset import DepthPreset
 from palpate.data.picture_network import PictureNetwork, network_input, resized
 from palpate.data.source.layout import InputError
 
@@ -181,11 +181,9 @@ class DepthModel:
         for name in outputs:
             if name in accepted or (not accepted and len(outputs) == 1):
                 return name
-        fitting = " or ".join(fitting_presets(outputs))
-        remedy = f"give {fitting}, which reads these" if fitting else "write a preset (docs/reports/depth.md)"
         raise InputError(
             f"{self.path} has the outputs {', '.join(outputs)}, and not {' or '.join(accepted) or 'one alone'}, what "
-            f"depth preset {self.preset.name} expects; {remedy}."
+            f"depth preset {self.preset.name} expects; give another, or write one (docs/reports/depth.md)."
         )
 
     def _fixed_size(self) -> tuple[int, int] | None:

@@ -1,7 +1,6 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
 import dataclasses
-from collections.abc import Collection
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
@@ -98,17 +97,6 @@ class DepthPreset:
 def preset_names() -> list[str]:
     """Names of the shipped presets."""
     return sorted(path.stem for path in PRESET_FOLDER.glob("*.yaml"))
-
-
-def fitting_presets(outputs: Collection[str]) -> list[str]:
-    """Names of the shipped presets that read most of a network's outputs, and none that it lacks."""
-    found = {}
-    for name in preset_names():
-        preset = load_preset(name)
-        wanted = [(each,) if isinstance(each, str) else each for each in (preset.output, preset.focal_output) if each]
-        if wanted and all(set(each) & set(outputs) for each in wanted):
-            found[name] = len(wanted)
-    return [name for name, count in found.items() if count == max(found.values())]
 
 
 def load_preset(name: str | Path) -> DepthPreset:

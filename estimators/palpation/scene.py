@@ -108,8 +108,6 @@ class Scene:
     """Which components of the nodes are fixed, shape [N, 3], bool."""
     palpations: list[Palpation]
     settings: FitSettings
-    notes: tuple[str, ...]
-    """What was odd about the surface."""
 
 
 def read_scene(path: Path) -> Scene:
@@ -145,7 +143,7 @@ def read_scene(path: Path) -> Scene:
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
-    return Scene(skin, held, palpations, FitSettings(scene.law, scene.young, scene.poisson), meshed.notes)
+    return Scene(skin, held, palpations, FitSettings(scene.law, scene.young, scene.poisson))
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:

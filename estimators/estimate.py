@@ -62,11 +62,6 @@ class Estimate:
     its end [s]; none of either that was not fitted."""
     delays_at_end: bool = False
     """Whether one of them lies at its range's end."""
-    outliers: float | None = None
-    """Share of what was observed that lies so far from the model that it counted less; None where all counts
-    equally."""
-    modes: int = 1
-    """Tissues far apart that explain the motion about as well; mean and covariance are those of all of them."""
     shape: PressShape | None = None
     """Patch, direction and course of the press where they were fitted; None = taken to be a step on one vertex."""
     view_angle: float | None = None

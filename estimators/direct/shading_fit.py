@@ -15,7 +15,7 @@ from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
-from palpate.estimators.direct.problem import apart, combine, count_modes, distinct, evenly_spread, find_optimum
+from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
 from palpate.estimators.direct.shading import OTHERS, ShadingProblem
 from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.physics.identifiability import NINETY, box_information
@@ -216,7 +216,6 @@ def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         delays=tuple((motion.within * best.logs[motion.delays]).tolist()),
         delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
-        modes=count_modes(distinct(optima), prior),
         by_light=True,
         left=1 - problem.skill,
         lag=float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0,

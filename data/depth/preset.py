@@ -21,14 +21,13 @@ class DepthPreset:
 
     name: str
     """Name in messages, in the cache key and in run.json."""
-    kind: Literal["metric", "relative", "inverse", "relative_inverse", "canonical_inverse", "disparity"]
+    kind: Literal["metric", "relative", "inverse", "relative_inverse", "canonical_inverse"]
     """Meaning of the output D̂; `factor` multiplies it first.
     metric: depth D = D̂ [m].
     relative: depth up to one scale that holds for the whole clip, D = D̂.
     inverse: D = 1/D̂.
     relative_inverse: D = 1/(a·D̂ + b), with a and b from near, far and the clip's frozen range of D̂.
-    canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w).
-    disparity: of a stereo network, which takes the left and the right picture: |D̂| is in pixels of its input."""
+    canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w)."""
     obtain: str = ""
     """How to obtain the ONNX file, printed when it is missing."""
     output: str | tuple[str, ...] = ()
@@ -85,7 +84,7 @@ class DepthPreset:
     @property
     def metric(self) -> bool:
         """Whether depth is in metres."""
-        return self.kind in ("metric", "canonical_inverse", "disparity")
+        return self.kind in ("metric", "canonical_inverse")
 
     @property
     def identity(self) -> str:

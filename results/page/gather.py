@@ -70,7 +70,6 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         "found": contacts,
         "length": record["units"].get("length", ""),
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "warnings": record["warnings"],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "curves": _curves(record, frames, contacts),
     }

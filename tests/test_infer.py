@@ -26,7 +26,6 @@ from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import SHAFT_RADIUS
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.network.estimator import SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.store import BAGS
@@ -764,14 +763,6 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
     assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
     assert clips_in(tmp_path / "out") == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
-
-
-def test_what_fast_leaves_out_is_said_of_the_clips_that_it_concerns(inputs, tmp_path):
-    options = ["--output", str(tmp_path), "--rate", "fast", "--no-overlay"]
-    assert infer.main([str(inputs / "clips"), *options]) == 0
-    plain, stored = (record(tmp_path / name)["warnings"] for name in ("drawn", "folder"))
-    assert SELDOM in plain
-    assert SELDOM not in stored
 
 
 def test_two_workers_of_a_scheduler_give_the_same_tables(

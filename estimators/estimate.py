@@ -145,9 +145,6 @@ class Estimate:
                 found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
                 found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
                 found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
-        if (shape := self.shape) is not None:
-            found |= {"press_radius": shape.radius, "press_rise_s": shape.rise, "press_fall_s": shape.fall}
-            found["press_lean_deg"] = math.degrees(math.atan(math.hypot(*shape.lean)))
         if self.information is not None:
             limits = bounds(self.information)
             found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}

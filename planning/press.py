@@ -77,7 +77,7 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
     skin, held = blocked_out(kind, radius)
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
     unit = skin.pressed(np.array([*place, kind.height]), radius, way)
-    material = Material(kind.law, kind.young, kind.poisson)
+    material = Material("corotational", kind.young, kind.poisson)
     lengths, forces, work = [0.0], [0.0], [0.0]
     rest = find_equilibrium(skin.body, material, held)
     shortest, share = 1 / 2, 1.0

@@ -17,9 +17,6 @@ from palpate.data.source.frames import Frame, FrameSource, VideoFile
 from palpate.data.source.images import picture_size
 from palpate.data.source.layout import InputError
 
-STALLED = 2.0
-"""A source that gives no picture for so long is said to have stalled [s]."""
-
 
 class LiveSource(FrameSource):
     """Pictures as they come. Whoever iterates again goes on with the pictures of then.
@@ -40,8 +37,8 @@ class LiveSource(FrameSource):
     ) -> None:
         self.name, self.path, self.fps, self.max_latency = name, Path(name), fps, max_latency
         self.length, self.warnings = 0, []
-        self.dropped = self.stalls = 0
-        """Pictures that were dropped, and how often the source stalled."""
+        self.dropped = 0
+        """Pictures that were dropped."""
         self.came: dict[int, float] = {}
         """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
         self._pictures, self._clocked = pictures, clocked
@@ -98,8 +95,7 @@ class LiveSource(FrameSource):
         index, first, begun = 0, 0, 0.0
         while True:
             with self._changed:
-                while not self._waiting and not self._ended:
-                    self.stalls += not self._changed.wait(STALLED) and not self._waiting
+                self._changed.wait_for(lambda: self._waiting or self._ended)
                 if not self._waiting:
                     if self._error is not None:
                         raise self._error

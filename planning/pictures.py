@@ -25,9 +25,8 @@ def draw_plan(scene: PlanScene, ways: Mapping[str, Plan]) -> Figure:
     for piece, colour in [(piece, "mistyrose") for _, piece in scene.pieces] + [(p, "0.4") for p in scene.obstacles]:
         outline = MILLI * piece.outside_frame(corners * piece.half)
         axes.add_patch(Polygon(outline, facecolor=colour, edgecolor="indianred"))
-    styles = {"color": "navy", "marker": "o", "markersize": 3}, {"color": "0.3", "linestyle": "--"}
-    for (name, found), style in zip(ways.items(), styles, strict=True):
-        axes.plot(*(MILLI * found.places.T), label=f"{name}: cost {found.cost:.1f}", **style)
+    for (name, found), (form, colour) in zip(ways.items(), (("o-", "navy"), ("--", "0.3")), strict=True):
+        axes.plot(*(MILLI * found.places.T), form, color=colour, markersize=3, label=f"{name}: cost {found.cost:.1f}")
     for place in MILLI * np.array([scene.start, scene.goal]):
         axes.add_patch(Circle(tuple(place), MILLI * scene.tip_radius, fill=False, color="navy"))
     low, high = MILLI * np.array(scene.area)

@@ -245,7 +245,6 @@ def test_left_and_right_pictures_in_one_folder_are_named(tmp_path, pattern):
         ("absent", "No such file"),
         ("empty", "holds no video, bag or"),
         ("one.png", "is a single image"),
-        ("camera:0", "camera:0 is a live camera; give its number to palpate live"),
     ],
 )
 def test_discover_names_what_is_wrong(tmp_path, monkeypatch, path, said):

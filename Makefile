@@ -1,5 +1,5 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
-# make test  — lint and all tests; make test-fast leaves the slow ones out
+# make test  — lint and tests; make test-fast leaves the slow ones out; make acceptance judges whole systems, for minutes
 # make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
 # make bench — timings of networks and of whole videos (python -m benchmarks.inference)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
@@ -12,7 +12,7 @@ BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.installed
 
-.PHONY: demo test test-fast lint lock bench model gan paper clean
+.PHONY: demo test test-fast acceptance lint lock bench model gan paper clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -35,6 +35,9 @@ lint: $(INSTALLED)
 
 test: lint
 	$(BIN)/pytest
+
+acceptance: $(INSTALLED)
+	$(BIN)/pytest -m acceptance
 
 test-fast: $(INSTALLED)
 	$(BIN)/pytest -m "not slow"

@@ -720,7 +720,7 @@ def test_clips_at_once_give_the_same_tables_and_one_that_fails_is_named(
     for name in clips_in(tmp_path):
         assert record(tmp_path / name)["providers"] == {"estimator": "CPUExecutionProvider"}
     before = contents(tmp_path)
-    assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
+    assert several(named_alike, inputs, tmp_path) == 1
     assert capsys.readouterr().err.count("up to date") == 2
     assert contents(tmp_path) == before
 
@@ -760,7 +760,7 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
         "a",
         "b",
     }  # a second may have been done as well; nothing half done is left
-    assert several(tmp_path / "only", inputs, tmp_path / "out", "--jobs", "2") == 0
+    assert several(tmp_path / "only", inputs, tmp_path / "out") == 0
     assert clips_in(tmp_path / "out") == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
 

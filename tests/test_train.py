@@ -465,7 +465,7 @@ def together(*commands: list[str], **environment: str) -> list[str]:
     return said
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_path: Path, capsys):
     """A batch of two samples in one process, one of one sample in each of two; 7 samples to validate and to test."""
     same = "--model.noise 0 --model.weights.cycle 0 --model.weights.identity 0"
@@ -503,7 +503,7 @@ def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_p
         assert values_of_two == pytest.approx(values, rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_path: Path):
     """The second, which the first has started."""
     program = tmp_path / "diverging.py"

@@ -133,7 +133,7 @@ def test_all_suites_once_and_in_order():
     assert list(found.estimators) == ["direct"]
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_two_real_clips_in_two_processes(tmp_path):
     arguments = ["--output", str(tmp_path), "--clips", "2", "--workers", "2"]
     assert main([*arguments, "--estimator", "network", "--model", str(SHIPPED)]) == 0

@@ -16,7 +16,9 @@ PARTS: dict[str, Callable[[Path], goldens.Values]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group", PARTS)
+@pytest.mark.parametrize(
+    "group", ["network", *(pytest.param(name, marks=pytest.mark.acceptance) for name in ("recovery", "online"))]
+)
 def test_numbers_are_the_goldens(group: str, tmp_path: Path) -> None:
     values = goldens.rounded(PARTS[group](tmp_path))
     wanted = json.loads(goldens.GOLDENS.read_text(encoding="utf-8"))[group]

@@ -54,7 +54,10 @@ def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart
     return told, taken() - settled
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc")]
+pytestmark = [
+    pytest.mark.acceptance,
+    pytest.mark.skipif(not MEMORY.exists(), reason="memory is read from Linux' /proc"),
+]
 
 
 LONGER = dataclasses.replace(GRIP, frames=30)

@@ -20,7 +20,7 @@ def run(path: Path) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     mpl.use("Agg")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -37,7 +37,7 @@ def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     assert "relative_force" in names["pull_run"].grip.determined
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_three_examples_hold_their_truth(monkeypatch, tmp_path) -> None:
     mpl.use("Agg")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

@@ -87,6 +87,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         torch.testing.assert_close(gradient, theta.grad[0], rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.acceptance
 def test_no_index_leaves_its_array(tmp_path):
     # numba's own check, which raises where an index lies outside, over all meshes and random masks.
     chosen = ["tests/physics/msd/test_simulation.py", "-k", "any_mask or (compiled_equals_plain and default)"]

@@ -158,7 +158,7 @@ def test_cost_intervals_are_those_of_a_log_normal_e(scene, cache):
     assert unsure.interval(found) == pytest.approx(wanted, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_cost_intervals_hold_on_simulated_presses_of_other_bodies(scene, cache):
     costs = open_costs(replace(scene, young_log_sd=0.3, alpha=1.0, tip_radius=RADIUS), cache)[0]
     depth, _, work = unit_press(0.45)

@@ -81,7 +81,7 @@ def test_the_upper_end_is_that_of_a_determined_force_alone() -> None:
     assert upper_force(dataclasses.replace(ESTIMATE, misfit=2.0)) is None
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_no_crossing_by_more_than_the_interval_is_missed_on_synthetic_clips() -> None:
     """Judged: every press of known force, by the shipped network, with limits on both sides of it."""
     estimator, seen = open_estimator(EstimatorOptions("network", threads=1)), 0

@@ -85,7 +85,7 @@ def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     assert row["reason"] == "RuntimeError: out of tissue"
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_retraction_is_told_by_the_session_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
     """In fewer pictures, of half the suite's size; in smaller ones the tissue moves by too few pixels."""
     for name, size in (("width", 640), ("height", 360), ("frames", 12)):

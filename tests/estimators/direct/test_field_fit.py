@@ -177,7 +177,7 @@ def test_the_first_draws_reach_a_long_tail_towards_firm_tissue(seen: float, know
     assert np.sqrt(draws.covariance[0, 0]) == pytest.approx(sd, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_errors_are_as_large_as_the_estimate_says() -> None:
     theta = REGIMES["critical"]
     squares, misfits = [], []

@@ -105,7 +105,7 @@ def test_a_step_is_fitted_as_one() -> None:
     assert found.shape is None
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
     theta = dents.REGIMES["over-damped"]
     found = fit_press(sequence_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)

@@ -105,7 +105,7 @@ def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps:
     assert len(list(descend(network, lambda _: loss(), steps, 2e-3))) == steps
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> None:
     """On four contacts, two hundred steps bring the estimates nearer to what explains the motions.
 
@@ -127,7 +127,7 @@ def test_the_fine_stage_learns(fits: Fits, monkeypatch: pytest.MonkeyPatch) -> N
     assert error() < 0.5 * before
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_expected_bound_learns_and_leaves_the_posterior_alone(fits: Fits) -> None:
     """On four contacts, four hundred steps tell how well each was observed, under noise that was not drawn before.
 

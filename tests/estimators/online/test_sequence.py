@@ -44,7 +44,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> tuple[SequenceTissue, Part
     return tissue, list(tissue.fields())[-1][1]
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_field_ranks_and_moves_as_the_truth(long: tuple[SequenceTissue, ParticleField]) -> None:
     """Less well than the session that is given the simulated sheet itself: 0.72 in place of 0.79."""
     drawn, field = pull(60), long[1]
@@ -87,7 +87,7 @@ def test_pins_and_clouds_of_which_no_tissue_can_be_made_are_a_sentence(tmp_path:
             followed(path)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_intervals_of_what_is_determined_hold(long: tuple[SequenceTissue, ParticleField]) -> None:
     tissue, field = long
     soft = ((field.rest - SHIFT) @ TURN)[:, 0] > SIDE / 2

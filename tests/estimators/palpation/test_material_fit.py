@@ -87,7 +87,7 @@ def test_errors_of_the_model_widen_the_intervals(slab) -> None:
     assert sds[1] > 1.2 * sds[0]
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab) -> None:
     """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
     skin, held, _ = slab

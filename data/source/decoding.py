@@ -43,6 +43,8 @@ STATED = 0.02
 """Relative difference from the measured frame rate up to which a stated one counts."""
 SQUARE = 0.005
 """Relative difference of a pixel's sides that is left as it is."""
+INTERLACED_HEIGHTS = frozenset({480, 486, 576, 1080})
+"""Heights of the pictures of interlaced television [px]."""
 NO_PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 
 
@@ -222,7 +224,10 @@ class VideoTrack:
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
         self.fields = ("setfield", "prog") if flagged else None  # flagged frames are converted field by field
-        if offset.value is not None and abs(offset.value) > LARGEST_OFFSET:
+        if offset.value is None:
+            if flagged or stored[1] in INTERLACED_HEIGHTS:
+                self.notes.append("too little moves in the frames examined to tell whether the video is interlaced")
+        elif abs(offset.value) > LARGEST_OFFSET:
             self.fields = "bwdif", f"send_frame:{'tff' if offset.value > 0 else 'bff'}:all"
             self.notes.append("interlaced: odd and even rows show different instants; the video is deinterlaced")
         if (square := self._square(*stored)) != stored:

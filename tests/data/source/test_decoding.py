@@ -241,6 +241,12 @@ def test_progressive_frames_flagged_interlaced_stay_as_they_are(tmp_path):
     assert difference(frames, PICTURES) < 3
 
 
+def test_what_does_not_move_does_not_tell_whether_it_is_interlaced(tmp_path):
+    source = VideoFile(write(tmp_path / "v.mp4", PICTURES[:1] * 12, **INTERLACED))
+    assert source.warnings == ["too little moves in the frames examined to tell whether the video is interlaced"]
+    assert VideoFile(write(tmp_path / "w.mkv", PICTURES[:1] * 12)).warnings == []
+
+
 def test_damage_inside_costs_its_own_frames_and_is_said(tmp_path):
     path = write(tmp_path / "v.mkv", codec="libx264", pix_fmt="yuv420p", gop_size=1, options={"crf": "10"})
     content = bytearray(path.read_bytes())

@@ -20,7 +20,7 @@ import numpy as np
 from av.container import InputContainer
 from av.sidedata.sidedata import Type
 from av.stream import Disposition
-from av.video.reformatter import Interpolation, VideoReformatter
+from av.video.reformatter import ColorTrc, Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
 from palpate.data.source.images import printable, require_pixels
@@ -33,6 +33,8 @@ LARGEST_FPS = 1000.0
 """Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
 LOOKED_AT = 32
 """First frames that are decoded for the frame rate, and for interlacing."""
+PLACES, LOOKED_AT_EACH = 7, 12
+"""Places later in the video, and frames of each, that are searched for motion where the first frames show none."""
 NEIGHBOURS, BESIDE = 7, 2
 """Gaps before and after one of which the median is the step; those that make up for one late time stamp."""
 LATE = 0.6
@@ -46,6 +48,8 @@ SQUARE = 0.005
 INTERLACED_HEIGHTS = frozenset({480, 486, 576, 1080})
 """Heights of the pictures of interlaced television [px]."""
 NO_PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
+HDR = {ColorTrc.SMPTE2084: "PQ", ColorTrc.ARIB_STD_B67: "HLG"}
+"""Transfer characteristics of high dynamic range."""
 
 
 class Timed(NamedTuple, Generic[Kind]):
@@ -210,16 +214,18 @@ class VideoTrack:
 
     def _look(self, container: InputContainer, track: VideoStream) -> None:
         """Find out frame rate, length, size and what is to be done to the pictures."""
-        offset, stamps, flagged, picture, stored = FieldOffset(), set(), False, None, (0, 0)
+        offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
         for frame in islice(self._stored(container, track), LOOKED_AT):
             offset.push(frame)
             stamps.add(_time(frame))
-            flagged = flagged or frame.interlaced_frame
+            flagged, hdr = flagged or frame.interlaced_frame, HDR.get(frame.color_trc, hdr)
             if picture is None:
                 picture, stored = self._picture(frame, VideoReformatter()), (frame.width, frame.height)
         if picture is None:
             return
         self.size = picture.shape[1], picture.shape[0]
+        if offset.value is None:
+            self._look_elsewhere(container, track, offset)
         self._set_rate(sorted(stamps - {None}))
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
@@ -230,6 +236,8 @@ class VideoTrack:
         elif abs(offset.value) > LARGEST_OFFSET:
             self.fields = "bwdif", f"send_frame:{'tff' if offset.value > 0 else 'bff'}:all"
             self.notes.append("interlaced: odd and even rows show different instants; the video is deinterlaced")
+        if hdr:
+            self.notes.append(f"colours are coded for high dynamic range ({hdr}) and read as standard ones")
         if (square := self._square(*stored)) != stored:
             read = "{}x{} are read as {}x{}".format(*stored, *square)
             self.notes.append(f"pixels are not square: pictures of {read}")
@@ -240,6 +248,19 @@ class VideoTrack:
             *_, last = numbered(((stamp, None) for stamp in stamps), 1 / self.fps)
             measured = min(last.number / last.time_s, LARGEST_FPS)
             self.fps = self.fps if abs(self.fps / measured - 1) < STATED else measured
+
+    def _look_elsewhere(self, container: InputContainer, track: VideoStream, offset: FieldOffset) -> None:
+        """Search later places for motion that shows whether the video is interlaced."""
+        begin = max(self._start, self.span[0])
+        for place in range(1, PLACES + 1) if math.isfinite(self._end) else ():
+            offset.skip()
+            with suppress(av.FFmpegError):
+                seconds = begin + (self._end - begin) * place / (PLACES + 1)
+                container.seek(round(seconds * av.time_base))
+                for frame in islice(_decoded(container, track, _Damage()), LOOKED_AT_EACH):
+                    offset.push(frame)
+            if offset.value is not None:
+                return
 
     def _stored(self, container: InputContainer, track: VideoStream) -> Iterator[av.VideoFrame]:
         """Frames of the span as they are stored; fills `_damage`."""

@@ -59,6 +59,10 @@ class FieldOffset:
             pairs = (odd, now.odd - now.even), (odd, even), (odd, odd), (even, even)
             self._sums += [np.vdot(first, second) for first, second in pairs]
 
+    def skip(self) -> None:
+        """Forget the frames before: the next one doesn't follow them."""
+        self._recent.clear()
+
     @property
     def value(self) -> float | None:
         """Offset in frame intervals, positive where even rows come first; None where too little moves."""

@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from av.video.reformatter import ColorRange
+from av.video.reformatter import ColorRange, ColorTrc
 
 from palpate.data.source.decoding import numbered
 from palpate.data.source.frames import Frame, VideoFile
@@ -214,6 +214,11 @@ def test_pixels_become_square(tmp_path, aspect, size):
     assert difference(frames, [cv2.resize(each, size, interpolation=cv2.INTER_CUBIC) for each in PICTURES]) < 3
 
 
+def test_high_dynamic_range_is_said(tmp_path):
+    source = VideoFile(write(tmp_path / "v.mkv", pix_fmt="yuv444p10le", color_trc=ColorTrc.SMPTE2084))
+    assert source.warnings == ["colours are coded for high dynamic range (PQ) and read as standard ones"]
+
+
 def woven(first_rows: int) -> list[np.ndarray]:
     """Frames whose even (0) or odd (1) rows were taken half a frame before the others."""
     frames = [scene(time + 0.5) for time in range(12)]
@@ -245,6 +250,8 @@ def test_what_does_not_move_does_not_tell_whether_it_is_interlaced(tmp_path):
     source = VideoFile(write(tmp_path / "v.mp4", PICTURES[:1] * 12, **INTERLACED))
     assert source.warnings == ["too little moves in the frames examined to tell whether the video is interlaced"]
     assert VideoFile(write(tmp_path / "w.mkv", PICTURES[:1] * 12)).warnings == []
+    later = VideoFile(write(tmp_path / "later.mkv", PICTURES[:1] * 40 + woven(0) * 3))
+    assert later.warnings == ["interlaced: odd and even rows show different instants; the video is deinterlaced"]
 
 
 def test_damage_inside_costs_its_own_frames_and_is_said(tmp_path):

@@ -21,6 +21,8 @@ VIDEO_SUFFIX = re.compile(
     re.IGNORECASE,
 )
 """Endings of the names of video files."""
+MOST_FOLDERS = 5_000
+"""Largest number of folders that a search for clips opens, at a millisecond each; large data sets have hundreds."""
 
 
 def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
@@ -48,6 +50,7 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
     """Clips in a folder and below, in natural order.
 
     Raises:
+        InputError: there are more folders than `MOST_FOLDERS`.
         OSError: the folder can't be listed.
     """
     found: list[Path] = []
@@ -65,6 +68,9 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
             if place in visited or (folder / "run.json").is_file():
                 continue
             visited.add(place)
+            if len(visited) > MOST_FOLDERS:
+                problem = f"holds more than {MOST_FOLDERS} folders, links followed; give those of the clips"
+                raise InputError(f"{printable(top)} {problem}.")
             if is_bag(folder) or frame_files(folder, layout):
                 found.append(folder)
                 continue

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from palpate.data.source import discovery
 from palpate.data.source.discovery import discover
 from palpate.data.source.frames import VideoFile, open_source
 from palpate.data.source.images import read_image
@@ -237,6 +238,18 @@ def test_left_and_right_pictures_in_one_folder_are_named(tmp_path, pattern):
         open_source(tmp_path, LAYOUT)
     source = open_source(tmp_path, ClipLayout(image=left, right=right))
     assert [frame.number for frame in source] == [0, 1, 2]
+
+
+def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
+    """As of a link to `/`; the clips before it are no answer."""
+    monkeypatch.setattr(discovery, "MOST_FOLDERS", 20)
+    for index in range(19):
+        (tmp_path / "many" / f"{index}").mkdir(parents=True)
+    make_folder(tmp_path / "many" / "0", (1, 2))
+    assert discover([tmp_path / "many"], LAYOUT) == [tmp_path / "many" / "0"]
+    (tmp_path / "many" / "elsewhere").symlink_to(tmp_path)
+    with pytest.raises(InputError, match=r"many holds more than 20 folders, links followed; give those of the clips\."):
+        discover([tmp_path / "many"], LAYOUT)
 
 
 @pytest.mark.parametrize(

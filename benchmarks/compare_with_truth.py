@@ -27,7 +27,6 @@ from palpate.common.command_line import say
 from palpate.common.doors import plain
 from palpate.common.files import read_file
 from palpate.common.options import options
-from palpate.common.settings import LARGEST
 from palpate.data.source.table import MOST_BYTES, reason
 from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
 from palpate.physics.mechanics import PARAMETERS
@@ -44,19 +43,6 @@ class NoTruth(ValueError):
     """Results can't be compared with the truth; the message is a sentence."""
 
 
-def true_values(theta: Mapping[str, float]) -> dict[str, float]:
-    """Every REPORTED combination of the true k_s, k_d and signed F.
-
-    Raises:
-        KeyError, TypeError: a number is missing, or there are none.
-        ValueError: one is 0, infinite or no number.
-    """
-    magnitudes = np.abs([float(theta[name]) for name in PARAMETERS])
-    if not ((magnitudes > 0) & (magnitudes <= LARGEST)).all():
-        raise ValueError("theta is to be finite numbers other than 0")
-    return {name: float(np.prod(magnitudes ** np.array(COMBINATIONS[name]))) for name in REPORTED}
-
-
 def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
     """Return a clip's name, the row of `interactions.csv` of its true run of contact, and its true values.
 
@@ -68,23 +54,17 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         clip, fps = Path(record["input"]["path"]), float(record["input"]["fps"])
         text = io.StringIO(read_file(folder / INTERACTIONS, MOST_BYTES).decode("utf-8"), newline="")
         rows = list(csv.DictReader(text))
-        onsets = [float(row["onset_time_s"]) for row in rows]
-        found = [f"{row['verdict']}." if row["status"] == "ok" else f"no estimate. {row['detail']}" for row in rows]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
-        raise NoTruth(f"{folder} holds no results of infer.py ({reason(error)}); give a clip's folder.") from error
-    try:
         truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
-        values, onset = true_values(truth["theta"]), float(truth["onset_s"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise NoTruth(f"{clip} has no truth ({reason(error)}); give results of a clip of data.synthetic.") from error
-    for row, begun in zip(rows, onsets, strict=True):
-        if row["status"] == "ok" and abs(begun - onset) * fps <= SAME_ONSET:
-            return clip.name, row, values
-    runs = " ".join(f"Contact from {begun:.2f} s: {outcome}" for begun, outcome in zip(onsets, found, strict=True))
-    raise NoTruth(
-        f"{folder} has no estimate of a run of contact that begins at {onset:.2f} s, where it truly does. "
-        f"{runs or 'No contact was found.'}"
-    )
+        theta, onset = np.abs([float(truth["theta"][name]) for name in PARAMETERS]), float(truth["onset_s"])
+        begun = [row for row in rows if abs(float(row["onset_time_s"]) - onset) * fps <= SAME_ONSET]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
+        problem = f"holds no results of infer.py on a clip of data.synthetic ({reason(error)})"
+        raise NoTruth(f"{folder} {problem}; give a clip's folder.") from error
+    for row in begun:
+        if row["status"] == "ok":
+            return clip.name, row, {name: float(np.prod(theta ** np.array(COMBINATIONS[name]))) for name in REPORTED}
+    why = " ".join(row["detail"] for row in begun or rows) or "No contact was found."
+    raise NoTruth(f"{folder} has no estimate of the run of contact that truly begins at {onset:.2f} s. {why}")
 
 
 def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> pd.DataFrame:

@@ -7,7 +7,7 @@ import inspect
 import itertools
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -78,25 +78,9 @@ def _reading(kind: Any) -> dict[str, Any]:
         return {"nargs": len(inner), "type": inner[0], "metavar": ("LOW", "HIGH")}
     if get_origin(kind) is Literal:
         return {"choices": inner, "type": type(inner[0])}
-    if len(inner) == 1:
-        return _reading(inner[0])
     if inner:
-        return {"type": _either(inner)}
+        return _reading(inner[0])
     return {"type": path_option if kind is Path else kind, "metavar": kind.__name__.upper()}
-
-
-def _either(kinds: Sequence[Any]) -> Callable[[str], Any]:
-    """Type of an option that is a word of some, or else what its other kind makes of it."""
-    words = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
-    other = next(kind for kind in kinds if get_origin(kind) is not Literal)
-
-    def read(text: str) -> Any:
-        try:
-            return text if text in words else other(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"'{text}' is neither a number nor {' or '.join(words)}") from None
-
-    return read
 
 
 def require_within(settings: Any, **ranges: tuple[float, float]) -> None:

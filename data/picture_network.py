@@ -1,4 +1,4 @@
-"""ONNX networks that take a colour picture, or a pair, for depth and for masks: opened, checked, fed and run."""
+"""ONNX networks that take a colour picture, for depth and for masks: opened, checked, fed and run."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,20 +16,19 @@ _INPUT_TYPES = {f"tensor({name})": dtype for name, dtype in _NUMBERS.items()}
 
 
 class PictureNetwork:
-    """A network in a file that takes one picture, or a stereo pair.
+    """A network in a file that takes one picture.
 
     Args:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
         device: where it runs, one of `common.onnx_devices.DEVICES`.
         raw: whether the network may take 8-bit numbers, which hold no normalised picture.
-        many: how many pictures it takes; 2 for a pair, the left one first.
 
     Raises:
-        InputError: no such file or device, not an ONNX model, or other inputs than these pictures.
+        InputError: no such file or device, not an ONNX model, or other inputs than one picture.
     """
 
-    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False, many: int = 1) -> None:
+    def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu", raw: bool = False) -> None:
         self.path = path
         try:
             session = open_session(str(path), threads, device)
@@ -39,11 +38,10 @@ class PictureNetwork:
             raise InputError(f"{path} {opening_problem(error)}.") from error
         self._session, inputs = session, session.get_inputs()
         types = [name for name, dtype in _INPUT_TYPES.items() if raw or dtype is not np.uint8]
-        if len(inputs) != many or any(len(entry.shape) != 4 or entry.type not in types for entry in inputs):
+        if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in types:
             found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
-            wanted = "one colour picture" if many == 1 else "a left and a right picture"
-            raise InputError(f"{path} takes {found}, and not {wanted}; export it that way.")
-        self._input, self._names = inputs[0], [entry.name for entry in inputs]
+            raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")
+        self._input = inputs[0]
         self.outputs = [entry.name for entry in session.get_outputs()]
         """Names of the network's outputs."""
 
@@ -83,17 +81,16 @@ class PictureNetwork:
             )
         return sides["H"], sides["W"]
 
-    def run(self, tensor: np.ndarray, outputs: Sequence[str] | None = None, *others: np.ndarray) -> list[np.ndarray]:
-        """The named outputs, or all, for an input of `network_input`, and for those of its other pictures.
+    def run(self, tensor: np.ndarray, outputs: Sequence[str] | None = None) -> list[np.ndarray]:
+        """The named outputs, or all, for an input of `network_input`.
 
         Raises:
             InputError: the network fails on it.
         """
         dtype = _INPUT_TYPES[self._input.type]
-        tensors = (np.rint(each).clip(0, 255) if dtype is np.uint8 else each for each in (tensor, *others))
-        given = dict(zip(self._names, (each.astype(dtype) for each in tensors), strict=True))
+        given = (np.rint(tensor).clip(0, 255) if dtype is np.uint8 else tensor).astype(dtype)
         try:
-            return [np.asarray(value) for value in self._session.run(outputs, given)]
+            return [np.asarray(value) for value in self._session.run(outputs, {self._input.name: given})]
         except Exception as error:  # onnxruntime's errors share no base class of their own
             raise InputError(
                 f"{self.path} fails on an input of shape {list(tensor.shape)} ({first_line(error)}); check the size "

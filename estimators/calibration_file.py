@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -50,20 +49,15 @@ class CalibrationFile:
     force_time_s: float | None = None
     """When it acted: in the run of contact under way then, in the clip's time [s]."""
     stiffness: float | None = None
-    """Stiffness k_s of the tissue's sheet of springs, at all contacts."""
+    """Stiffness k_s of the tissue's sheet of springs, at all contacts [N/m]."""
     stiffness_sd: float = 0.0
-    """Its standard deviation."""
-    stiffness_unit: Literal["N/m", "N/scene unit"] = "N/m"
+    """Its standard deviation [N/m]."""
     palpation: str | None = None
     """calibration.json of `palpate calibrate`, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: float | None = None
     """Of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: float = 0.0
-    """Its standard deviation [m]."""
-    metres_per_depth: float | None = None
-    """Length of a unit of the clips' depth [m]; none = as metric depth has it, else not known."""
-    metres_per_depth_sd: float = 0.0
     """Its standard deviation [m]."""
 
     def __post_init__(self) -> None:
@@ -76,8 +70,7 @@ class CalibrationFile:
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        deviations = ("force_sd_N", "stiffness_sd", "thickness_sd_m", "metres_per_depth_sd")
-        values = ("force_N", "stiffness", "thickness_m", "metres_per_depth")
+        values, deviations = ("force_N", "stiffness", "thickness_m"), ("force_sd_N", "stiffness_sd", "thickness_sd_m")
         require_numbers(self, positive=values, not_negative=deviations)
 
 
@@ -114,17 +107,6 @@ class Calibration:
             return self
         return replace(self, measured=KnownForce(*read_wrenches(clip, str(self.path), pictures)))
 
-    def length(self, own: ClipLength) -> ClipLength:
-        """What a scene unit of a clip is, as the file states it, else as the clip itself tells.
-
-        Raises:
-            InputError: as of `ClipLength.stated`.
-        """
-        if self.fields is None or self.fields.metres_per_depth is None:
-            return own
-        stated, sd = self.fields.metres_per_depth, self.fields.metres_per_depth_sd
-        return own.stated(stated, sd / stated, f"metres_per_depth in {self.path.name}", str(self.path))
-
     def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
         """The scale of a clip from its own runs, or from the tissue's stiffness.
 
@@ -154,15 +136,14 @@ class Calibration:
             source = f"known force of {given.force_N:g} N at frame {frame}"
             return scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
         if given.stiffness is not None:
-            source = f"known stiffness of {given.stiffness:g} {given.stiffness_unit}"
-            log_sd, metric = given.stiffness_sd / given.stiffness, given.stiffness_unit == "N/m"
-            return scale_by_stiffness(given.stiffness, log_sd, metric, length, source)
+            source = f"known stiffness of {given.stiffness:g} N/m"
+            return scale_by_stiffness(given.stiffness, given.stiffness_sd / given.stiffness, length, source)
         if self.young is None or given.thickness_m is None:
             raise NoEstimate("Nothing that the file holds tells newtons.")
         young, young_sd = self.young
         log_sd = math.hypot(young_sd, given.thickness_sd_m / given.thickness_m)
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"
-        return scale_by_stiffness(SHEET_FACTOR * young * given.thickness_m, log_sd, True, length, source)
+        return scale_by_stiffness(SHEET_FACTOR * young * given.thickness_m, log_sd, length, source)
 
 
 def read_calibration(path: Path) -> Calibration:

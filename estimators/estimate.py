@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, describe, verdict
+from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
@@ -62,11 +62,6 @@ class Estimate:
     its end [s]; none of either that was not fitted."""
     delays_at_end: bool = False
     """Whether one of them lies at its range's end."""
-    outliers: float | None = None
-    """Share of what was observed that lies so far from the model that it counted less; None where all counts
-    equally."""
-    modes: int = 1
-    """Tissues far apart that explain the motion about as well; mean and covariance are those of all of them."""
     shape: PressShape | None = None
     """Patch, direction and course of the press where they were fitted; None = taken to be a step on one vertex."""
     view_angle: float | None = None
@@ -106,11 +101,10 @@ class Estimate:
 
     @property
     def explanation(self) -> str:
-        """The verdict's reason in words (see physics.identifiability.describe)."""
+        """What verdict and numbers alone don't say."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        described = "" if self.given_verdict else describe(self.verdict_information)
-        return "; ".join(filter(None, (described, BY_LIGHT * self.by_light)))
+        return BY_LIGHT * self.by_light
 
     @property
     def verdict_information(self) -> np.ndarray:
@@ -151,9 +145,6 @@ class Estimate:
                 found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
                 found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
                 found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
-        if (shape := self.shape) is not None:
-            found |= {"press_radius": shape.radius, "press_rise_s": shape.rise, "press_fall_s": shape.fall}
-            found["press_lean_deg"] = math.degrees(math.atan(math.hypot(*shape.lean)))
         if self.information is not None:
             limits = bounds(self.information)
             found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}

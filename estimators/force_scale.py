@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,20 +48,17 @@ class ClipLength:
 
     @classmethod
     def of(cls, clip: ClipStream) -> ClipLength:
-        """As the clip itself tells it; raises as `stated` does."""
-        metres, log_sd, by = clip.metres or (None, 0.0, "")
-        own, stored = cls(clip.scale, metres and clip.scale * metres, log_sd, by), clip.sources["depth"] == "stored"
-        return own.stated(metres, log_sd, by, str(clip.source.path)) if stored and metres else own
-
-    def stated(self, metres: float, log_sd: float, by: str, where: str) -> ClipLength:
-        """The same where a file, named by `where`, states the length of a unit of depth [m].
+        """As the clip itself tells it.
 
         Raises:
-            InputError: tissue would lie nearer or farther away than NEAREST and FARTHEST.
+            InputError: by its camera file tissue would lie nearer or farther away than NEAREST and FARTHEST.
         """
-        if (unit := self.scale * metres) > FARTHEST or unit < NEAREST:
-            raise InputError(f"{where}: by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres.")
-        return replace(self, metres=unit, log_sd=log_sd, by=by)
+        metres, log_sd, by = clip.metres or (None, 0.0, "")
+        unit = None if metres is None else clip.scale * metres
+        if unit is not None and clip.sources["depth"] == "stored" and not NEAREST <= unit <= FARTHEST:
+            said = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
+            raise InputError(f"{clip.source.path}: {said}")
+        return cls(clip.scale, unit, log_sd, by)
 
     @property
     def record(self) -> dict[str, Any]:
@@ -122,8 +119,6 @@ class ForceScale:
     """Where the scale comes from, in words."""
     used: dict[int, float]
     """Weight in g of every run of this clip that determined it, by the number of its first frame."""
-    metric: bool = False
-    """Whether g comes from a stiffness in N/m, and so depends on the length of a scene unit."""
 
     def of(self, run: PressedRun, length: ClipLength) -> Physical:
         """A run in physical units."""
@@ -132,7 +127,9 @@ class ForceScale:
         mean = to_physical @ run.logs + self.log
         if length.metres is not None:
             mean[:2] -= math.log(length.metres)
-        length_error = np.array([self.metric - metric, self.metric - metric, self.metric], np.float64) * length.log_sd
+        # A known stiffness is per metre: what its contacts have per metre doesn't depend on a scene unit's length.
+        known = self.homogeneous == STIFFNESS
+        length_error = np.array([known - metric, known - metric, known], np.float64) * length.log_sd
         weight = self.used.get(run.onset_frame, 0.0)
 
         def spread(own: np.ndarray | None) -> np.ndarray | None:
@@ -228,25 +225,21 @@ def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[K
     return found
 
 
-def scale_by_stiffness(value: float, log_sd: float, metric: bool, length: ClipLength, source: str) -> ForceScale:
+def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: str) -> ForceScale:
     """Scale from the stiffness k_s that the tissue has at all contacts.
 
     Args:
-        value: k_s [N/m, or N per scene unit].
+        value: k_s [N/m].
         log_sd: standard deviation of the stiffness's logarithm.
-        metric: whether the stiffness is in N/m.
         length: length of a scene unit.
         source: where the stiffness comes from, in words.
 
     Raises:
-        NoEstimate: the stiffness is in N/m, and the length of a scene unit isn't known.
+        NoEstimate: the length of a scene unit isn't known.
     """
-    log = math.log(value)
-    if metric:
-        if length.metres is None:
-            raise NoEstimate(
-                "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
-                "give metres_per_depth."
-            )
-        log += math.log(length.metres)
-    return ForceScale(log, log_sd**2, STIFFNESS, source, {}, metric)
+    if length.metres is None:
+        raise NoEstimate(
+            "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
+            "give metres_per_depth in the camera file, or --shaft-diameter."
+        )
+    return ForceScale(math.log(value * length.metres), log_sd**2, STIFFNESS, source, {})

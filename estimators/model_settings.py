@@ -18,10 +18,7 @@ from palpate.models.onnx_session import ExportedModel, ModelFileError
 from palpate.physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
-RETIRED = {
-    **{"geometry.depth_radius": 0, "geometry.min_displacement": 1e-4},
-    **{"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0},
-}
+RETIRED = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}
 """Settings of earlier versions, each with the one value that the program still supports and files may state."""
 
 

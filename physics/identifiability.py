@@ -16,7 +16,6 @@ LIMIT = 0.5
 """A parameter whose bound lies below is identifiable: its one-sigma interval spans less than a factor e."""
 RATIOS = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
 """k_s/k_d and F/k_d in logarithms: what an over-damped response still determines."""
-NAMES = ("k_s", "k_d", "F")
 NOTHING = 1e-9
 """Information below this is rounding: a bound of 30,000."""
 
@@ -97,50 +96,3 @@ def verdict(information: np.ndarray) -> Verdict:
     if (bounds(information) < LIMIT).all():
         return "determined"
     return "ratios" if (ratio_bounds(information) < LIMIT).all() else "undetermined"
-
-
-def principal_directions(information: np.ndarray) -> list[tuple[float, str]]:
-    """Bounds along the eigenvectors of the information, in units of log θ, the best known first, each with its words.
-
-    The bound is infinite where nothing is known.
-    """
-    values, vectors = np.linalg.eigh(information)
-    found = []
-    for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
-        words = in_words(vector * np.sign(vector[np.argmax(np.abs(vector))]))
-        found.append((float(1 / np.sqrt(value)) if value > NOTHING else float("inf"), words))
-    return found
-
-
-def in_words(vector: np.ndarray) -> str:
-    """A direction in log θ as a product of powers, such as `k_s / k_d` or `k_s · k_d · F` (the common scale).
-
-    Exponents are rounded to halves of the largest; those below a quarter of it are left out.
-    """
-    powers = np.rint(2 * np.asarray(vector) / np.max(np.abs(vector))) / 2
-    above = [_power(name, power) for name, power in zip(NAMES, powers, strict=True) if power > 0]
-    below = [_power(name, -power) for name, power in zip(NAMES, powers, strict=True) if power < 0]
-    over = " · ".join(above) or "1"
-    return over if not below else f"{over} / {' / '.join(below)}"
-
-
-def _power(name: str, power: float) -> str:
-    return name if power == 1 else f"√{name}"
-
-
-def describe(information: np.ndarray) -> str:
-    """What is determined and what isn't, such as `F / k_d (to a factor of 1.03) is determined, k_s · k_d · F is not`.
-
-    The factor is the 90 % interval's. Where all three parameters are determined, they are named alone.
-    """
-    directions = principal_directions(information)
-    if verdict(information) == "determined":
-        directions = sorted(zip(bounds(information).tolist(), NAMES, strict=True))
-    known = [f"{words} (to a factor of {np.exp(NINETY * sd):.3g})" for sd, words in directions if sd < LIMIT]
-    unknown = [words for sd, words in directions if sd >= LIMIT]
-    if not unknown:
-        return f"{', '.join(known)} are determined"
-    if not known:
-        return "nothing is determined"
-    verbs = ["is" if len(names) == 1 else "are" for names in (known, unknown)]
-    return f"{', '.join(known)} {verbs[0]} determined, {', '.join(unknown)} {verbs[1]} not"

@@ -34,10 +34,6 @@ class PressCurve:
     """Shape [S] [N]."""
     work: np.ndarray
     """Shape [S] [J]."""
-    skin: Skin
-    """Of the block."""
-    displacement: np.ndarray
-    """Of the skin's vertices where the simulation ended, shape [V, 3] [m]."""
 
     def work_at(self, lengths: np.ndarray) -> np.ndarray:
         """Work of presses so long [m], shape as given [J]; beyond the end no more is done."""
@@ -81,7 +77,7 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
     skin, held = blocked_out(kind, radius)
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
     unit = skin.pressed(np.array([*place, kind.height]), radius, way)
-    material = Material(kind.law, kind.young, kind.poisson)
+    material = Material("corotational", kind.young, kind.poisson)
     lengths, forces, work = [0.0], [0.0], [0.0]
     rest = find_equilibrium(skin.body, material, held)
     shortest, share = 1 / 2, 1.0
@@ -112,5 +108,4 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
         work.append(work[-1] + (forces[-1] + stiffness * left / 2) * left)
         lengths.append(lengths[-1] + left)
         forces.append(forces[-1] + stiffness * left)
-    displacement = skin.shares @ rest.displacement
-    return PressCurve(np.array(lengths), np.array(forces), np.array(work), skin, displacement)
+    return PressCurve(np.array(lengths), np.array(forces), np.array(work))

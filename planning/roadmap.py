@@ -6,7 +6,7 @@ way to the cost, and whole ways are compared by the pair of cost and way. Afterw
 lowers this price.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from palpate.planning.cost_table import CostTable
-from palpate.planning.scene import Placed, PlanScene
+from palpate.planning.scene import PlanScene
 
 NODES, NEIGHBOURS = 300, 10
 MILLI = 1000.0
@@ -56,24 +56,6 @@ class Plan:
         return self.cost, self.way
 
 
-@dataclass(frozen=True, eq=False)
-class Presses:
-    """M lines that meet one piece of tissue."""
-
-    kind: str
-    piece: Placed
-    lines: np.ndarray
-    """Which, shape [M]."""
-    places: np.ndarray
-    """Where the tissue is touched, in the block's frame, shape [M, 2] [m]."""
-    angles: np.ndarray
-    """Of the ways there, shape [M] [rad]."""
-    reached: np.ndarray
-    """How far along its line each touches, shape [M] [m]."""
-    lengths: np.ndarray
-    """How far each presses, shape [M] [m]."""
-
-
 class EdgeCosts:
     """Costs of straight lines in a scene."""
 
@@ -83,36 +65,28 @@ class EdgeCosts:
         """Lines through tissue whose cost was asked for."""
 
     def deformation(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ]."""
-        total = np.zeros(len(starts))
-        for obstacle in self.scene.obstacles:
-            total[np.isfinite(obstacle.met(starts, ends, self.scene.tip_radius))] = np.inf
-        for found in self.presses(starts, ends):
-            self.crossings += len(found.lines)
-            work = MILLI * self.tables[found.kind].cost(found.places, found.angles, found.lengths)
-            total[found.lines] += np.round(work, DIGITS)
-        return total
-
-    def presses(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[Presses]:
-        """What lines [K, 2] → [K, 2] press, for every piece of tissue that any of them meets.
+        """Work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ].
 
         A line that leaves the tissue behind it has pushed it as far as it goes.
         """
+        total, radius = np.zeros(len(starts)), self.scene.tip_radius
+        for obstacle in self.scene.obstacles:
+            total[np.isfinite(obstacle.met(starts, ends, radius))] = np.inf
         lengths = np.linalg.norm(ends - starts, axis=1)
         for kind, piece in self.scene.pieces:
-            gone = piece.met(starts, ends, self.scene.tip_radius)
+            gone = piece.met(starts, ends, radius)
             which = np.flatnonzero(np.isfinite(gone))
             if not len(which):
                 continue
+            self.crossings += len(which)
             way = (ends[which] - starts[which]) / lengths[which, None]
-            reached = gone[which]
-            tip = piece.inside_frame(starts[which] + reached[:, None] * way)
-            place = np.clip(tip, -piece.half, piece.half)
+            tip = piece.inside_frame(starts[which] + gone[which, None] * way)
             turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)
-            through = piece.clearance(ends[which]) >= self.scene.tip_radius
-            longest = self.tables[kind].lengths[-1]
-            pressed = np.where(through, longest, lengths[which] - reached)
-            yield Presses(kind, piece, which, place, turn, reached, pressed)
+            table, through = self.tables[kind], piece.clearance(ends[which]) >= radius
+            pressed = np.where(through, table.lengths[-1], lengths[which] - gone[which])
+            work = MILLI * table.cost(np.clip(tip, -piece.half, piece.half), turn, pressed)
+            total[which] += np.round(work, DIGITS)
+        return total
 
     def plan(self, places: np.ndarray) -> Plan:
         """What a way costs, its places [P, 2] given."""

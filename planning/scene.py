@@ -45,7 +45,6 @@ class SoftObject:
     """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
     """Of the mesh along width, thickness and height, of quadratic elements."""
-    law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
 
     def __post_init__(self) -> None:
         if not all(SIZES[0] <= size <= SIZES[1] for size in self.size):

@@ -1,4 +1,4 @@
-"""Forces and verdicts of a clip, and wrenches that were measured, as a bag of ROS that the library `rosbags` writes."""
+"""Forces and verdicts of a clip as a bag of ROS that the library `rosbags` writes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.data.source.bags import WRENCHES, is_bag, read_topic, time_stamps
+from palpate.data.source.bags import WRENCHES
 from palpate.data.source.frames import FrameSource
 from palpate.results.forces import ENDS, RELATIVE
 from palpate.results.store import BAGS
@@ -18,20 +18,16 @@ from palpate.results.store import BAGS
 WRENCH = WRENCHES[0]
 
 
-def write_bag(
-    kind: str, source: FrameSource, measured: Path | None, folder: Path, contacts: Sequence[Mapping[str, Any]]
-) -> None:
+def write_bag(kind: str, source: FrameSource, folder: Path, contacts: Sequence[Mapping[str, Any]]) -> None:
     """Write a bag; where no force is known there is no message.
 
     Args:
         kind: of BAGS, which names the file.
         source: the clip, on whose clock the messages are.
-        measured: topic of wrenches, copied where the clip is a bag that has it.
         folder: where to write it.
         contacts: as forces.json has them.
 
     Raises:
-        InputError: the clip is a bag that can't be read again.
         OSError: the file can't be written.
     """
     from rosbags import rosbag1, rosbag2
@@ -39,7 +35,6 @@ def write_bag(
 
     old, types = kind == "ros1", get_typestore(Stores.ROS2_HUMBLE).types
     store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
-    copied = list(read_topic(source.path, str(measured), WRENCHES)) if is_bag(source.path) else []
 
     def wrench(stamp: int, frame_id: str, force: np.ndarray) -> Any:
         time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
@@ -47,8 +42,6 @@ def write_bag(
         return types[WRENCH](types["std_msgs/msg/Header"](time, frame_id), types["geometry_msgs/msg/Wrench"](*vectors))
 
     def messages() -> Iterator[tuple[int, str, Any]]:
-        stamps = time_stamps(copied, str(measured)).tolist()
-        yield from ((stamp, str(measured), each) for stamp, (_, each) in zip(stamps, copied, strict=True) if each)
         for run in contacts:
             name = f"/palpate/{'relative_force' if run['unit'] == RELATIVE else 'force'}"
             along = run["direction"]

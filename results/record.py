@@ -22,7 +22,6 @@ from palpate.data.source.images import MOST_BYTES
 from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
-from palpate.estimators.network.estimator import FAST, SELDOM
 from palpate.estimators.records import FrameEstimate
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
 from palpate.results import columns
@@ -122,7 +121,6 @@ def build_record(
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *([WARNINGS["coded"].format(lag=results.lag)] if results.lag else []),
-            *(_left_out(clip) if causes["estimator"].get("rate") == FAST else []),
             *([_unexported(results)] if results.unexported else []),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
@@ -135,11 +133,6 @@ def build_record(
 
 def _unexported(results: ClipResults) -> str:
     return WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
-
-
-def _left_out(clip: ClipStream) -> list[str]:
-    """What the rate fast leaves out of a clip, in sentences."""
-    return [SELDOM] if clip.guesses_depth or clip.sources["masks"] == "automatic" else []
 
 
 def warnings_of(

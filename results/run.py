@@ -114,7 +114,7 @@ class Batch:
             options |= {"fields": self.fields, "export": self.options.export}
             options["waits"] = self.estimator.name in ("direct", "network")
             if self.options.bag is not None:
-                options["bag"] = functools.partial(write_bag, self.options.bag, source, self.options.force_scale)
+                options["bag"] = functools.partial(write_bag, self.options.bag, source)
             if isinstance(self.estimator, NetworkEstimator):
                 options["seconds"] = known_seconds(self.estimator)
                 if self.options.force_limit is not None:
@@ -124,7 +124,7 @@ class Batch:
                 clip, started = ClipStream(source, self.settings), time.perf_counter()
                 length = ClipLength.of(clip)
                 if newtons is not None:
-                    newtons.length = length = newtons.calibration.length(length)
+                    newtons.length = length
                 diameter = self.options.shaft_diameter
                 if diameter is not None and length.metres is not None:
                     raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")

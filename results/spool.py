@@ -1,5 +1,6 @@
 """Frames that wait on disk until it is known what is to be drawn on them; memory does not grow with their number."""
 
+import pickle
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,39 +34,28 @@ class FrameSpool:
 
     def __init__(self, folder: Path) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (closed by `close`)
-        self._entries: list[tuple[FrameEstimate, int, int]] = []
+        self._estimates: list[FrameEstimate] = []
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self._estimates)
 
     def add(self, frame: Waiting) -> None:
         """Append a frame."""
-        image = None if frame.image is None else cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
-        picture = self._write(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-        labels = self._write(".png", frame.labels, [])
-        self._entries.append((frame.estimate, picture, labels))
+        bgr = None if frame.image is None else cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
+        image = None if bgr is None else cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+        pickle.dump((image, frame.labels), self._file)
+        self._estimates.append(frame.estimate)
 
     def drain(self) -> Iterator[Waiting]:
         """All frames, once; the spool is empty then."""
-        entries, self._entries = self._entries, []
+        estimates, self._estimates = self._estimates, []
         self._file.seek(0)
-        for estimate, picture, labels in entries:
-            image = self._read(picture, cv2.IMREAD_COLOR_RGB)
-            yield Waiting(image, self._read(labels, cv2.IMREAD_UNCHANGED), estimate)
+        for estimate in estimates:
+            image, labels = pickle.load(self._file)
+            yield Waiting(None if image is None else cv2.imdecode(image, cv2.IMREAD_COLOR_RGB), labels, estimate)
         self._file.seek(0)
         self._file.truncate()
 
     def close(self) -> None:
         """Forget all."""
         self._file.close()
-
-    def _write(self, suffix: str, pixels: np.ndarray | None, options: list[int]) -> int:
-        """How many bytes pixels became; 0 = there were none."""
-        if pixels is None:
-            return 0
-        encoded = cv2.imencode(suffix, pixels, options)[1].tobytes()
-        self._file.write(encoded)
-        return len(encoded)
-
-    def _read(self, size: int, kind: int) -> np.ndarray | None:
-        return cv2.imdecode(np.frombuffer(self._file.read(size), np.uint8), kind) if size else None

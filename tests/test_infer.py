@@ -26,7 +26,6 @@ from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import SHAFT_RADIUS
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.network.estimator import SELDOM
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.store import BAGS
@@ -287,7 +286,6 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done, sy
     # The noise is what was put in, and the relief that a plane around every pixel leaves.
     assert 0.9 * SCENE.depth_noise < float(row["noise"]) < 1.3 * SCENE.depth_noise
     assert 0.3 < float(row["misfit"]) < 1.5
-    assert "determined" in row["explanation"]
 
 
 def test_every_frame_has_a_row_the_record_says_what_was_done_and_the_picture_shows_it(done):
@@ -420,9 +418,15 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
         assert f"reached the limit {limit} in scene units" in flat(capsys.readouterr().err)
     assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
     capsys.readouterr()
-    (tmp_path / "known.yaml").write_text("stiffness: 8.0\nstiffness_unit: N/scene unit\n")
+    told = json.loads((synthetic / "video01_00000" / "clip.json").read_text())
+    told["camera"]["metres_per_depth"] = 0.1
+    shutil.copytree(synthetic, tmp_path / "clips")
+    (tmp_path / "clips" / "video01_00000" / "clip.json").write_text(json.dumps(told))
+    metres = 0.1 * record(folder)["scale"]["depth_at_1"]
+    (tmp_path / "known.yaml").write_text(f"stiffness: {8.0 / metres}\n")
     given = ["--force-scale", str(tmp_path / "known.yaml"), "--overwrite"]
-    assert infer.main([*arguments, "0.5", *given]) == 0  # 20 N a unit: 1 N
+    assert infer.main([str(tmp_path / "clips"), *arguments[1:], "0.5", *given]) == 0  # 20 N a unit: 1 N
+    (folder,) = tmp_path.glob("video01_00000-*")
     assert record(folder)["force_limit"]["unit"] == "N"
     assert record(folder)["force_limit"]["alarms"] == 1
 
@@ -759,14 +763,6 @@ def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one
     assert several(tmp_path / "only", inputs, tmp_path / "out") == 0
     assert clips_in(tmp_path / "out") == ["a", "b"]
     assert sorted(tables(tmp_path / "out").values()) == sorted(one_by_one.values())
-
-
-def test_what_fast_leaves_out_is_said_of_the_clips_that_it_concerns(inputs, tmp_path):
-    options = ["--output", str(tmp_path), "--rate", "fast", "--no-overlay"]
-    assert infer.main([str(inputs / "clips"), *options]) == 0
-    plain, stored = (record(tmp_path / name)["warnings"] for name in ("drawn", "folder"))
-    assert SELDOM in plain
-    assert SELDOM not in stored
 
 
 def test_two_workers_of_a_scheduler_give_the_same_tables(

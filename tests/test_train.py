@@ -35,12 +35,6 @@ from tests.tables import read_rows
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
 pytestmark = pytest.mark.filterwarnings("ignore:LightningCLI's args parameter")
 CHECKOUT = Path(__file__).resolve().parents[1]
-BILLIONS = (
-    b"model: {a: &a [x,x,x,x,x,x,x,x,x]"
-    + b"".join(b", %c: &%c [%s]" % (name, name, b",".join([b"*%c" % (name - 1)] * 9)) for name in b"bcdefghijk")
-    + b"}"
-)
-"""Three billion values in 500 bytes."""
 TERMS = ("gan", "cycle", "identity", "physics", "regularisation")
 
 
@@ -253,12 +247,11 @@ def test_a_bad_configuration_gets_a_sentence(config: Path, tmp_path: Path, capsy
         (b"model: [1", "parsing"),
         (bytes(range(128, 256)), "is not a configuration"),
         ("model: {width: 4}".encode("utf-16"), "is not a configuration"),
-        (b"model: {width: &a [*a]}", "is not a configuration (its references have no end); correct the file"),
+        (b"model: {width: &a [*a]}", "is not a configuration (it refers to an anchor; write out"),
         (b"model: {width: !!timestamp x}", "is not a configuration"),
         (b"", "is not a configuration; write a mapping"),
         (b"model: " + b"[" * 5000, "nests too deeply"),
         (b"model: {width: " + b"[" * 20 + b"]" * 20 + b"}", "nests too deeply, or holds a number out of range"),
-        (BILLIONS, "is not a configuration (its references have no end); correct the file"),
         (b"model: {width: " + b"9" * 400 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {width: 0x" + b"f" * 5000 + b"}", "nests too deeply, or holds a number out of range"),
         (b"model: {learning_rate: .inf}", "nests too deeply, or holds a number out of range"),

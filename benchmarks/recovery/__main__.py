@@ -42,7 +42,6 @@ NAMES = tuple(sorted(OF_THETA))
 """Estimators in the order of tables."""
 LARGEST_SIZE = 4096
 """Of pictures [px]."""
-LEAST_SEEN = 3
 """Fewer frames after the onset are refused by `direct`."""
 SHOWN_FAILURES = 8
 KINDS = ("press", "grip")
@@ -69,8 +68,8 @@ class Benchmark(Experiment):
     """another seed gives other clips"""
     split: Literal["training", "validation", "test"] = "test"
     """stream of seeds"""
-    seen: int | Literal["press"] | None = None
-    """only the first N frames after the onset are observed, or with 'press' those in contact (default: one second)"""
+    seen: Literal["press"] | None = None
+    """only the frames in contact are observed (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
     """when direct and network take a press to begin, and who knows the instants of the Cramér–Rao bound: at a frame's
     stamp (as in most suites) or between"""
@@ -89,8 +88,6 @@ class Benchmark(Experiment):
         strange = [name for name in self.suite if name not in (*EVERY, "all")]
         if strange:
             raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
-        if isinstance(self.seen, int) and self.seen < LEAST_SEEN:
-            raise ValueError(f"--seen {self.seen} is too little; give at least {LEAST_SEEN} frames, or press.")
         if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
             raise ValueError(
                 f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from palpate.data.depth.preset import DepthPreset, fitting_presets
+from palpate.data.depth.preset import DepthPreset
 from palpate.data.picture_network import PictureNetwork, network_input, resized
 from palpate.data.source.layout import InputError
 
@@ -114,8 +114,7 @@ class DepthModel:
             InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.
         """
         self.path, self.preset = path, preset
-        many = 2 if preset.kind == "disparity" else 1
-        self.network = PictureNetwork(path, threads=threads, device=device, raw=True, many=many)
+        self.network = PictureNetwork(path, threads=threads, device=device, raw=True)
         self._fixed = self._fixed_size()
         self._outputs = [self._named_output(preset.output)]
         if preset.focal_output:
@@ -130,25 +129,21 @@ class DepthModel:
             digest.update(f"{weights.name}:{weights.stat().st_size}".encode())
         return f"{self.preset.name}:{self.preset.identity}:{digest.hexdigest()}"
 
-    def raw(self, image: np.ndarray, *right: np.ndarray) -> RawDepth:
+    def raw(self, image: np.ndarray) -> RawDepth:
         """Output of the network for one picture, resized to it bilinearly.
 
         Args:
             image: RGB uint8, shape [H, W, 3].
-            right: of a stereo network the right picture, likewise; its output is then in the picture's pixels.
 
         Raises:
             InputError: the model fails on the picture, or gives something that is not a depth map.
         """
         height, width = image.shape[:2]
         placement = place(height, width, self.preset, self._fixed)
-        first, *others = (preprocess(each, self.preset, placement) for each in (image, *right))
-        results = self.network.run(first, self._outputs, *others)
+        results = self.network.run(preprocess(image, self.preset, placement), self._outputs)
         values = self._crop(np.asarray(results[0], np.float32), placement)
         # Resized in the network's own quantity, as the networks' authors do: inverse depth stays piecewise linear.
         values = cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
-        if self.preset.kind == "disparity":
-            values = np.abs(values) * np.float32(width / placement.columns)
         focal = self._focal_length(results[1], placement) if self.preset.focal_output else None
         if self.preset.canonical_focal_px is not None:
             values = values * np.float32(placement.columns / self.preset.canonical_focal_px)
@@ -181,11 +176,9 @@ class DepthModel:
         for name in outputs:
             if name in accepted or (not accepted and len(outputs) == 1):
                 return name
-        fitting = " or ".join(fitting_presets(outputs))
-        remedy = f"give {fitting}, which reads these" if fitting else "write a preset (docs/reports/depth.md)"
         raise InputError(
             f"{self.path} has the outputs {', '.join(outputs)}, and not {' or '.join(accepted) or 'one alone'}, what "
-            f"depth preset {self.preset.name} expects; {remedy}."
+            f"depth preset {self.preset.name} expects; give another, or write one (docs/reports/depth.md)."
         )
 
     def _fixed_size(self) -> tuple[int, int] | None:

@@ -102,8 +102,6 @@ def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource)
         return PhotometricDepth()
     path, preset = resolve_model(kind, settings.model, settings.preset)
     model = DepthModel(path, preset, threads=settings.threads, device=settings.device)
-    if preset.kind == "disparity":
-        return StereoDepth(layout, source, model)
     camera = clip_camera(source.path, layout)
     return ModelDepth(
         model,

@@ -1,7 +1,6 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
 import dataclasses
-from collections.abc import Collection
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
@@ -22,14 +21,13 @@ class DepthPreset:
 
     name: str
     """Name in messages, in the cache key and in run.json."""
-    kind: Literal["metric", "relative", "inverse", "relative_inverse", "canonical_inverse", "disparity"]
+    kind: Literal["metric", "relative", "inverse", "relative_inverse", "canonical_inverse"]
     """Meaning of the output D̂; `factor` multiplies it first.
     metric: depth D = D̂ [m].
     relative: depth up to one scale that holds for the whole clip, D = D̂.
     inverse: D = 1/D̂.
     relative_inverse: D = 1/(a·D̂ + b), with a and b from near, far and the clip's frozen range of D̂.
-    canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w).
-    disparity: of a stereo network, which takes the left and the right picture: |D̂| is in pixels of its input."""
+    canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w)."""
     obtain: str = ""
     """How to obtain the ONNX file, printed when it is missing."""
     output: str | tuple[str, ...] = ()
@@ -86,7 +84,7 @@ class DepthPreset:
     @property
     def metric(self) -> bool:
         """Whether depth is in metres."""
-        return self.kind in ("metric", "canonical_inverse", "disparity")
+        return self.kind in ("metric", "canonical_inverse")
 
     @property
     def identity(self) -> str:
@@ -98,17 +96,6 @@ class DepthPreset:
 def preset_names() -> list[str]:
     """Names of the shipped presets."""
     return sorted(path.stem for path in PRESET_FOLDER.glob("*.yaml"))
-
-
-def fitting_presets(outputs: Collection[str]) -> list[str]:
-    """Names of the shipped presets that read most of a network's outputs, and none that it lacks."""
-    found = {}
-    for name in preset_names():
-        preset = load_preset(name)
-        wanted = [(each,) if isinstance(each, str) else each for each in (preset.output, preset.focal_output) if each]
-        if wanted and all(set(each) & set(outputs) for each in wanted):
-            found[name] = len(wanted)
-    return [name for name, count in found.items() if count == max(found.values())]
 
 
 def load_preset(name: str | Path) -> DepthPreset:

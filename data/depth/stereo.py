@@ -1,4 +1,4 @@
-"""Depth from a stereo pair, in metres: what rectifies it, and its disparity by semi-global matching or a network.
+"""Depth from a stereo pair, in metres: what rectifies it, and its disparity by semi-global matching.
 
 Semi-global matching (Hirschmüller 2008, "Stereo processing by semiglobal matching and mutual information"; OpenCV's, in
 three directions) finds disparities at a working size, and one step of Lucas and Kanade along the rows refines them.
@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.common.files import digest_of
 from palpate.common.robust import trimmed_fit
-from palpate.data.depth.model import DepthModel, RawDepth
+from palpate.data.depth.model import RawDepth
 from palpate.data.depth.sources import FARTHEST, DepthSource, check_map, positive
 from palpate.data.source.camera import Camera, Rig, Undistortion, clip_camera
 from palpate.data.source.frames import Frame, FrameSource, open_source
@@ -158,12 +158,11 @@ class StereoDepth(DepthSource):
 
     depends_on_clip = True
 
-    def __init__(self, layout: ClipLayout, source: FrameSource, model: DepthModel | None = None) -> None:
+    def __init__(self, layout: ClipLayout, source: FrameSource) -> None:
         """
         Args:
             layout: says where the right pictures are.
             source: the left ones.
-            model: a stereo network in place of semi-global matching.
 
         Raises:
             InputError: nothing says where the right pictures are, or how far apart the cameras.
@@ -178,12 +177,11 @@ class StereoDepth(DepthSource):
         self._clip, self._layout, self._size, self._pattern = clip, layout, source.size, layout.right
         self._rectification = Rectification(rig.scaled(*source.size), rig)
         self._baseline_log_sd = rig.baseline_sd / math.hypot(*rig.offset)
-        self.network = model and model.network
-        self._match = SemiGlobal(source.size) if model is None else lambda *pair: positive(model.raw(*pair).values)
+        self._match = SemiGlobal(source.size)
         self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
         self._seconds, self._second = iter(()), math.inf
         self._disparity_sd = DISPARITY_SD
-        self.identity = f"stereo:{digest_of([repr(rig), layout.right, model and model.identity])[:16]}"
+        self.identity = f"stereo:{digest_of([repr(rig), layout.right])[:16]}"
         first = next((frame for frame in source if frame.image is not None), None)
         self._moved = None if first is None else self._onto_rows(first)
 
@@ -250,8 +248,7 @@ class StereoDepth(DepthSource):
         """Fix the range of disparities that are sought, and the uncertainty of the depth's scale."""
         found = np.concatenate([self._rectification.product / raw.values[raw.values > 0] for raw in samples])
         low, high = np.quantile(found, QUANTILES) * WIDENED
-        if self.network is None:
-            self._match = SemiGlobal(self._size, (float(low), float(high)))
+        self._match = SemiGlobal(self._size, (float(low), float(high)))
         if (away := self._rectification.product / np.median(found)) > FARTHEST:
             said = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
             raise InputError(f"Tissue of {printable(self._clip)} {said}.")

@@ -9,6 +9,6 @@ sequence  clouds or depth with a tool's poses, as sequence.yaml names them; sequ
         clouds: files of points
 bags    what bags of ROS hold: pictures, their camera, forces
 lerobot names of the videos in LeRobot data sets
-camera  intrinsics, back-projection, removal of lens distortion; camera_formats: files of OpenCV, ROS, Kalibr, SCARED
+camera  intrinsics, back-projection, removal of lens distortion; camera_formats: files of OpenCV, ROS, SCARED
 images  image files by their bytes, and paths as text; table: columns of numbers; video: a video file to write
 """

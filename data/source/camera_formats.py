@@ -1,4 +1,4 @@
-"""Camera files of OpenCV, ROS, Kalibr and SCARED, recognised by their content and turned into this project's keys."""
+"""Camera files of OpenCV, ROS and SCARED, recognised by their content and turned into this project's keys."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ def own_entries(entries: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     held = entries.get("camera-calibration", entries)  # SCARED's JSON
     known = {str(name).lower(): value for name, value in held.items()} if isinstance(held, dict) else {}
     for keys, program, read in (
-        (("cam0",), "Kalibr", _kalibr),
         (("camera_matrix",), "OpenCV or ROS", _single),
         (("k", "d"), "ROS", _single),
         (("m1", "d1"), "OpenCV", _pair),
@@ -91,21 +90,3 @@ def _beside(rotation: Any, translation: Any) -> dict[str, Any]:
     moved = np.array(_numbers(translation, 3))
     metres = moved / 1000 if np.abs(moved).max() > LARGEST_BASELINE else moved
     return {"rotation": _numbers(rotation, 9), "translation": metres.tolist()}
-
-
-def _kalibr(known: Mapping[str, Any]) -> dict[str, Any]:
-    """Kalibr's camchain: cam0, and cam1 as the right camera."""
-
-    def camera(name: str) -> dict[str, Any]:
-        each = known[name]
-        if each.get("camera_model", "pinhole") != "pinhole":
-            raise InputError(f"has the camera model {shown(each['camera_model'])}; calibrate as pinhole-radtan.")
-        fx, fy, cx, cy = _numbers(each["intrinsics"], 4)
-        matrix = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
-        return _camera(matrix, each.get("distortion_coeffs", []), *each["resolution"], each.get("distortion_model", ""))
-
-    found = camera("cam0")
-    if "cam1" not in known:
-        return found
-    pose = np.array(_numbers(known["cam1"]["T_cn_cnm1"], 16)).reshape(4, 4)
-    return found | {"right": camera("cam1")} | _beside(pose[:3, :3], pose[:3, 3])

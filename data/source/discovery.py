@@ -33,8 +33,6 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     """
     clips: dict[Path, None] = {}
     for given in map(Path, inputs):
-        if str(given).startswith("camera:"):
-            raise InputError(f"{given} is a live camera; give its number to palpate live, or record a video file.")
         try:
             file_of(given).stat()
             found = _search(given, layout) if given.is_dir() else [given]

@@ -1,9 +1,6 @@
 """Image files by their bytes, and paths as text."""
 
 import os
-import threading
-from collections.abc import Generator
-from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 # Messages of the decoder about broken files would hide the error message of this project.
@@ -24,8 +21,6 @@ MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
 LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
 """Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
-_STDERR_LOCK = threading.Lock()
-"""Lets one thread at a time redirect descriptor 2, else one would restore what another has put there."""
 _PIXEL_LIMIT = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
 """End of the error message about a picture that is too large."""
 
@@ -68,28 +63,13 @@ def decode_image(
     image = None
     if not _truncated(content):
         try:
-            with _silence():
-                image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
                 raise InputError(f"{named} is more than {_PIXEL_LIMIT}.") from error
     if image is None:
         raise InputError(f"{named} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
-
-
-@contextmanager
-def _silence() -> Generator[None]:
-    """Discard what libpng prints to descriptor 2 by itself; an error message of this project reports the damage."""
-    with _STDERR_LOCK, ExitStack() as after:
-        with suppress(OSError):  # the shell may have closed it
-            kept = os.dup(2)
-            after.callback(os.close, kept)
-            after.callback(os.dup2, kept, 2)
-            nothing = os.open(os.devnull, os.O_WRONLY)
-            after.callback(os.close, nothing)
-            os.dup2(nothing, 2)
-        yield
 
 
 def require_pixels(named: str, width: int, height: int) -> None:

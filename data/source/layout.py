@@ -7,7 +7,6 @@ import dataclasses
 import inspect
 import itertools
 import json
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -38,8 +37,6 @@ FRAME_RATES = (1e-6, 1e4)
 """Lowest and highest frame rate of a clip [1/s]."""
 LARGEST_OPENING_PX = 1001
 """Largest `mask_opening_px` [px]."""
-MOST_YAML_VALUES = 100_000
-"""Largest number of values of a YAML file once its references are unfolded; a file without references has fewer."""
 MOST_JSON_BYTES, MOST_YAML_BYTES = 2**24, 2**17
 """Largest JSON file (the time stamps of hours) and largest YAML file (read in seconds) [bytes]."""
 
@@ -171,7 +168,8 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     is_json = path.suffix.lower() == ".json"
     try:
         text = read_file(path, MOST_JSON_BYTES if is_json else MOST_YAML_BYTES).decode("utf-8-sig")
-        values = json.loads(text) if is_json else _unfolded(text)
+        # OpenCV begins its files with %YAML:.
+        values = json.loads(text) if is_json else yaml.load(text.replace("%YAML:", "%YAML ", 1), _Loader)
     except OSError as error:
         raise InputError(f"{path} can't be read as {meaning} ({error.strerror}); check the path.") from error
     except RecursionError as error:
@@ -185,7 +183,7 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader that refuses names given twice, and mappings which merging others into them makes endless."""
+    """A safe loader that refuses names given twice, and references, which may unfold without end."""
 
     def compose_mapping_node(self, anchor: dict[Any, yaml.Node]) -> yaml.MappingNode:
         node = super().compose_mapping_node(anchor)
@@ -194,39 +192,15 @@ class _Loader(yaml.SafeLoader):
             raise ValueError(f"it gives {max(names, key=names.count)[:40]} twice")
         return node
 
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        super().flatten_mapping(node)
-        if len(node.value) > MOST_YAML_VALUES:
-            raise ValueError("its references have no end")
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise ValueError("it refers to an anchor; write out what that stands for")
+        return super().compose_node(parent, index)
 
 
 _Loader.add_constructor(
     "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
 )
-
-
-def _unfolded(text: str) -> Any:
-    """Content of a YAML text.
-
-    Raises:
-        ValueError: its references unfold to more than `MOST_YAML_VALUES`, or one holds itself.
-        yaml.YAMLError, RecursionError: the text is not YAML, or nests too deeply.
-    """
-    values = yaml.load(text.replace("%YAML:", "%YAML ", 1), _Loader)  # so OpenCV begins its files
-    if _count(values, {}) > MOST_YAML_VALUES:
-        raise ValueError("its references have no end")
-    return values
-
-
-def _count(value: Any, known: dict[int, float]) -> float:
-    """Number of values in a value with all references unfolded; infinite where one holds itself."""
-    if not isinstance(value, (dict, list)):
-        return 1
-    if id(value) not in known:
-        known[id(value)] = math.inf  # until all that it holds is counted
-        inner = value.values() if isinstance(value, dict) else value
-        known[id(value)] = 1 + sum(_count(each, known) for each in inner)
-    return known[id(value)]
 
 
 def read_clip_file(clip: Path) -> dict[str, Any]:

@@ -17,9 +17,6 @@ from palpate.data.source.frames import Frame, FrameSource, VideoFile
 from palpate.data.source.images import picture_size
 from palpate.data.source.layout import InputError
 
-STALLED = 2.0
-"""A source that gives no picture for so long is said to have stalled [s]."""
-
 
 class LiveSource(FrameSource):
     """Pictures as they come. Whoever iterates again goes on with the pictures of then.
@@ -40,8 +37,8 @@ class LiveSource(FrameSource):
     ) -> None:
         self.name, self.path, self.fps, self.max_latency = name, Path(name), fps, max_latency
         self.length, self.warnings = 0, []
-        self.dropped = self.stalls = 0
-        """Pictures that were dropped, and how often the source stalled."""
+        self.dropped = 0
+        """Pictures that were dropped."""
         self.came: dict[int, float] = {}
         """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
         self._pictures, self._clocked = pictures, clocked
@@ -98,8 +95,7 @@ class LiveSource(FrameSource):
         index, first, begun = 0, 0, 0.0
         while True:
             with self._changed:
-                while not self._waiting and not self._ended:
-                    self.stalls += not self._changed.wait(STALLED) and not self._waiting
+                self._changed.wait_for(lambda: self._waiting or self._ended)
                 if not self._waiting:
                     if self._error is not None:
                         raise self._error
@@ -142,13 +138,12 @@ def open_live(
     elif clocked:
         if where.isdecimal() and len(where) > 4:
             raise InputError(f"{where[:20]} is no camera's number; give one such as 0.")
-        camera = int(where) if where.isdecimal() else where
         name = f"camera {where}" if where.isdecimal() else where
-        capture = cv2.VideoCapture(camera)
+        capture = cv2.VideoCapture(int(where) if where.isdecimal() else where)
         if not capture.isOpened():
             raise InputError(f"{name} can't be opened; check that it is there and not in use.")
         stated = capture.get(cv2.CAP_PROP_FPS)
-        pictures, rate = _captured(camera, capture), fps or (stated if 0 < stated <= LARGEST_FPS else 25.0)
+        pictures, rate = _captured(capture), fps or (stated if 0 < stated <= LARGEST_FPS else 25.0)
     else:
         if not Path(where).is_file():
             raise InputError(f"{where} is no file, stream or camera; give a path, an address, a camera's number, or -.")
@@ -159,19 +154,11 @@ def open_live(
     return LiveSource(name, islice(pictures, 0, None, every), rate / every, max_latency, clocked=clocked)
 
 
-def _captured(camera: int | str, capture: cv2.VideoCapture) -> Generator[np.ndarray]:
-    """Pictures of a camera or stream; one that has gone is looked for again for a while."""
-    last = time.monotonic()
+def _captured(capture: cv2.VideoCapture) -> Generator[np.ndarray]:
+    """Pictures of a camera or stream until it has gone."""
     try:
-        while time.monotonic() - last < 30.0:
-            picture = capture.read()[1] if capture.isOpened() else None
-            if picture is not None:
-                last = time.monotonic()
-                yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-            else:
-                capture.release()
-                time.sleep(0.5)
-                capture = cv2.VideoCapture(camera)
+        while (picture := capture.read()[1]) is not None:
+            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     finally:
         capture.release()
 

@@ -33,9 +33,6 @@ TIP_MARGIN_PX = 12.0
 """Least distance of the tip from the picture's border [grid px]."""
 REGION_LINE_OFFSET, REGION_LINE_HALF_WIDTH = (-4.0, 10.0), 2.0
 """Range of the distance between the grip and the line between two regions, and half the width of the step [grid px]."""
-BREATHING_PERIOD, LARGEST_SHEAR = (2.0, 4.0), 0.6
-"""Range of the period of breathing [s]; largest difference between the picture's edges in how far they move, as a share
-of the motion of its middle."""
 APPROACH_LENGTH = (15.0, 45.0)
 """Range of the distance between the contact vertex and where the tool's approach begins [grid px]."""
 
@@ -79,7 +76,6 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
         steps = SUBSTEPS * (settings.frames - 1 - onset)
         targets = path(np.arange(1, steps + 1) / steps)
         moved[onset:], reaction[onset:] = _integrate(scene, log_stiffness, anchor, relaxation, targets)
-    moved += _draw_breathing(scene, times, generator)
     field = _in_space(scene, moved)
     return GrippedMotion(
         onset_frame=onset,
@@ -148,18 +144,6 @@ def _draw_regions(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     across = right * math.cos(angle) + down * math.sin(angle) - offset
     log = math.log(scene.settings.regions) / 2 * np.tanh(across / REGION_LINE_HALF_WIDTH)
     return log - log[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX].mean()
-
-
-def _draw_breathing(scene: Scene, times: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Affine motion of the background since the first frame, shape [F, h, w, 2] [grid px]."""
-    height, width = scene.mesh.grid_shape
-    size, period = generator.uniform(*scene.settings.breathing), generator.uniform(*BREATHING_PERIOD)
-    phase, angle = generator.uniform(0, 2 * np.pi, 2)
-    swing = np.sin(2 * np.pi * times / period + phase) - math.sin(phase)
-    places = np.moveaxis(np.mgrid[:height, :width], 0, -1) / width - 0.5
-    shear = generator.uniform(-LARGEST_SHEAR, LARGEST_SHEAR, (2, 2))
-    shape = np.array([math.cos(angle), math.sin(angle)]) + places @ shear
-    return size / 2 * swing[:, None, None, None] * shape
 
 
 def _integrate(

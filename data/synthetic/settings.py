@@ -57,8 +57,6 @@ class SceneSettings:
     """Damping over foundation of gripped tissue, drawn log-uniformly [s]."""
     regions: Annotated[float, 1, 100] = 1.0
     """Stiffness of gripped tissue on one side of a line near the grip, divided by that on the other."""
-    breathing: Annotated[Range, 0, 20] = (0.0, 0.0)
-    """Distance over which breathing carries all tissue of a grip to and fro, drawn uniformly [grid px]."""
     patch_radius: Annotated[Range, 0, 20] = (0.0, 0.0)
     """A press acts on the vertices nearer than this, as 1 - (r/R)², R drawn uniformly [grid px]; 0 = on the contact
     vertex alone."""

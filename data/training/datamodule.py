@@ -95,7 +95,7 @@ class ClipDataModule(LightningDataModule):
             self.left_out += reasons
         if not found:
             raise InputError(self._nothing_found())
-        places, warning = split_samples(clips, found, self.samples, self.loading)
+        places, warning = split_samples(clips, found, self.loading)
         if warning:
             rank_zero_warn(f"{self.root} {warning}")
         if not places["train"]:
@@ -206,17 +206,14 @@ class ClipDataModule(LightningDataModule):
 
     def _nothing_found(self) -> str:
         """Error message about a data set without samples."""
-        counts = sum((clip.counts for clip in self.clips), Counter())
-        statuses = _listed(counts)
-        if not counts["ok"]:
+        statuses = _listed(sum((clip.counts for clip in self.clips), Counter()))
+        if "ok" not in statuses:
             return (
                 f"{self.root} has no frame in contact ({statuses}); check masks and classes, or raise "
                 "geometry.contact_pixels or geometry.contact_distance."
             )
-        reasons = _listed(self.left_out)
-        trajectory = self.samples.observation == "trajectory"
-        remedy = "choose data.samples.observation final" if trajectory else "record longer contact"
-        return f"{self.root} has {counts['ok']} frames in contact and no sample of them ({reasons}); {remedy}."
+        remedy = "record longer contact, or choose data.samples.observation final"
+        return f"{self.root} has frames in contact and no sample of them ({_listed(self.left_out)}); {remedy}."
 
     def _loader(self, split: str, *, shuffle: bool) -> DataLoader:
         dataset = SampleDataset(self.clips, self.places[split], self.samples)

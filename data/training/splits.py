@@ -11,7 +11,6 @@ import numpy as np
 
 from palpate.data.cache import PreparedClip
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.data.training.samples import SampleSettings
 
 SPLITS = ("train", "val", "test")
 """Names of the splits."""
@@ -140,7 +139,7 @@ def split_in_time(items: Sequence[Item], fractions: Sequence[float]) -> dict[str
 
 
 def split_samples(
-    clips: Sequence[PreparedClip], found: Sequence[Place], settings: SampleSettings, loading: LoadingSettings
+    clips: Sequence[PreparedClip], found: Sequence[Place], loading: LoadingSettings
 ) -> tuple[dict[str, list[Place]], str]:
     """Samples of each split: as named, else by video, or in time where there are fewer than three videos with samples.
 
@@ -155,8 +154,7 @@ def split_samples(
         chosen = split_by_video(videos, loading.fractions, loading.seed)
         by_video = list(zip(found, videos, strict=True))
         return {split: [place for place, video in by_video if video in names] for split, names in chosen.items()}, ""
-    parts = split_in_time(_units(clips, found, settings), loading.fractions)
-    places = {split: [place for unit in part for place in unit] for split, part in parts.items()}
+    places = split_in_time(found, loading.fractions)
     counted = "1 video" if count == 1 else f"{count} videos"
     warning = (
         f"has samples of {counted}, fewer than {LEAST_VIDEOS}: it is split in time, so the splits show the same "
@@ -165,17 +163,3 @@ def split_samples(
     if not places["val"]:
         warning += " It has too few samples to validate; record more contact."
     return places, warning
-
-
-def _units(clips: Sequence[PreparedClip], found: Sequence[Place], settings: SampleSettings) -> list[list[Place]]:
-    """Groups that a split in time keeps together: single samples, or whole runs of contact where there are enough.
-
-    A trajectory's samples share their observation.
-    """
-    if settings.observation == "trajectory":
-        runs: dict[Place, list[Place]] = {}
-        for clip, frame in found:
-            runs.setdefault((clip, int(clips[clip].track_start[frame])), []).append((clip, frame))
-        if len(runs) >= len(SPLITS):
-            return list(runs.values())
-    return [[place] for place in found]

@@ -15,7 +15,6 @@ from palpate.estimators.direct.problem import (
     Optimum,
     apart,
     combine,
-    count_modes,
     distinct,
     evenly_spread,
     evidence_shares,
@@ -64,7 +63,6 @@ def concluded(
         shape=motion.shape(mean),
         information=information[:3, :3],
         expected_information=trusted,
-        modes=count_modes(optima, prior),
         noise=problem.sigma,
         misfit=problem.misfit(best.logs),
         largest_misfit=1.5,
@@ -72,7 +70,6 @@ def concluded(
         delays=tuple((motion.within * delays).tolist()),
         delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
         view_angle=view_angle(problem.contact),
-        outliers=problem.outliers,
     )
     if not is_oblique(found):
         return found

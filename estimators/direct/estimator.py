@@ -169,8 +169,6 @@ def doubts(found: Estimate, bounds: Bounds) -> str:
             # An oblique one was widened by its misfit.
             + ("." if oblique else ", so the uncertainties are too small.")
         )
-    if found.modes > 1:
-        sentences.append(f"{found.modes} kinds of tissue far apart explain the motion; the intervals span them all.")
     if found.delays_at_end:
         sentences.append(
             "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."

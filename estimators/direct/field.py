@@ -106,8 +106,6 @@ class SequenceProblem(LeastSquares):
         if outliers:
             apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)
             weight = np.minimum(1.0, OUTLIER / np.maximum(apart, OUTLIER)) ** 2
-        self.outliers = float(((weight < 1) & self.seen).sum() / max(self.seen.sum(), 1))
-        """Share of what is observed that counts less."""
         self._known = None
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 

@@ -24,9 +24,6 @@ APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
 TOLERANCE = 1e-6
 MOST_EVALUATIONS = 60
-LEAST_MODE, MODES_APART = 0.05, 3.0
-"""Optima are modes of the posterior from such a share of the likeliest one's evidence on, if they lie so many standard
-deviations of their difference from all likelier ones."""
 
 
 class ContactProblem(Likelihood):
@@ -177,23 +174,6 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
     shared = zip(shares, optima, strict=True)
     within = sum(share * np.linalg.inv(optimum.information + prior) for share, optimum in shared)
     return mean, within + apart, optima[int(np.argmax(shares))]
-
-
-def count_modes(optima: Sequence[Optimum], prior: np.ndarray) -> int:
-    """How many of the optima hold a part of the evidence and lie apart from each other; arguments as in `combine`."""
-    shares, kept = evidence_shares(optima, prior), list[Optimum]()
-    for index in np.argsort(-shares):
-        own = optima[index]
-        if shares[index] < LEAST_MODE:
-            break
-        spread = np.linalg.inv(own.information + prior)
-        for other in kept:
-            joint, away = spread + np.linalg.inv(other.information + prior), own.logs - other.logs
-            if away @ np.linalg.solve(joint, away) <= MODES_APART**2:
-                break
-        else:
-            kept.append(own)
-    return len(kept)
 
 
 def distinct(optima: Sequence[Optimum]) -> list[Optimum]:

@@ -30,10 +30,6 @@ FULL, FAST = RATES = ("full", "fast")
 """What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
 """By the rate fast, as of `PrepareSettings.every`."""
-SELDOM = (
-    f"By --rate fast, depth that is guessed is found in one frame of {FAST_EVERY} and kept in between; automatic "
-    "masks, too, which move along with the picture."
-)
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."

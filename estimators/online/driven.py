@@ -113,12 +113,11 @@ class DrivenTissue:
         sd, known = self.alone.known(self.session.fields, among)
         return sd, known & stretched & (self.alone.skill >= LEAST_SKILL)
 
-    def gripped_places(self, moved: np.ndarray, nearer: float = 0.0) -> np.ndarray | None:
+    def gripped_places(self, moved: np.ndarray) -> np.ndarray | None:
         """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are visible.
 
         Args:
             moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
-            nearer: how far the tissue there has come nearer to the camera than at rest [scene units].
         """
         seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
         if len(seen) < LEAST_GRIPPED:
@@ -129,7 +128,7 @@ class DrivenTissue:
         weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
         motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
         surface, gripped = self.surface, self.surface.gripped
-        return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2] - nearer)
+        return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2])
 
     def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
@@ -139,7 +138,7 @@ class DrivenTissue:
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
-            cloud: of the frame, where clouds are compared.
+            cloud: of the frame, where there is one.
             led: where tissue is led, places of the gripped particles, shape [G, 3] [scene units].
         """
         found = self._taken(moved, cloud, led)
@@ -166,12 +165,11 @@ class DrivenTissue:
 
     def _taken(self, moved: np.ndarray, cloud: Cloud | None, places: np.ndarray | None) -> Frame:
         if not self._led:
-            places = self.gripped_places(moved, 0.0 if cloud is None else self._nearer(moved, cloud[0]))
+            places = self.gripped_places(moved)
         matches: list[Match] = []
         if places is not None:
             self._places = places
-            if self.settings.match != "chamfer":
-                matches += self._tracks(moved, self.session.positions)
+            matches += self._tracks(moved, self.session.positions)
             if cloud is not None and all(map(len, cloud)):
                 matches.append(Chamfer(*cloud))
         seen_around = moved[self.around] if places is not None else np.full_like(moved[self.around], np.nan)
@@ -232,13 +230,3 @@ class DrivenTissue:
         else:
             depth = (self._shares @ positions)[:, 2]
         return [Tracks(self._shares, self.surface.lift(places, depth))]
-
-    def _nearer(self, moved: np.ndarray, cloud: np.ndarray) -> float:
-        """How much nearer to the camera than at rest the cloud is around the instrument, the median [scene units]."""
-        seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
-        if len(seen) == 0 or len(cloud) == 0:
-            return 0.0
-        upper = self.surface.seen
-        rest = self.surface.body.rest[upper, 2][KDTree(self.surface.pixels[upper]).query(self._points[seen])[1]]
-        now = cloud[:, 2][KDTree(self.surface.project(cloud)).query(self._points[seen] + moved[seen])[1]]
-        return float(np.median(rest - now))

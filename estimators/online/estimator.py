@@ -14,18 +14,17 @@ import numpy as np
 
 from palpate.common.robust import affine_motion
 from palpate.data.contact.tissue_points import grid_to_picture
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.camera import back_project
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.online.driven import Cloud, DrivenTissue
+from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.estimators.online.surface import facing, make_surface
+from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
@@ -88,16 +87,13 @@ class _Followed:
         follower = self._follower
         follower.step(picture, labels == TOOL)
         moved = follower.moved
-        if self._settings.background == "subtract":
-            still = without_background(follower.points, moved, follower.distance)
-            motion, places = moved - still, self._driven.surface.pixels
-            known = np.asarray(np.isfinite(motion).all(axis=1))
-            self._background = np.zeros_like(places)
-            if known.any():
-                self._background = affine_motion(follower.points, motion, known, places)
-            moved = still
-        cloud = None if self._settings.match == "tracks" else self._cloud(frame)
-        self._gap = self._driven.step(moved, cloud).gap
+        still = without_background(follower.points, moved, follower.distance)
+        motion, places = moved - still, self._driven.surface.pixels
+        known = np.asarray(np.isfinite(motion).all(axis=1))
+        self._background = np.zeros_like(places)
+        if known.any():
+            self._background = affine_motion(follower.points, motion, known, places)
+        self._gap = self._driven.step(still).gap
         self._times.append(frame.frame.time_s)
 
     @property
@@ -136,22 +132,6 @@ class _Followed:
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
         fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
         return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
-
-    def _cloud(self, frame: PreparedFrame) -> Cloud:
-        """The frame's tissue, shape [m, 3] [scene units], evenly thinned out, and particles that the camera sees."""
-        height, width = frame.depth.shape
-        tissue = (frame.labels == TISSUE) & (frame.depth > 0)
-        cloud = back_project(frame.depth, self._clip.camera.scaled(width, height))[tissue]
-        some = np.linspace(0, len(cloud) - 1, min(len(cloud), self._settings.points)).round().astype(int)
-        surface, states = self._driven.surface, self._driven.session.positions
-        view = surface.camera.height, surface.camera.width
-        upper = surface.seen
-        pixels = grid_to_picture(surface.project(states[upper]), view, (width, height)).round()
-        inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
-        column, row = np.clip(pixels, 0, (width - 1, height - 1)).astype(int).T
-        shown = inside & (frame.labels[row, column] == TISSUE)  # and not behind a tool
-        shown &= facing(states, surface.body.rest, surface.faces)[upper]
-        return cloud[some], upper[shown]
 
 
 class OnlineSession(RunSession):

@@ -23,8 +23,6 @@ from palpate.physics.pbd.body import make_body
 
 PIXELS = 12.0
 """Between particles: followed points of a video at 600 particles have about as many."""
-OF_VIDEO = ("match", "background")
-"""Settings that a sequence's own file stands for."""
 
 
 class SequenceTissue:
@@ -32,17 +30,13 @@ class SequenceTissue:
 
     Args:
         sequence: that fits together.
-        settings: how; those OF_VIDEO are as usual.
+        settings: how.
 
     Raises:
         InputError: a file can't be used, nothing lies in the boxes of pins, or no tissue can be made of the cloud.
     """
 
     def __init__(self, sequence: Sequence, settings: OnlineSettings) -> None:
-        where = printable(sequence.path)
-        for name in OF_VIDEO:
-            if getattr(settings, name) != getattr(OnlineSettings, name):
-                raise InputError(f"{name} in --settings is for videos; leave it out, {where} tells it.")
         self._sequence, (self._begin, cloud) = sequence, sequence.first
         self.unseen = self._begin - sequence.gripped[0]
         """Frames so far without tissue in their clouds, in which the tool holds it."""
@@ -52,10 +46,8 @@ class SequenceTissue:
         self._points = None if sequence.points is None else moved(sequence.points, self._view)
         rest = np.empty((0, 3)) if self._points is None else self._points[self._begin]
         self._followed = np.flatnonzero(np.isfinite(rest).all(axis=1))
-        match = "both" if len(self._followed) else "chamfer"
-        how = dataclasses.replace(settings, match=match, background="keep")
         pixels = np.pad(self.surface.project(rest[self._followed]), ((0, 0), (0, 1)))
-        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), how, led=True)
+        self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), settings, led=True)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
         """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import require_numbers
 from palpate.data.source.layout import from_mapping, read_mapping
 from palpate.estimators.online.objective import Bounds, Mapping, Objective, Weights
 from palpate.estimators.online.session import Method
@@ -45,13 +44,8 @@ class OnlineSettings:
     """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
     thickness: float | None = None
     """Of the tissue along its surface's normal [scene units]; None = a sheet."""
-    match: Literal["tracks", "chamfer", "both"] = "tracks"
-    """What the state is taken to: followed points across the line of sight, the cloud of its depth, or both. What is
-    reported of stiffness comes of followed points whatever this is."""
     points: int = 9000
-    """At most so many of a cloud (Liang 2024, section III)."""
-    background: Literal["subtract", "keep"] = "subtract"
-    """Whether the affine motion of the tissue farthest from the instrument, a moving camera's, is taken off."""
+    """At most so many of a sequence's cloud (Liang 2024, section III)."""
     strain: float = 0.03
     """Stiffness can be known only where an edge was once longer or shorter than at rest by more than this share."""
     fitted: int = 5
@@ -75,7 +69,6 @@ class OnlineSettings:
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        require_choices(self)
         if not LEAST_PARTICLES <= self.particles <= MOST_PARTICLES:
             raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
         if self.thickness is not None and not self.thickness > 0:
@@ -89,10 +82,6 @@ class OnlineSettings:
             begun, bound = getattr(self.start, name), getattr(self.bounds, name)
             if not begun < bound:
                 raise ValueError(f"the start of {name} is {begun:g}, its bound {bound:g}; begin inside.")
-        if self.match != "tracks" and self.background == "subtract":
-            raise ValueError(
-                f"match {self.match} compares clouds, which show the camera's motion, too; give background keep."
-            )
 
 
 def load_settings(path: Path) -> OnlineSettings:

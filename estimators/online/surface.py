@@ -166,15 +166,3 @@ def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) 
         said = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
         raise NoEstimate(f"{said}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))
-
-
-def facing(points: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Particles of a triangle whose side towards the camera is that of rest, shape [N], bool.
-
-    Args:
-        points: positions, shape [N, 3], of a camera at the origin that looks along z [scene units].
-        rest: positions at rest, where all of the sheet is seen, shape [N, 3].
-        faces: triangles, shape [F, 3].
-    """
-    same = np.linalg.det(points[faces]) * np.linalg.det(rest[faces]) > 0  # of corners: which side the origin is on
-    return np.isin(np.arange(len(points)), faces[same])

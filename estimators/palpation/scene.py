@@ -53,8 +53,6 @@ class SceneFile:
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     cells: int = 8
     """Of the mesh along the surface's longest side."""
-    law: Literal["linear", "corotational", "neo_hookean", "stable_neo_hookean"] = "corotational"
-    """The material's."""
     young: float = 1e4
     """E to begin at [Pa]."""
     poisson: float = 0.3
@@ -108,8 +106,6 @@ class Scene:
     """Which components of the nodes are fixed, shape [N, 3], bool."""
     palpations: list[Palpation]
     settings: FitSettings
-    notes: tuple[str, ...]
-    """What was odd about the surface."""
 
 
 def read_scene(path: Path) -> Scene:
@@ -145,7 +141,7 @@ def read_scene(path: Path) -> Scene:
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
-    return Scene(skin, held, palpations, FitSettings(scene.law, scene.young, scene.poisson), meshed.notes)
+    return Scene(skin, held, palpations, FitSettings(young=scene.young, poisson=scene.poisson))
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:

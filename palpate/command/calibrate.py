@@ -54,8 +54,6 @@ def main(arguments: list[str] | None = None) -> int:
 def _palpation(options: argparse.Namespace, console: Console) -> int:
     path, output = options.scene, options.output
     scene = read_scene(path)
-    for note in scene.notes:
-        say(console, f"surface: {note}", "yellow")
     make_output(output)  # before what takes minutes
     try:
         problem = scene.skin, scene.held, scene.palpations, scene.settings

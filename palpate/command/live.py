@@ -176,7 +176,7 @@ class JsonLines:
         return (
             f"{self._frames} frames, {self._frames / seconds:.1f} a second; their first lines were {first[0]:.0f} ms "
             f"late in the median and {first[1]:.0f} at the 95th percentile, decided ones {last[0]:.0f} and "
-            f"{last[1]:.0f}; {self.source.dropped} were dropped, the source stalled {self.source.stalls} times."
+            f"{last[1]:.0f}; {self.source.dropped} were dropped."
         )
 
 

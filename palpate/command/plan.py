@@ -4,7 +4,7 @@
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
-cost, the tissue pushed aside and the forces along both.
+cost.
 
 A scene with a mesh is planned in space, past a body of any shape and through a port: its road map is kept in the cache
 for other starts, goals, moduli and limits. Writes plan.json, and path.csv: times, poses and expected forces. Not a
@@ -26,9 +26,8 @@ from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import open_tables
-from palpate.planning.pictures import Pressed, draw_plan, force_along
-from palpate.planning.press import simulate_press
-from palpate.planning.roadmap import MILLI, EdgeCosts, Plan, find_plan
+from palpate.planning.pictures import draw_plan
+from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
 from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, waypoints
@@ -91,20 +90,18 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     seconds = time.perf_counter() - begun
     direct = find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables))
     direct = costs.plan(direct.places)
-    ways = {"planned": (plan, _simulated(costs, plan)), "shortest": (direct, _simulated(costs, direct))}
-    numbers = {name: _numbers(*way) for name, way in ways.items()}
+    ways = {"planned": plan, "shortest": direct}
+    numbers = {name: _numbers(way) for name, way in ways.items()}
     record: dict[str, Any] = {"alpha": scene.alpha, "plan": numbers["planned"], "shortest": numbers["shortest"]}
     record |= {"query_s": round(seconds, 4), "lines_through_tissue": costs.crossings}
-    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, largest_force N"
+    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way"
     with writing(output):
         write_own(output / NAMES[0], as_json(record, indent=1) + "\n")
         with replacing_own(output / NAMES[1]) as partial:
             draw_plan(scene, ways).savefig(partial, dpi=110)
     for name, found in numbers.items():
-        print(
-            f"{name}: cost {found['cost']:.2f} (deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm), "
-            f"largest force {found['largest_force']:.2f} N"
-        )
+        told = f"deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm"
+        print(f"{name}: cost {found['cost']:.2f} ({told})")
     say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
     return 0
 
@@ -133,22 +130,7 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Consol
     return 0
 
 
-def _simulated(costs: EdgeCosts, plan: Plan) -> list[Pressed]:
-    """The presses of a way."""
-    scene, starts, ends = costs.scene, plan.places[:-1], plan.places[1:]
-    gone = np.cumsum(np.linalg.norm(ends - starts, axis=1)) - np.linalg.norm(ends - starts, axis=1)
-    presses = []
-    for found in costs.presses(starts, ends):
-        kind = scene.objects[found.kind]
-        for row, line in enumerate(found.lines):
-            curve = simulate_press(kind, scene.tip_radius, found.places[row], float(found.angles[row]))
-            begin, length = float(gone[line] + found.reached[row]), float(found.lengths[row])
-            presses.append(Pressed(found.kind, found.piece, kind.height, curve, begin, length))
-    return presses
-
-
-def _numbers(plan: Plan, presses: list[Pressed]) -> dict[str, Any]:
+def _numbers(plan: Plan) -> dict[str, Any]:
     """Of a way, as the record has them."""
     numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
-    numbers["largest_force"] = float(force_along(presses, plan.way / MILLI)[1].max())
     return {"places": np.round(plan.places, 6).tolist()} | numbers

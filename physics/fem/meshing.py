@@ -136,14 +136,12 @@ class NoBody(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Meshed:
-    """Tetrahedra, and what was odd about the surface."""
+    """Tetrahedra that fill a surface."""
 
     nodes: np.ndarray
     """Shape [N, 3] [m]."""
     tetrahedra: np.ndarray
     """Corners, shape [E, 4], of positive volume."""
-    notes: tuple[str, ...]
-    """Sentences on what was repaired or left out."""
 
 
 def mesh_surface(
@@ -172,14 +170,9 @@ def mesh_surface(
     """
     vertices, triangles = _checked(vertices, triangles)
     corners = vertices[triangles]
-    area = areas(corners)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     spacing = float((high - low).max()) / cells
-    whole = area > 1e-9 * spacing**2
-    notes: list[str] = []
-    if not whole.all():
-        notes.append(f"{np.count_nonzero(~whole)} triangles without area were left out.")
-    corners = corners[whole]
+    corners = corners[areas(corners) > 1e-9 * spacing**2]
     if not len(corners):
         raise NoBody("the surface has no triangle with an area; give one that has.")
     if floor is not None and floor[1] > low[floor[0]]:
@@ -194,23 +187,21 @@ def mesh_surface(
         raise NoBody("the surface encloses nothing; give a closed one, or more cells.")
     if floor is not None:
         inside &= centres[..., floor[0]] > floor[1]
-    places, tetrahedra = fill_cells(_largest_part(inside, notes))
+    places, tetrahedra = fill_cells(_largest_part(inside))
     drawn = functools.partial(_drawn, corners=corners, samples=samples, floor=floor)
     nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
         nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
         nodes = drawn(nodes, tetrahedra)
-    return Meshed(nodes, tetrahedra, tuple(notes))
+    return Meshed(nodes, tetrahedra)
 
 
-def _largest_part(inside: np.ndarray, notes: list[str]) -> np.ndarray:
-    """The most cells that hang together, shape [I, J, K], bool; a note says what was left out."""
+def _largest_part(inside: np.ndarray) -> np.ndarray:
+    """The most cells that hang together, shape [I, J, K], bool."""
     parts, count = label(inside)
     if count < 2:
         return inside
-    sizes = np.bincount(parts.ravel())[1:]
-    notes.append(f"{sizes.sum() - sizes.max()} of {sizes.sum()} cells hang apart and were left out.")
-    return parts == 1 + int(np.argmax(sizes))
+    return parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

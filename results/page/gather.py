@@ -70,15 +70,9 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         "found": contacts,
         "length": record["units"].get("length", ""),
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "advice": [(warning, advice(warning)) for warning in record["warnings"]],
         "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "curves": _curves(record, frames, contacts),
     }
-
-
-def advice(warning: str) -> str:
-    """What to do about a warning of run.json."""
-    return next((what for words, what in TEXTS["warnings"].items() if words in warning), TEXTS["other_warning"])
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:

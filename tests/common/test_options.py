@@ -28,7 +28,7 @@ class Squares(Written):
     """limit, 100 %"""
     ends: tuple[float, float] = (0.0, 1.0)
     """range"""
-    seen: int | Literal["press"] | None = None
+    seen: Literal["press"] | None = None
     """frames"""
     sum: int = field(init=False, default=0)
 
@@ -44,7 +44,7 @@ def test_options_are_the_fields_of_the_dataclass_and_its_bases(capsys: pytest.Ca
     assert told() == Squares(Path("x"))
     every = told("--numbers", "1", "2", "--fine", "--most=0.5", "--unit-name", "mm", "--numbers", "3")
     assert (every.numbers, every.fine, every.most, every.unit_name) == ((1, 2, 3), True, 0.5, "mm")
-    assert (told("--seen", "3").seen, told("--seen", "press").seen) == (3, "press")
+    assert told("--seen", "press").seen == "press"
     assert told("--ends", "-2", "3").ends == (-2.0, 3.0)
     with pytest.raises(SystemExit) as stop:
         told("--help")
@@ -61,7 +61,7 @@ def test_options_are_the_fields_of_the_dataclass_and_its_bases(capsys: pytest.Ca
         (["--most", "2"], "--most: 2.0 is more than 1"),
         (["--unit-name", "cm"], "cm"),
         (["--numbers", "one"], "one"),
-        (["--seen", "one"], "'one' is neither a number nor press"),
+        (["--seen", "one"], "invalid choice: 'one'"),
         (["--strange", "1"], "--strange"),
         (["--fine", "--most", "1", "2"], "2"),
         (["--output", ""], "is empty"),

@@ -12,7 +12,7 @@ import yaml
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import Calibration, read_calibration
 from palpate.estimators.estimate import NINETY, NoEstimate
-from palpate.estimators.force_scale import MASS, SHEET_FACTOR, ClipLength
+from palpate.estimators.force_scale import MASS, SHEET_FACTOR
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}
@@ -49,10 +49,8 @@ def test_measured_forces_tell_the_scale_where_they_are_known(tmp_path: Path) -> 
 
 
 def test_a_known_stiffness_has_its_unit(tmp_path: Path) -> None:
-    scene = read(tmp_path, stiffness=16.0, stiffness_sd=1.6, stiffness_unit="N/scene unit").scale([], UNKNOWN)
-    assert (math.exp(scene.log), scene.variance) == pytest.approx((16.0, 0.01))
-    metric = read(tmp_path, stiffness=80.0).scale([], METRIC)
-    assert math.exp(metric.log) == pytest.approx(80 * 0.2)
+    metric = read(tmp_path, stiffness=80.0, stiffness_sd=8.0).scale([], METRIC)
+    assert (math.exp(metric.log), metric.variance) == pytest.approx((80 * 0.2, 0.01))
     assert metric.source == "known stiffness of 80 N/m"
 
 
@@ -71,20 +69,6 @@ def test_palpations_tell_the_stiffness_of_a_sheet(tmp_path: Path) -> None:
         read(tmp_path, palpation="calibration.json", thickness_m=0.004)
 
 
-def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
-    stated = read(tmp_path, **FORCE, metres_per_depth=0.1, metres_per_depth_sd=0.01).length(
-        ClipLength(2.0, 2.0, by="stereo")
-    )
-    assert (stated.metres, stated.log_sd) == pytest.approx((0.2, 0.1))
-    with pytest.raises(InputError, match="by metres_per_depth 100 tissue is 80 m away; give metres"):
-        read(tmp_path, **FORCE, metres_per_depth=100).length(ClipLength(0.8))
-    with pytest.raises(InputError, match=r"by metres_per_depth 0\.001 tissue is 0\.0008 m away; give metres"):
-        read(tmp_path, **FORCE, metres_per_depth=0.001).length(ClipLength(0.8))
-    bare = read(tmp_path, **FORCE)
-    assert bare.length(ClipLength(2.0, 2.0, by="stereo")).metres == 2.0
-    assert bare.length(ClipLength(2.0)).metres is None
-
-
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
@@ -94,7 +78,6 @@ def test_a_stated_length_goes_before_the_depth_s_own(tmp_path: Path) -> None:
         ({**FORCE, "force_N": -1.0}, "force_N is -1.0; give a positive number."),
         ({**FORCE, "force_sd_N": -1.0}, "force_sd_N is -1.0; give 0 or more."),
         ({"palpation": "a.json"}, "palpation and thickness_m belong together; give both."),
-        ({"stiffness": 3.0, "stiffness_unit": "kN"}, "stiffness_unit"),
         ({"newtons": 3.0}, "has the unknown key 'newtons'"),
         ({"palpation": "no.json", "thickness_m": 0.1}, "no.json can't be read as a palpation's calibration.json"),
     ],

@@ -71,15 +71,13 @@ def test_several_known_forces_count_by_how_well_they_are_known() -> None:
 
 def test_a_stiffness_in_newtons_a_metre_needs_a_length_and_carries_its_error_once() -> None:
     with pytest.raises(NoEstimate, match="give metres_per_depth"):
-        scale_by_stiffness(80.0, 0.1, True, UNKNOWN, "a stiffness")
+        scale_by_stiffness(80.0, 0.1, UNKNOWN, "a stiffness")
     length = ClipLength(0.2, 0.2, log_sd=0.3)
-    told = scale_by_stiffness(80.0, 0.1, True, length, "a stiffness").of(OTHER, length)
+    told = scale_by_stiffness(80.0, 0.1, length, "a stiffness").of(OTHER, length)
     assert np.exp(told.logs) == pytest.approx([80.0, 80 * 0.05 / 0.8, 80 * 0.2 * 0.05 / 0.8])
     assert told.covariance[0, 0] == pytest.approx(0.1**2)  # as it was given, whatever the length
     over = SPREAD[0, 0] + SPREAD[2, 2] - 2 * SPREAD[0, 2]
     assert told.covariance[2, 2] == pytest.approx(0.1**2 + over + 0.3**2)
-    here = scale_by_stiffness(16.0, 0.1, False, UNKNOWN, "a stiffness").of(OTHER, UNKNOWN)
-    assert np.exp(here.logs[[0, 2]]) == pytest.approx([16.0, 1.0])
 
 
 def test_a_run_that_the_model_does_not_explain_or_that_has_no_estimate_tells_no_scale() -> None:

@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from palpate.planning.press import PressCurve, blocked_out
+from palpate.planning.press import PressCurve
 from palpate.planning.scene import SoftObject
 
 
 def quick_press(kind: SoftObject, radius: float, place: np.ndarray, angle: float) -> PressCurve:
     """As `planning.press.simulate_press`, the same everywhere."""
-    skin = blocked_out(kind, radius)[0]
     lengths = np.array([0, kind.longest])
-    return PressCurve(lengths, lengths, 5 * lengths, skin, np.zeros_like(skin.vertices))
+    return PressCurve(lengths, lengths, 5 * lengths)

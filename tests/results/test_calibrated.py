@@ -75,8 +75,8 @@ def test_a_frame_s_force_has_an_upper_end_in_newtons_once_a_scale_is_known(tmp_p
     assert told.upper_force(GOOD.estimate) == pytest.approx(2.0 * math.exp(1.6449 * log_sd), rel=1e-4)
     assert told.upper_force(dataclasses.replace(GOOD.estimate, misfit=2.0)) is None
     assert told.upper_force(dataclasses.replace(GOOD.estimate, covariance=np.eye(3))) is None
-    stiff = calibrated(tmp_path, stiffness=5.0, stiffness_unit="N/scene unit")
-    stiff.length = UNKNOWN
+    stiff = calibrated(tmp_path, stiffness=5.0)
+    stiff.length = ClipLength(1.0, 1.0)
     together = np.diag([0.0025, 0.04, 0.0025]) + 4.0 * np.ones((3, 3))  # F/k_s alone is known
     ratio = dataclasses.replace(GOOD.estimate, covariance=together)
     assert "force" not in ratio.determined

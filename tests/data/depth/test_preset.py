@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpate.data.depth.preset import DepthPreset, fitting_presets, load_preset, preset_names, resolve_model
+from palpate.data.depth.preset import DepthPreset, load_preset, preset_names, resolve_model
 from palpate.data.source.layout import InputError
 
 
@@ -80,16 +80,3 @@ def test_onnx_path_needs_a_preset_or_a_file_beside_it(tmp_path):
     assert resolve_model(str(model), None, "midas-small") == (model, load_preset("midas-small"))
     (tmp_path / "network.yaml").write_text("kind: inverse\n")
     assert resolve_model(str(model), None, None)[1].kind == "inverse"
-
-
-@pytest.mark.parametrize(
-    ("outputs", "expected"),
-    [
-        (["predicted_depth", "field_of_view"], ["depthpro-canonical"]),
-        (["predicted_depth", "focallength_px"], ["depthpro"]),
-        (["pred_depth"], ["metric3d"]),
-        (["nonsense"], []),
-    ],
-)
-def test_the_preset_that_reads_a_network_s_outputs_is_known(outputs: list[str], expected: list[str]) -> None:
-    assert fitting_presets(outputs) == expected

@@ -20,7 +20,6 @@ from palpate.data.source.frames import FrameSource, open_source
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.estimators.force_scale import ClipLength
-from tests.networks import write_network
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 740, 540, 732.0, 0.0046
 LAYOUT = ClipLayout(image="left/{number}.png", right="right/{number}.png", camera="camera.yaml")
@@ -206,29 +205,6 @@ def test_noise_falls_from_frame_to_frame_and_what_moves_is_not_held_back(tmp_pat
     assert np.median(steadied[4:8].std(axis=0)[known]) < 0.8 * np.median(alone.std(axis=0)[known])
     moved = (steadied[8] - steadied[7])[known & (steadied[8] > 0)]
     assert np.median(moved) == pytest.approx(0.003, rel=0.05)
-
-
-def test_a_stereo_network_by_its_preset(tmp_path: Path) -> None:
-    """Its disparity is the difference of the pictures' brightness, negative as some networks give it."""
-    graph = """tiny (float[1, 3, h, w] left, float[1, 3, h, w] right) => (float[?, ?, ?, ?] disparity) {
-        difference = Sub(right, left)
-        disparity = ReduceMean<keepdims=1>(difference, axis)
-    }"""
-    network = write_network(tmp_path / "net.onnx", graph, axis=np.array([1]))
-    preset = {"kind": "disparity", "resize": "exact", "size": [270, 370], "value_scale": 255}
-    network.with_suffix(".yaml").write_text(yaml.safe_dump(preset))
-    brighter = np.full((HEIGHT, WIDTH, 3), 50, np.uint8)
-    brighter[:, 370:] = 60
-    clip = write(tmp_path / "clip", [(brighter, np.full_like(brighter, 30))])
-    depth, source, _ = opened(clip, settings=DepthSettings(str(network)))
-    found = depth(next(iter(source)))
-    # The network sees pictures of half the width, so its pixels are two of the camera's.
-    assert found[270, 100] == pytest.approx(FOCAL * BASELINE / 40, rel=1e-4)
-    assert found[270, 600] == pytest.approx(FOCAL * BASELINE / 60, rel=1e-4)
-    single = network.with_suffix(".yaml")
-    single.write_text(yaml.safe_dump(preset | {"kind": "metric"}))
-    with pytest.raises(InputError, match=r"net.onnx takes left .*, and not one colour picture"):
-        opened(clip, settings=DepthSettings(str(network)))
 
 
 TURNED = [0, -1, 0, 1, 0, 0, 0, 0, 2]

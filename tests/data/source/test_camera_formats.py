@@ -20,13 +20,6 @@ camera_matrix: {{rows: 3, cols: 3, data: {np.ravel(MATRIX).tolist()}}}
 distortion_model: plumb_bob
 distortion_coefficients: {{rows: 1, cols: 5, data: {list(BENT)}}}
 """
-KALIBR = f"""cam0:
-  camera_model: pinhole
-  intrinsics: {list(PINHOLE.values())}
-  distortion_model: radtan
-  distortion_coeffs: {list(BENT[:4])}
-  resolution: [854, 480]
-"""
 SCARED = {"KL": MATRIX, "DL": [BENT], "KR": MATRIX, "DR": [BENT[:4]], "R": np.eye(3).tolist(), "T": [[-4.1], [0], [0]]}
 
 
@@ -53,8 +46,6 @@ def test_the_same_camera_is_read_from_every_program_s_file(tmp_path: Path) -> No
         assert load_camera(path) == expected
     assert load_camera(by_opencv(tmp_path / "opencv.json")) == expected
     assert load_camera(written(tmp_path / "ros.yaml", ROS)) == expected
-    kalibr = load_camera(written(tmp_path / "kalibr.yaml", KALIBR))
-    assert kalibr == Rig(**PINHOLE, width=854, height=480, distortion=BENT[:4])
 
 
 def test_pairs_have_metres_and_a_file_without_a_size_takes_that_of_the_pictures(tmp_path: Path) -> None:
@@ -71,24 +62,16 @@ def test_pairs_have_metres_and_a_file_without_a_size_takes_that_of_the_pictures(
             rig.scaled(427, 240)
         with pytest.raises(InputError, match=f"{name} tells no size of its pictures"):
             load_camera(tmp_path / name, stated=True)
-    pose = np.eye(4)
-    pose[0, 3] = -0.05
-    second = KALIBR.replace("cam0", "cam1") + f"  T_cn_cnm1: {pose.tolist()}\n"
-    assert load_camera(written(tmp_path / "kalibr.yaml", KALIBR + second)).offset == (-0.05, 0, 0)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (KALIBR.replace("radtan", "equidistant"), "has the lens model 'equidistant'; undistort the pictures"),
-        (KALIBR.replace("pinhole", "omni"), "has the camera model 'omni'; calibrate as pinhole-radtan"),
-        (ROS.replace("plumb_bob", "fisheye"), "has the lens model 'fisheye'"),
+        (ROS.replace("plumb_bob", "fisheye"), "has the lens model 'fisheye'; undistort the pictures"),
         (ROS + "fisheye_model: 1\n", "has the lens model 'fisheye'"),
         (ROS.replace("cols: 3, data: [", "cols: 3, data: [7, "), "not as OpenCV or ROS writes a camera .*10 numbers"),
         (ROS.replace("[739.6, 0.0", "[739.6, 12.0"), "has a skew of 12"),
         (ROS.replace("854", "wide"), "not as OpenCV or ROS writes a camera"),
-        (KALIBR.replace("intrinsics", "focal"), "not as Kalibr writes a camera .*intrinsics"),
-        ("cam0: 3", "not as Kalibr writes a camera"),
         ("{fx: 1, fy: 1, cx: 0, cy: 0, width: 0, height: 0}", "tells no size of its pictures"),
     ],
 )

@@ -258,7 +258,6 @@ def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
         ("absent", "No such file"),
         ("empty", "holds no video, bag or"),
         ("one.png", "is a single image"),
-        ("camera:0", "camera:0 is a live camera; give its number to palpate live"),
     ],
 )
 def test_discover_names_what_is_wrong(tmp_path, monkeypatch, path, said):

@@ -1,6 +1,5 @@
 """Image files are read by their bytes, and a cut one is refused before a decoder fills it up or complains."""
 
-import os
 import zlib
 
 import cv2
@@ -50,12 +49,10 @@ ROWS = (b"\0" + b"\x55" * 192) * 48
         pytest.param(png(64, 48, 2, ROWS)[:-30] + b"abcd" + png(64, 48, 2, ROWS)[-26:], id="checksum"),
     ],
 )
-def test_a_decoder_says_nothing_of_its_own(tmp_path, capfd, content):
+def test_what_a_decoder_refuses_is_a_sentence(tmp_path, content):
     (tmp_path / "1.png").write_bytes(content)
     with pytest.raises(InputError, match=r"1\.png can't be decoded as an image"):
         read_image(tmp_path / "1.png")
-    os.write(2, b"and what comes after it is seen")
-    assert capfd.readouterr().err == "and what comes after it is seen"
 
 
 def test_a_file_that_no_picture_has_is_not_read(tmp_path):

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from palpate.data.source import live
 from palpate.data.source.layout import InputError
 from palpate.data.source.live import LiveSource, open_live
 
@@ -25,7 +24,7 @@ def test_pictures_come_in_order_and_one_frame_apart():
     frames = list(source)
     assert [frame.picture[0, 0, 0] for frame in frames] == [0, 1, 2, 3, 4]
     assert [(frame.index, frame.number, frame.time_s) for frame in frames] == [(k, k, k / 20) for k in range(5)]
-    assert (sorted(source.came), source.dropped, source.stalls) == ([0, 1, 2, 3, 4], 0, 0)
+    assert (sorted(source.came), source.dropped) == ([0, 1, 2, 3, 4], 0)
 
 
 def test_what_waits_too_long_is_dropped_and_counted():
@@ -55,12 +54,9 @@ def test_a_gap_in_time_is_a_jump_in_numbers():
     assert after.time_s == pytest.approx(after.number / 20, abs=0.05)
 
 
-def test_a_source_that_stalls_changes_its_size_or_breaks_is_survived_and_said(monkeypatch):
-    monkeypatch.setattr(live, "STALLED", 0.05)
-
+def test_a_source_that_changes_its_size_or_breaks_is_survived_and_said():
     def pictures() -> Iterator[np.ndarray]:
         yield PICTURE
-        time.sleep(0.3)
         yield np.zeros((96, 64, 3), np.uint8)
         yield PICTURE
         raise OSError("the cable came off")
@@ -72,7 +68,6 @@ def test_a_source_that_stalls_changes_its_size_or_breaks_is_survived_and_said(mo
     frames = [next(found) for _ in range(3)]
     assert [frame.image is None for frame in frames] == [False, True, False]
     assert "64x96 while the clip is 64x48" in frames[1].error
-    assert source.stalls >= 1
 
 
 def test_a_source_that_stalls_can_be_stopped():

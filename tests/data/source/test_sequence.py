@@ -97,26 +97,6 @@ def test_depth_pictures_are_clouds_of_a_camera_on_the_tool(tmp_path: Path) -> No
         open_sequence(tmp_path / "sequence.yaml").cloud(0)
 
 
-def shifted(folder: Path, by: float, reach: float = 10.0) -> None:
-    """Move the poses' clock, the first and last held for `reach` [s]."""
-    rows = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
-    rows[:, 0] += by
-    ends = rows[[0, -1]].copy()
-    ends[:, 0] += (-reach, reach)
-    head = "time_s,x,y,z,qx,qy,qz,qw"
-    np.savetxt(folder / "poses.csv", np.vstack([ends[:1], rows, ends[1:]]), "%.10g", ",", header=head, comments="")
-
-
-@pytest.mark.parametrize("points", ["followed.npz", None])
-def test_clocks_that_are_a_second_apart_are_told(tmp_path: Path, points: str | None) -> None:
-    path = write_sequence(tmp_path, 30, still=15, points=points)
-    shifted(tmp_path, 0.1)
-    checked(path)
-    shifted(tmp_path, 0.9)
-    with pytest.raises(InputError, match=r"poses\.csv tells the tool's motion 1\.[01] s later than the clouds show it"):
-        checked(path)
-
-
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [

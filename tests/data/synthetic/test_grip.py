@@ -138,19 +138,6 @@ def test_a_tool_that_never_touches_moves_nothing() -> None:
     assert (rest[None].repeat(12, axis=0)[tool] - clip.depth[tool]).min() > 0.02
 
 
-def test_breathing_carries_a_grip_s_motion_affinely(truth: tuple[Scene, GrippedMotion]) -> None:
-    scene, still = truth
-    _, carried = draw_truth(dataclasses.replace(GRIP, breathing=(4.0, 4.0)), SEED)
-    added = in_picture(scene, carried) - in_picture(scene, still)
-    terms = np.column_stack([scene.mesh.pixels, np.ones(len(scene.mesh.pixels))])
-    for frame in (1, 5, 11):
-        fitted = terms @ np.linalg.lstsq(terms, added[frame], rcond=None)[0]
-        np.testing.assert_allclose(added[frame], fitted, atol=1e-3)
-    assert np.abs(added[0]).max() < 1e-6
-    assert 0.5 < np.linalg.norm(added, axis=2).max() < 2 * 4
-    np.testing.assert_allclose(carried.reaction, still.reaction)
-
-
 def test_a_stiffer_region_lets_the_motion_reach_farther(truth: tuple[Scene, GrippedMotion]) -> None:
     scene, even = truth
     _, motion = draw_truth(dataclasses.replace(GRIP, regions=3.0), SEED)

@@ -65,12 +65,11 @@ def test_doubts_name_a_misfit_and_parameters_at_their_ranges_end() -> None:
     assert told.endswith("The best fit lies at the end of the force's admissible range, 0.01 to 0.3.")
 
 
-def test_doubts_name_a_model_that_explains_more_several_modes_and_delays_at_the_end_of_their_range() -> None:
+def test_doubts_name_a_model_that_explains_more_and_delays_at_the_end_of_their_range() -> None:
     assert doubted(refuted="Another explains it better.") == "Another explains it better."
     refuted = dataclasses.replace(ESTIMATE, refuted="Another explains it better.")
     assert (refuted.explained, refuted.verdict, refuted.determined) == (False, "undetermined", ())
     assert ESTIMATE.explained
-    assert doubted(modes=2) == "2 kinds of tissue far apart explain the motion; the intervals span them all."
     assert "begun or ended a whole frame" in doubted(delays=(0.04,), delays_at_end=True)
     assert "begun" not in doubted(delays=(0.01,))
 

@@ -9,7 +9,7 @@ from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import trusted_information
 from palpate.estimators.direct.estimator import DirectEstimator
-from palpate.estimators.direct.problem import Optimum, combine, count_modes
+from palpate.estimators.direct.problem import Optimum, combine
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.onset import STAMP
 from palpate.physics.load import Press, held
@@ -103,14 +103,3 @@ def test_optima_are_weighed_by_their_evidence() -> None:
     np.testing.assert_array_equal(mean, narrow.logs)
     np.testing.assert_allclose(spread, np.eye(3) / 6400)
     assert likeliest is narrow
-
-
-def test_modes_hold_some_evidence_and_lie_apart_of_their_own_widths() -> None:
-    """Of two fits with standard deviations of 0.1 each the difference has one of 0.141: three of these are 0.424."""
-    first, prior = Optimum(np.zeros(3), 5.0, 100 * np.eye(3)), np.zeros((3, 3))
-    for distance, cost, expected in ((0.43, 5.0, 2), (0.42, 5.0, 1), (0.43, 7.9, 2), (0.43, 8.1, 1)):
-        other = Optimum(np.array([0.0, distance, 0.0]), cost, 100 * np.eye(3))
-        assert count_modes([first, other], prior) == expected, (distance, cost)
-        assert count_modes([other, first], prior) == expected, (distance, cost)
-    third = Optimum(np.array([0.0, 0.9, 0.0]), 5.0, 100 * np.eye(3))
-    assert count_modes([first, third, third._replace(logs=np.array([0.0, 0.5, 0.8]))], prior) == 3

@@ -103,7 +103,6 @@ def test_without_a_release_there_is_no_fall() -> None:
 def test_a_step_is_fitted_as_one() -> None:
     found = fit_press(contact_of(dents.REGIMES["under-damped"]), MECHANICS, 0.0, None, RECOMMENDED.log_box)
     assert found.shape is None
-    assert "press_radius" not in found.numbers()
 
 
 @pytest.mark.acceptance
@@ -116,9 +115,6 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
     np.testing.assert_allclose(found.shape.offset, SHAPE.offset, atol=0.05)
     np.testing.assert_allclose(found.shape.lean, SHAPE.lean, atol=0.05)
     np.testing.assert_allclose([found.shape.rise, found.shape.fall], [SHAPE.rise, SHAPE.fall], atol=0.01)
-    numbers = found.numbers()
-    assert numbers["press_lean_deg"] == pytest.approx(12.6, abs=2.5)
-    assert numbers["press_radius"] == found.shape.radius
 
 
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:

@@ -183,17 +183,6 @@ def test_what_is_fitted_keeps_to_the_bounds_that_were_given(surface: Surface, bo
     assert tissue.session.fields.shape.max() <= bound
 
 
-def test_a_cloud_tells_how_far_gripped_tissue_has_come_nearer(surface: Surface) -> None:
-    tissue = driven(surface, match="both", background="keep")
-    nearer = 0.02
-    flat = surface.lift(surface.pixels, np.full(len(surface.pixels), DEPTH - nearer))
-    told = tissue.step(np.zeros_like(POINTS), (flat, np.arange(len(flat))))
-    np.testing.assert_allclose(told.positions[surface.gripped, 2], DEPTH - nearer, atol=1e-6)
-    free = ~surface.body.pinned
-    free[surface.gripped] = False
-    assert told.positions[free, 2].mean() < DEPTH - 0.3 * nearer
-
-
 @pytest.mark.parametrize(("frame", "sentence"), [(first_frame(tool=False), "no instrument"), (first_frame(False), "7")])
 def test_a_frame_without_tool_or_tissue_is_a_sentence(frame: PreparedFrame, sentence: str) -> None:
     with pytest.raises(NoEstimate, match=sentence):

@@ -11,8 +11,6 @@ from scipy.stats import spearmanr
 
 from palpate.command import infer
 from palpate.data.masks.class_table import CLASSES
-from palpate.estimators.online import driven
-from palpate.estimators.online.objective import Chamfer
 from tests.benchmarks.real_clips import pull_pictures, tissue_motion, tool_mask, write
 from tests.conftest import CHECKOUT
 from tests.tables import read_rows
@@ -111,26 +109,6 @@ def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> N
     (warning,) = [each for each in record["warnings"] if "stretch" in each]
     assert "the online estimator needs a clip whose tool drives the tissue" in warning
     assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
-
-
-def test_clouds_are_compared_with_the_surface_of_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every particle of it that no tool hides, and none below."""
-    shown: list[np.ndarray] = []
-
-    def chamfer(cloud: np.ndarray, seen: np.ndarray) -> Chamfer:
-        shown.append(seen)
-        return Chamfer(cloud, seen)
-
-    monkeypatch.setattr(driven, "Chamfer", chamfer)
-    settings = "particles: 150\nthickness: 0.05\nmatch: chamfer\nbackground: keep\nfitted: 0\n"
-    assert run(tmp_path, write_annotated(tmp_path / "clip", SHARES[:3]), settings=settings) == 0
-    with np.load(tmp_path / "out" / "clip" / "fields.npz", allow_pickle=False) as fields:
-        upper, count = np.unique(fields["run_10/faces"]), len(fields["run_10/rest"])
-    assert len(shown) == 2
-    assert len(upper) <= count / 2
-    for seen in shown:
-        assert np.isin(seen, upper).all()
-        assert len(seen) > 0.9 * len(upper)
 
 
 @pytest.mark.slow

@@ -74,10 +74,8 @@ def test_a_volume_lies_below_what_the_camera_sees(tmp_path: Path) -> None:
     np.testing.assert_allclose([heights.min(), heights.max()], [-0.01, 0.0], atol=2e-4)
 
 
-def test_what_the_file_stands_for_is_no_setting(tmp_path: Path) -> None:
+def test_pins_and_clouds_of_which_no_tissue_can_be_made_are_a_sentence(tmp_path: Path) -> None:
     path = write_sequence(tmp_path, 2)
-    with pytest.raises(InputError, match=r"match in --settings is for videos; leave it out, .*sequence\.yaml tells it"):
-        followed(path, match="both", background="keep")
     for low in (5, -6):  # none of the tissue, and all
         pins = [{"low": [low] * 3, "high": [6] * 3}]
         with pytest.raises(InputError, match="holds no free tissue in its pins' boxes, or all; change them"):

@@ -24,8 +24,8 @@ def told(tmp_path: Path):
 
 def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
     assert told("{}") == OnlineSettings()
-    found = told("bounds: {distance: 5.0}\nmethod: {name: PBD}\nbackground: keep\nmatch: both\n")
-    expected = OnlineSettings(bounds=Bounds(5.0), method=Method("PBD"), background="keep", match="both")
+    found = told("bounds: {distance: 5.0}\nmethod: {name: PBD}\n")
+    expected = OnlineSettings(bounds=Bounds(5.0), method=Method("PBD"))
     assert found == expected
 
 
@@ -45,7 +45,6 @@ def test_what_a_file_leaves_out_keeps_its_default(told) -> None:
         ("mapping: {steps: 0}", "steps is 0; give 1 to 1000"),
         ("method: {rate: -1}", "rate is -1; give a positive number"),
         ("strain: -0.1", "strain is -0.1; give 0 or more"),
-        ("match: both", "match both compares clouds, which show the camera's motion, too; give background keep"),
         ("start: {distance: 12.0}", "the start of distance is 12, its bound 10; begin inside"),
         ("start: {shape: 0.0}", "the start of shape is 0.0; give a positive number"),
         ("method: {name: DiffCloud}", "online.yaml, method, gives name 'DiffCloud'"),

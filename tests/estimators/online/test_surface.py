@@ -5,9 +5,8 @@ import pytest
 
 from palpate.data.labels import OTHER, TISSUE
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.online.surface import Surface, facing, make_surface
+from palpate.estimators.online.surface import Surface, make_surface
 from tests.estimators.online.test_driven import CAMERA, DEPTH, GEOMETRY, HEIGHT, PER_PIXEL, WIDTH, first_frame
-from tests.physics.pbd.particles import sheet
 
 THICKNESS, PARTICLES = 0.1, 300
 
@@ -77,24 +76,3 @@ def test_a_thickness_of_no_volume_is_a_sentence(slope: float) -> None:
     frame.depth += np.float32(slope) * np.arange(frame.depth.shape[1], dtype=np.float32)
     with pytest.raises(NoEstimate, match=r"with a thickness of 1e-17 in the depth's unit; give the tissue's"):
         make_surface(frame, CAMERA, GEOMETRY, PARTICLES, 1e-17)
-
-
-BODY = sheet(9, 8)
-REST = BODY.rest - BODY.rest.mean(axis=0) + [0, 0, 0.2]
-
-
-FOLDED = np.where(REST[:, 1:2] > 1e-9, REST * [1, -0.98, 1] - [0, 0, 0.003], REST)
-"""The rows beyond the middle one laid back over the others, 3 mm nearer to the camera; not particle on particle."""
-
-
-def test_a_sheet_is_seen_whole_wherever_it_lies_and_moves_a_little():
-    moved = REST + [0.01, -0.004, 0.02] + 5e-4 * np.random.default_rng(0).normal(size=REST.shape)
-    for points in (REST, moved):
-        assert facing(points, REST, BODY.faces).all()
-
-
-def test_what_is_folded_over_faces_away():
-    rows = REST[:, 1]
-    seen = facing(FOLDED, REST, BODY.faces)
-    assert seen[rows < 1e-9].all()
-    assert not seen[rows > 1e-9].any()

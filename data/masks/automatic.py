@@ -19,7 +19,7 @@ from palpate.data.picture_network import PictureNetwork, resized
 from palpate.data.source.frames import Frame
 
 WEIGHTS = ROOT / MASKS
-"""The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 2, H/2, W/2] of instrument and boundary."""
+"""The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
 NEW_SHARE = 0.7
 """Weight of a frame's own probability; the rest is that of the frame before."""
 LEAST_SHARE, LEAST_SURE = 0.004, 0.6

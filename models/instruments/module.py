@@ -1,5 +1,6 @@
-"""Training of the instrument network: weighted cross-entropy and Dice, one cycle of the rate, averaged weights."""
+"""Training of the instrument network: weighted cross-entropy and Dice, a rate that falls to 0, averaged weights."""
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,15 +25,13 @@ class PictureBatch(NamedTuple):
     """Shape [B, 3, H, W], in [0, 1]."""
     tool: Tensor
     """1 = instrument, 0 = none, 255 = not known, int64 [B, H, W]."""
-    between: Tensor
-    """1 at the boundary between two instruments, float32 [B, H, W]."""
 
 
 class InstrumentSegmentation(LightningModule):
     """Trains an `InstrumentNet` on pictures with outlines; validation reports the mean IoU.
 
     Args:
-        learning_rate: peak of the one-cycle schedule.
+        learning_rate: peak, reached after a tenth of the steps; it falls to 0 as a cosine.
         weight_decay: of AdamW.
         edge_weight: weight of pixels within 2 px of an instrument's edge over that of others.
         average: decay a step of the moving average of weights, which is what is validated and exported.
@@ -69,18 +68,22 @@ class InstrumentSegmentation(LightningModule):
     def validation_step(self, batch: list[Tensor], index: int) -> None:
         """IoU of a batch's pictures."""
         pictures = PictureBatch(*batch)
-        logits = self.averaged(pictures.picture).float()[:, :1]
+        logits = self.averaged(pictures.picture).float()
         found = functional.interpolate(logits, scale_factor=2.0, mode="bilinear")[:, 0] > 0
         known, true = pictures.tool != IGNORED, pictures.tool == 1
         both, either = (found & true & known).sum((1, 2)), ((found | true) & known).sum((1, 2))
         self.log("val/iou", torch.where(either > 0, both / either.clamp(min=1), 1.0).mean(), prog_bar=True)
 
     def configure_optimizers(self) -> Any:
-        """AdamW and one cycle over all steps."""
+        """AdamW; a training that goes on to more steps follows the rate of those."""
         rate, decay = self.hparams["learning_rate"], self.hparams["weight_decay"]
         optimizer = torch.optim.AdamW(self.network.parameters(), rate, weight_decay=decay)
         steps = int(self.trainer.estimated_stepping_batches)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps, pct_start=0.1)
+
+        def share(step: int) -> float:
+            return min((step + 1) / (0.1 * steps), 0.5 + 0.5 * math.cos(math.pi * min(step / steps, 1)))
+
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, share)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def export(self, output: Path, size: tuple[int, int]) -> float:
@@ -108,10 +111,9 @@ class InstrumentSegmentation(LightningModule):
 
 
 def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -> Tensor:
-    """Loss of logits [B, 2, H/2, W/2] against labels at the picture's size; a scalar.
+    """Loss of logits [B, 1, H/2, W/2] against labels at the picture's size; a scalar.
 
-    The binary cross-entropy, in which edges count more, one minus Dice's coefficient, and the cross-entropy of the
-    boundaries between instruments.
+    The binary cross-entropy, in which edges count more, and one minus Dice's coefficient.
     """
     known = (batch.tool != IGNORED).float()[:, None]
     tool = (batch.tool == 1).float()[:, None]
@@ -121,10 +123,8 @@ def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -
     spread = functional.max_pool2d(target, 5, 1, 2) + functional.max_pool2d(-target, 5, 1, 2)  # 1 near an edge
     seen = counted > 0.5
     weight = seen * (1 + (edge_weight - 1) * spread)
-    entropy = functional.binary_cross_entropy_with_logits(logits[:, :1], target, reduction="none")
-    probability, target = torch.sigmoid(logits[:, :1]) * seen, target * seen
+    entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    probability, target = torch.sigmoid(logits) * seen, target * seen
     overlap, both = (probability * target).sum((1, 2, 3)), (probability + target).sum((1, 2, 3))
     dice = 1 - (2 * overlap + 30) / (both + 30)
-    between = functional.max_pool2d(batch.between[:, None], 2)
-    seam = functional.binary_cross_entropy_with_logits(logits[:, 1:], between, pos_weight=logits.new_tensor(5.0))
-    return (weight * entropy).sum() / weight.sum().clamp(min=1) + dice.mean() + 0.3 * seam
+    return (weight * entropy).sum() / weight.sum().clamp(min=1) + dice.mean()

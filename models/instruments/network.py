@@ -29,9 +29,9 @@ class Residual(nn.Module):
 
 
 class InstrumentNet(nn.Module):
-    """Logits of an instrument and of the boundary between two, from an RGB picture.
+    """Logits of an instrument from an RGB picture.
 
-    Input [B, 3, H, W] in [0, 1], H and W multiples of 32; output [B, 2, H/2, W/2].
+    Input [B, 3, H, W] in [0, 1], H and W multiples of 32; output [B, 1, H/2, W/2].
     """
 
     def __init__(self) -> None:
@@ -47,11 +47,11 @@ class InstrumentNet(nn.Module):
         for fine, coarse in zip(WIDTHS[-2::-1], WIDTHS[:0:-1], strict=True):
             after = [Residual(fine)] if fine > WIDTHS[0] else []
             self.merges.append(nn.Sequential(convolution(fine + coarse, fine, 1), convolution(fine, fine), *after))
-        self.head = nn.Conv2d(WIDTHS[0], 2, 3, padding=1)
+        self.head = nn.Conv2d(WIDTHS[0], 1, 3, padding=1)
         nn.init.constant_(self.head.bias, -2.0)  # ty: ignore[invalid-argument-type]  it has one
 
     def forward(self, picture: Tensor) -> Tensor:
-        """Logits [B, 2, H/2, W/2] of a picture [B, 3, H, W]."""
+        """Logits [B, 1, H/2, W/2] of a picture [B, 3, H, W]."""
         x = (picture - self.mean) * 4
         kept = []
         for level in self.levels:

@@ -36,13 +36,6 @@ class MasksCLI(LightningCLI):
             **kwargs, logger=CSVLogger(folder, name="log"), callbacks=[saved], use_distributed_sampler=False
         )
 
-    def _parse_ckpt_path(self) -> None:
-        """Resolve `last` to the run folder's, or to none where there is none yet."""
-        config = self.config[self.config.subcommand]
-        if config.ckpt_path == "last":
-            file = Path(config.trainer.default_root_dir) / "last.ckpt"
-            config.ckpt_path = str(file) if file.exists() else None
-
     def before_fit(self) -> None:
         """Refuse to begin beside the checkpoints of another training.
 

@@ -82,26 +82,14 @@ def warp(rng: np.random.Generator, source: Labelled, size: tuple[int, int]) -> L
     spare = np.maximum(np.array([w, h]) * scale - (width, height), 0) / scale
     look = np.array([w, h]) / 2 + rng.uniform(-0.5, 0.5, 2) * spare
     matrix = np.column_stack([turn, np.array([width, height]) / 2 - turn @ look])
-    picture = cv2.warpAffine(
-        source.picture,
-        matrix,
-        (width, height),
-        flags=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REFLECT,
-    )
-    tool = cv2.warpAffine(
-        source.tool,
-        matrix,
-        (width, height),
-        flags=cv2.INTER_NEAREST,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=IGNORED,
-    )
+    way, size = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR, (width, height)
+    picture = cv2.warpAffine(source.picture, matrix, size, None, way, cv2.BORDER_REFLECT)
+    tool = cv2.warpAffine(source.tool, matrix, size, None, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT, IGNORED)
     return Labelled(picture, tool)
 
 
 class InstrumentPictures(IterableDataset):
-    """Endless pictures [3, H, W] in [0, 1] with labels [H, W] (0, 1, 255) and boundaries of instruments [H, W].
+    """Endless pictures [3, H, W] in [0, 1] with labels [H, W]: 0, 1 = instrument, 255 = not known.
 
     Args:
         real: real pictures; where there are none all are drawn.
@@ -118,50 +106,46 @@ class InstrumentPictures(IterableDataset):
         self._passes = 0
         self._scenes: list[Labelled] = []
 
-    def __iter__(self) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+    def __iter__(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         worker = get_worker_info()
         self._passes += 1
         rng = np.random.default_rng([self.seed, self._passes, worker.id if worker else 0])
         while True:
-            picture, tool, between = self.draw(rng)
-            channels = torch.from_numpy(picture.transpose(2, 0, 1).copy())
-            yield channels, torch.from_numpy(tool).long(), torch.from_numpy(between)
+            picture, tool = self.draw(rng)
+            yield torch.from_numpy(picture.transpose(2, 0, 1).copy()), torch.from_numpy(tool).long()
 
-    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Draw a picture float32 [H, W, 3], its labels uint8 [H, W], and boundaries float32 [H, W]."""
+    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Draw a picture float32 [H, W, 3] and its labels uint8 [H, W]."""
         if len(self._scenes) == SCENES and rng.random() < AGAIN:
-            picture, owner = warp(rng, self._scenes[rng.integers(SCENES)], self.size)
+            picture, tool = warp(rng, self._scenes[rng.integers(SCENES)], self.size)
             picture = picture.astype(np.float32)
         else:
-            picture, owner = self._scene(rng)
-            kept = Labelled((np.clip(picture, 0, 1) * 255).astype(np.uint8), owner)
+            picture, tool = self._scene(rng)
+            kept = Labelled((np.clip(picture, 0, 1) * 255).astype(np.uint8), tool.copy())
             if len(self._scenes) == SCENES:
                 self._scenes[rng.integers(SCENES)] = kept
             else:
                 self._scenes.append(kept)
             picture = picture * 255
-        tool = np.where(owner == IGNORED, IGNORED, owner > 0).astype(np.uint8)
-        owner = np.where(owner == IGNORED, 0, owner).astype(np.uint8)
         view = scenery.rim(rng, self.size)
-        dark = view[..., 0] < 0.2
-        tool[dark], owner[dark] = 0, 0
-        return filmed(rng, picture / 255, view), tool, boundaries(owner)
+        tool[view[..., 0] < 0.2] = 0
+        return filmed(rng, picture / 255, view), tool
 
     def _scene(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """A picture float32 [H, W, 3] before the camera, and the instruments of its pixels (255 = not known)."""
+        """A picture float32 [H, W, 3] before the camera, and its labels uint8 [H, W]."""
         if rng.random() < self.real_share:
             source = warp(rng, self.real.labelled[rng.integers(len(self.real.labelled))], self.size)
-            picture, owner = source.picture.astype(np.float32) / 255, source.tool.copy()
+            picture, tool = source.picture.astype(np.float32) / 255, source.tool.copy()
             drawn = rng.random() < 0.2
         else:
-            picture, drawn, owner = self._background(rng), True, np.zeros(self.size, np.uint8)
+            picture, drawn, tool = self._background(rng), True, np.zeros(self.size, np.uint8)
         if drawn:
-            for number in range(2, 2 + rng.choice([0, 1, 2, 3], p=[0.15, 0.43, 0.3, 0.12])):
+            for _ in range(rng.choice([0, 1, 2, 3], p=[0.15, 0.43, 0.3, 0.12])):
                 picture, mask = self._with_instrument(rng, picture)
-                owner[mask] = number
+                tool[mask] = 1
         if rng.random() < 0.15:
             scenery.sparkle(rng, picture)
-        return picture, owner
+        return picture, tool
 
     def _background(self, rng: np.random.Generator) -> np.ndarray:
         if self.real.free and rng.random() < 0.45:
@@ -250,11 +234,3 @@ def filmed(rng: np.random.Generator, picture: np.ndarray, view: np.ndarray) -> n
         coded = cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 95))])[1]
         eight = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
     return eight.astype(np.float32) / 255
-
-
-def boundaries(owner: np.ndarray) -> np.ndarray:
-    """1 next to where two instruments meet, float32 [H, W], from the instrument of every pixel, 0 = none."""
-    kernel = np.ones((3, 3), np.uint8)
-    lowest = cv2.erode(np.where(owner > 0, owner, np.uint8(255)), kernel)
-    meeting = (owner > 0) & (lowest != cv2.dilate(owner, kernel))
-    return cv2.dilate(meeting.astype(np.uint8), kernel).astype(np.float32)

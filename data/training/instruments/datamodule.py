@@ -50,8 +50,8 @@ class InstrumentData(LightningDataModule):
         source = InstrumentPictures(self.real_pictures, real_share=0.0)
         rng = np.random.default_rng([settings["seed"], 7])
         drawn = zip(*(source.draw(rng) for _ in range(settings["validation"])), strict=True)
-        pictures, tool, between = (torch.from_numpy(np.stack(each)) for each in drawn)
-        return DataLoader(TensorDataset(pictures.permute(0, 3, 1, 2), tool.long(), between), settings["batch_size"])
+        pictures, tool = (torch.from_numpy(np.stack(each)) for each in drawn)
+        return DataLoader(TensorDataset(pictures.permute(0, 3, 1, 2), tool.long()), settings["batch_size"])
 
     @property
     def size(self) -> tuple[int, int]:

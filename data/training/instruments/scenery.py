@@ -15,15 +15,18 @@ PALETTE = np.array(
     np.float32,
 ) / 255  # fmt: skip
 """Colours of liver, bowel, fat, gall bladder, bloody tissue, and of pale and grey membranes under white light."""
+CLOTHS = (
+    np.array([[90, 90, 85], [60, 60, 60], [75, 70, 65], [15, 30, 40], [20, 40, 70], [40, 40, 45]], np.float32) / 100
+)
+"""Colours of gauze, membranes and drapes."""
 
 
 def smooth_noise(rng: np.random.Generator, size: tuple[int, int], cells: float) -> np.ndarray:
     """Smooth noise of unit scale, float32 [H, W], with so many cells along the longer side."""
     height, width = size
     long = max(height, width)
-    grid = rng.standard_normal((max(int(cells * height / long), 1) + 3, max(int(cells * width / long), 1) + 3)).astype(
-        np.float32
-    )
+    cells_of = tuple(max(int(cells * side / long), 1) + 3 for side in size)
+    grid = rng.standard_normal(cells_of).astype(np.float32)
     return cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
@@ -120,12 +123,7 @@ def cloth(rng: np.random.Generator, picture: np.ndarray) -> None:
     if rng.random() < 0.3:  # vessels shine through a membrane
         veins = np.exp(-np.square(smooth_noise(rng, size, rng.uniform(6, 20)) / rng.uniform(0.05, 0.2)))
         edge = edge * (1 - rng.uniform(0.2, 0.8) * veins)
-    color = np.array(
-        rng.choice(
-            [[0.9, 0.9, 0.85], [0.6, 0.6, 0.6], [0.75, 0.7, 0.65], [0.15, 0.3, 0.4], [0.2, 0.4, 0.7], [0.4, 0.4, 0.45]]
-        ),
-        np.float32,
-    )
+    color = CLOTHS[rng.integers(len(CLOTHS))]
     weave = 1.0
     if rng.random() < 0.5:
         v, u = np.mgrid[: size[0], : size[1]].astype(np.float32)
@@ -159,17 +157,9 @@ def rim(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
     else:
         w, h = width * rng.uniform(0.3, 0.5), height * rng.uniform(0.4, 0.52)
         cut = min(w, h) * (rng.uniform(0.15, 0.5) if kind == "octagon" else 0.0)
-        corners = [
-            (-w, -h + cut),
-            (-w + cut, -h),
-            (w - cut, -h),
-            (w, -h + cut),
-            (w, h - cut),
-            (w - cut, h),
-            (-w + cut, h),
-            (-w, h - cut),
-        ]
-        cv2.fillConvexPoly(view, (np.array(corners) + centre).astype(np.int32), 1.0, cv2.LINE_AA)
+        x, y = np.array([-w, -w + cut, w - cut, w]), np.array([-h, -h + cut, h - cut, h])
+        corners = np.column_stack([x[[0, 1, 2, 3, 3, 2, 1, 0]], y[[1, 0, 0, 1, 2, 3, 3, 2]]])
+        cv2.fillConvexPoly(view, (corners + centre).astype(np.int32), 1.0, cv2.LINE_AA)
     return cv2.GaussianBlur(view, (0, 0), rng.uniform(0.4, 2.0))[..., None]
 
 
@@ -177,19 +167,15 @@ def lettering(rng: np.random.Generator, picture: np.ndarray) -> None:
     """Write console text, boxes and bars over a picture."""
     height, width = picture.shape[:2]
     for _ in range(rng.integers(1, 5)):
-        corner = (
-            int(rng.uniform(0, 0.9) * width),
-            int(rng.choice([rng.uniform(0, 0.12), rng.uniform(0.88, 1), rng.uniform(0, 1)]) * height),
-        )
+        across, down = rng.uniform(0, 0.9), rng.choice([rng.uniform(0, 0.12), rng.uniform(0.88, 1), rng.uniform(0, 1)])
+        corner = int(across * width), int(down * height)
         grey = float(rng.choice([0.9, 0.1, 0.5]))
         color = (grey, grey, float(rng.choice([grey, 0.9])))
         if rng.random() < 0.4:
             long = int(rng.uniform(0.03, 0.4) * width), int(rng.uniform(0.02, 0.09) * height)
             cv2.rectangle(picture, corner, (corner[0] + long[0], corner[1] + long[1]), color, -1)
-        text, ink = (
-            "".join(chr(c) for c in rng.integers(40, 91, rng.integers(2, 14))),
-            np.zeros((height, width), np.uint8),
-        )
+        text = "".join(chr(c) for c in rng.integers(40, 91, rng.integers(2, 14)))
+        ink = np.zeros((height, width), np.uint8)
         cv2.putText(ink, text, corner, int(rng.integers(0, 3)), rng.uniform(0.25, 0.6), 255, 1, cv2.LINE_AA)
         letters = 1 - np.array(color, np.float32) if rng.random() < 0.5 else np.array(color, np.float32)
         picture += (ink[..., None] / np.float32(255)) * (letters - picture)

@@ -10,37 +10,35 @@ from palpate.models.instruments.module import InstrumentSegmentation, PictureBat
 from palpate.models.instruments.network import InstrumentNet
 
 
-def batch(count: int = 4) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def batch(count: int = 4) -> tuple[torch.Tensor, torch.Tensor]:
     """Pictures whose bright half is instrument."""
     picture = 0.2 * torch.rand(count, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     tool = torch.zeros(count, 64, 96, dtype=torch.int64)
     tool[:, :, 48:] = 1
     picture[:, :, :, 48:] += 0.6
-    return picture, tool, torch.zeros(count, 64, 96)
+    return picture, tool
 
 
 def test_loss_is_the_closed_form_of_sure_and_unsure_answers():
-    picture, tool, between = batch(1)
+    picture, tool = batch(1)
     target = torch.nn.functional.avg_pool2d(tool.float()[:, None], 2)
-    right = torch.cat([40 * (2 * target - 1), torch.full_like(target, -40.0)], dim=1)
-    assert segmentation_loss(right, PictureBatch(picture, tool, between), 3.0) == pytest.approx(0, abs=1e-3)
+    right = 40 * (2 * target - 1)
+    assert segmentation_loss(right, PictureBatch(picture, tool), 3.0) == pytest.approx(0, abs=1e-3)
     unsure = torch.zeros_like(right)
-    # log 2 from the entropy, 0.3 log 2 from boundaries, and Dice of a half everywhere.
+    # log 2 from the entropy, and Dice of a half everywhere.
     dice = 1 - (target.sum() + 30) / (0.5 * target.numel() + target.sum() + 30)
-    found = segmentation_loss(unsure, PictureBatch(picture, tool, between), 3.0)
-    assert found.item() == pytest.approx(1.3 * 0.6931472 + dice.item(), rel=1e-5)
+    found = segmentation_loss(unsure, PictureBatch(picture, tool), 3.0)
+    assert found.item() == pytest.approx(0.6931472 + dice.item(), rel=1e-5)
 
 
 def test_pixels_that_nobody_labelled_do_not_count():
-    picture, tool, between = batch(1)
-    logits = torch.randn(1, 2, 32, 48, generator=torch.Generator().manual_seed(1))
+    picture, tool = batch(1)
+    logits = torch.randn(1, 1, 32, 48, generator=torch.Generator().manual_seed(1))
     tool[:, :, :24] = 255
-    before = segmentation_loss(logits, PictureBatch(picture, tool, between), 1.0)
+    before = segmentation_loss(logits, PictureBatch(picture, tool), 1.0)
     changed = logits.clone()
     changed[:, 0, :, :12] += 5.0
-    assert segmentation_loss(changed, PictureBatch(picture, tool, between), 1.0) == pytest.approx(
-        before.item(), rel=1e-6
-    )
+    assert segmentation_loss(changed, PictureBatch(picture, tool), 1.0) == pytest.approx(before.item(), rel=1e-6)
 
 
 def test_training_learns_and_the_file_agrees(tmp_path):
@@ -63,4 +61,4 @@ def test_training_learns_and_the_file_agrees(tmp_path):
 
 
 def test_output_has_half_the_size():
-    assert InstrumentNet()(torch.zeros(2, 3, 64, 96)).shape == (2, 2, 32, 48)
+    assert InstrumentNet()(torch.zeros(2, 3, 64, 96)).shape == (2, 1, 32, 48)

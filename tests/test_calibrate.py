@@ -1,5 +1,6 @@
 """The door from forces to constants."""
 
+import copy
 import functools
 import json
 from pathlib import Path
@@ -61,7 +62,7 @@ def test_the_example_s_stiffness_is_found(tmp_path, capsys, monkeypatch):
 @pytest.mark.slow
 def test_a_reversed_force_is_a_sentence(tmp_path, capsys):
     right = ball()[0]["palpations"][0]
-    turned = right | {"force": [-component for component in right["force"]]}
+    turned = copy.deepcopy(right) | {"force": [-component for component in right["force"]]}
     scene = write_scene(tmp_path, palpations=[right, turned])
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     said = " ".join(capsys.readouterr().err.split())

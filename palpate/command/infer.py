@@ -24,7 +24,6 @@ from palpate.estimators.open import NAMES
 from palpate.results.run import run
 from palpate.results.store import BAGS
 
-
 TYPES = {
     "jobs": whole_number(1, MOST_THREADS),
     "path": path_option,

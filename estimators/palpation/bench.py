@@ -42,8 +42,8 @@ class Palpation:
 class Bench:
     """A body with its palpations, that counts what it simulates."""
 
-    def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation], law: str) -> None:
-        self.skin, self.held, self.palpations, self.law = skin, held, palpations, law
+    def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation]) -> None:
+        self.skin, self.held, self.palpations = skin, held, palpations
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
         self.solves = 0
         """Equilibria that were computed, those that failed included."""
@@ -76,7 +76,7 @@ class Bench:
         Raises:
             NoEquilibrium: it can't bear one.
         """
-        return self._found(Material(self.law, young, poisson), starts)
+        return self._found(Material("corotational", young, poisson), starts)
 
     def linear(self, young: float, poisson: float) -> list[Equilibrium]:
         """The same by Hooke's law at small strain, where displacements go with 1/E."""

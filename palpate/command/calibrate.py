@@ -53,13 +53,13 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     scene = read_scene(path)
     make_output(output)  # before what takes minutes
     try:
-        problem = scene.skin, scene.held, scene.palpations, scene.settings
+        problem = scene.skin, scene.held, scene.palpations
         found = fit_material(*problem, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
     nothing = found.verdict == NOTHING
     young, poisson = (None, None) if nothing else (found.young, found.poisson)
-    record: dict[str, object] = {"law": scene.settings.law, "verdict": found.verdict}
+    record: dict[str, object] = {"verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
     if not nothing:

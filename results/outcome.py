@@ -78,6 +78,6 @@ def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     Console().print(_table(outcomes), soft_wrap=True)
     failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:
-        say(console, f"Look at {write_pages(output, failed)}")
+        say(console, f"Look at {write_pages(output, failed, anew=False)}")
     except OutputError as error:
         say(console, f"no page: {error}")

@@ -63,6 +63,7 @@ LIGHT_DOORS = {
     "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
     "palpate.command.infer": "palpate.estimators.direct.sampling",
     "palpate.command.live": "palpate.estimators.direct.sampling",
+    "palpate.command.page": "palpate.results.page.render",
     "palpate.command.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
 }

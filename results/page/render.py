@@ -20,12 +20,13 @@ Failure = tuple[str, str]
 INDEX, CLIP = store.PAGES
 
 
-def write_pages(output: Path, failed: Iterable[Failure] = ()) -> Path:
-    """Write the page of a folder of results, and those of its clips that are missing or older; returns the former.
+def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
+    """Write the page of a folder of results, and those of its clips; returns the former.
 
     Args:
         output: the folder.
         failed: clips of this batch without results.
+        anew: whether to write all clips' pages, not only those that are missing or older than their results.
 
     Raises:
         OutputError: a page can't be written, or a file that this program did not write is in its place.
@@ -36,7 +37,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = ()) -> Path:
             page, text = folder / CLIP, ""
             try:
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
-                if summary["page"] == CLIP and not (page.exists() and page.stat().st_mtime_ns >= made):
+                if summary["page"] == CLIP and (anew or not page.exists() or page.stat().st_mtime_ns < made):
                     shown = clip_of(folder)
                     text = environment.get_template("clip.html").render(clip=shown, colors=COLORS)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages

@@ -105,45 +105,53 @@ def test_the_video_plays_in_browsers_or_the_page_says_that_there_is_none(results
     folder = shutil.copytree(results / ODD, tmp_path / "out" / "clip")
     for name in ("overlay.mp4", "mine.mp4"):
         (folder / "overlay.mp4").rename(folder / name)
-        (folder / "page.html").unlink()
-        write_pages(folder.parent)
+        write_pages(folder.parent, anew=True)
         page = Page(folder / "page.html")
         assert ("no overlay video (--no-overlay)" in page.text) == (name == "mine.mp4")
         assert ("video" in dict(page.tags)) == (name == "overlay.mp4")
 
 
-def test_pages_are_rebuilt_and_a_user_s_page_stays(results, tmp_path) -> None:
+def test_pages_are_rebuilt_and_a_user_s_page_stays(results, tmp_path, capsys) -> None:
     output = shutil.copytree(results, tmp_path / "out")
     index, clip = output / "index.html", output / ODD / "page.html"
     before = index.read_bytes(), clip.read_bytes()
     clip.unlink()
     assert before[0].count(b'class="failed"') == 1
-    write_pages(output)
+    assert main(["page", str(output)]) == 0
     assert clip.read_bytes() == before[1]
     assert 'class="failed"' not in index.read_text()
     kept = (output / ODD / "forces.json").rename(output / "kept")
-    clip.unlink()
-    write_pages(output)
+    write_pages(output, anew=True)
     assert "its results are damaged or of another version (FileNotFoundError" in index.read_text()
     kept.rename(output / ODD / "forces.json")
-    write_pages(output)
+    write_pages(output, anew=True)
     assert 'class="failed"' not in index.read_text()
     index.write_text("mine")
     with pytest.raises(OutputError, match=r"index.html is not as this program wrote it; move it away"):
-        write_pages(output)
-    assert index.read_text() == "mine"
+        write_pages(output, anew=False)
+    assert (main(["page", str(output)]), index.read_text()) == (1, "mine")
+    with pytest.raises(SystemExit, match="2"):
+        main(["page", str(tmp_path)])
+    assert "holds no results of palpate infer" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-def test_a_page_that_can_not_be_written_is_one_sentence(results, tmp_path, monkeypatch, number) -> None:
+def test_a_page_that_can_not_be_written_or_found_is_one_sentence(
+    results, tmp_path, capsys, monkeypatch, number
+) -> None:
     shutil.copytree(results, copied := tmp_path / "copied")
 
     def refuse(path: Path, _: bytes) -> None:
         raise OSError(number, os.strerror(number), str(path))
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
-    with pytest.raises(OutputError, match=f"^{re.escape(str(copied))}: [^\n]*$"):
-        write_pages(copied)
+    assert main(["page", str(copied)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"{copied}: ")
+    assert said.count("\n") == 1
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["page", "a" * 300])
+    assert "can't be read (File name too long)" in capsys.readouterr().err
 
 
 def test_every_status_and_verdict_has_a_remedy() -> None:

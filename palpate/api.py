@@ -85,7 +85,7 @@ def calibrate(scene: str | Path) -> MaterialFit:
         NoEquilibrium: the body can't bear the forces.
     """
     read = read_scene(Path(scene))
-    return fit_material(read.skin, read.held, read.palpations, read.settings)
+    return fit_material(read.skin, read.held, read.palpations)
 
 
 def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Plan:

@@ -61,8 +61,6 @@ class EdgeCosts:
 
     def __init__(self, scene: PlanScene, tables: Mapping[str, CostTable]) -> None:
         self.scene, self.tables = scene, tables
-        self.crossings = 0
-        """Lines through tissue whose cost was asked for."""
 
     def deformation(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ].
@@ -78,7 +76,6 @@ class EdgeCosts:
             which = np.flatnonzero(np.isfinite(gone))
             if not len(which):
                 continue
-            self.crossings += len(which)
             way = (ends[which] - starts[which]) / lengths[which, None]
             tip = piece.inside_frame(starts[which] + gone[which, None] * way)
             turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)

@@ -126,7 +126,6 @@ def build_record(
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
-        "overlay_encoder": results.encoder,
         "versions": versions(),
     }
 

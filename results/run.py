@@ -201,15 +201,10 @@ class Batch:
         paths, known = list(found), self.calibration
         if known is not None and known.of_one_clip and len(paths) > 1:
             raise ValueError(f"{known.path} tells of a force in one clip, and there are {len(paths)}; give that alone.")
-        if paths and (self.options.shard or self.options.jobs > 1 or self.options.scheduler):
-            number, count = self.options.shard or (1, 1)
-            if count > len(paths):
-                raise ValueError(f"--shard {number}/{count} exceeds the {len(paths)} clips; give n up to that.")
-            mine = set(paths[number - 1 :: count])
-            for path in paths:  # those of the others too, so that all agree which folder is whose
+        if self.options.jobs > 1 or self.options.scheduler:
+            for path in paths:
                 with suppress(ValueError):  # reported when it is the clip's turn
-                    self.folders[path] = self.store.folder(name_of(path), path, settled=path in mine)
-            paths = [path for path in paths if path in mine]
+                    self.folders[path] = self.store.folder(name_of(path), path)
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:

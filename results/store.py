@@ -108,13 +108,10 @@ class ResultStore:
         with writing(output):
             tempfile.TemporaryFile(dir=output).close()
 
-    def folder(self, name: str, origin: Path, *, settled: bool = True) -> Path:
+    def folder(self, name: str, origin: Path) -> Path:
         """Folder of the clip `name` that comes from `origin`.
 
         Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
-
-        Args:
-            settled: whether what a killed run left next to it is settled; not where another process works on it.
 
         Raises:
             OutputError: both are taken, or a killed run's results can't be moved to their place.
@@ -124,7 +121,7 @@ class ResultStore:
         names = (plain, f"{plain}-{_mark(source)}")
         with writing(self.output):
             for name in names:
-                if settled and name.casefold() not in self._taken:
+                if name.casefold() not in self._taken:
                     settle(self.output / name)
         owners = {name: self._owner(name) for name in names}
         for wanted in (source, ""):

@@ -23,7 +23,6 @@ from palpate.physics.msd.simulation import simulate
 
 ENDS = np.array([0.0, -1.0, 1.0])
 """Value and both ends of its 90 % interval, in standard deviations over `NINETY`."""
-SCENE = "scene units: depth over the clip's scale, not metric"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +30,17 @@ class Deformation:
     """Mesh of N vertices that deforms over T frames, with what was estimated of it."""
 
     points: np.ndarray
-    """Vertices at rest, shape [N, 3], in the unit of the displacement."""
+    """Vertices at rest, shape [N, 3] [scene units]."""
     triangles: np.ndarray
     """Vertices of the surface's triangles, shape [F, 3]."""
     displacement: np.ndarray
-    """Displacement from rest, shape [T, N, 3]."""
+    """Displacement from rest, shape [T, N, 3] [scene units]."""
     times: np.ndarray
     """Times since rest, shape [T] [s]."""
     parameters: Mapping[str, np.ndarray]
     """Quantities of the whole mesh by name; of an estimate its value and both ends of its 90 % interval."""
     fields: Mapping[str, np.ndarray]
     """Quantities of each vertex by name, shape [N] or [N, K]; of an estimate as of `parameters`."""
-    units: Mapping[str, str]
-    """Units by name, `displacement` included."""
     tetrahedra: np.ndarray | None = None
     """Vertices of the tetrahedra, shape [E, 4]; None = a sheet."""
 
@@ -74,9 +71,8 @@ def _press(found: Estimate, contact: Interaction, mechanics: Mechanics, times: n
     names = {name: [numbers[f"{name}{end}"] for end in ("", "_low", "_high")] for name in PARAMETERS}
     parameters = {name: np.array(values) for name, values in names.items()}
     parameters |= {"force_direction": np.sign(found.theta[2]) * press.direction}
-    units = dict.fromkeys(PARAMETERS, "scene units (normalised), not SI") | {"displacement": SCENE}
     moved = np.concatenate([np.zeros_like(moved[:1]), moved])[steps[inside]]
-    return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {}, units)
+    return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {})
 
 
 def _field(found: FieldEstimate) -> Deformation:
@@ -93,10 +89,8 @@ def _field(found: FieldEstimate) -> Deformation:
         # VTK reads no infinite numbers.
         spread = np.minimum(log_sd, 50.0)[:, None] * NINETY * ENDS
         fields |= {name: np.asarray(values)[:, None] * np.exp(spread), f"{name}_known": known}
-    units = dict.fromkeys(fields, "m/Δt²: mass over the square of a frame's time, relative")
-    units |= {"displacement": SCENE} | {f"{name}_known": "1: determined" for name in ("stiffness", "shape_stiffness")}
     solid = last.tetrahedra if len(last.tetrahedra) else None
-    return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, units, solid)
+    return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, solid)
 
 
 def write_series(folder: Path, name: str, found: Deformation) -> None:
@@ -113,14 +107,14 @@ def write_series(folder: Path, name: str, found: Deformation) -> None:
         with contextlib.redirect_stderr(io.StringIO()):  # meshio warns that text is large
             mesh = Mesh(found.points.astype(np.float64), faces | inner, {"displacement": moved} | fields)
             mesh.write(folder / file, binary=False)
-        _annotate(folder / file, {**found.parameters, "TimeValue": np.array([time])}, found.units)
+        _annotate(folder / file, {**found.parameters, "TimeValue": np.array([time])})
     sets = (f'<DataSet timestep="{time}" file="{file}"/>' for time, file in zip(found.times, files, strict=True))
     index = '<VTKFile type="Collection" version="0.1">\n<Collection>\n{}\n</Collection>\n</VTKFile>\n'
     (folder / f"{name}.pvd").write_text(index.format("\n".join(sets)), encoding="utf-8")
 
 
-def _annotate(path: Path, parameters: Mapping[str, np.ndarray], units: Mapping[str, str]) -> None:
-    """Add parameters as field data, which meshio doesn't write, and units."""
+def _annotate(path: Path, parameters: Mapping[str, np.ndarray]) -> None:
+    """Add parameters as field data, which meshio doesn't write."""
     tree = ElementTree.parse(path)
     data = ElementTree.Element("FieldData")
     for name, values in parameters.items():
@@ -128,8 +122,4 @@ def _annotate(path: Path, parameters: Mapping[str, np.ndarray], units: Mapping[s
         array = ElementTree.SubElement(data, "DataArray", {"type": "Float64", "Name": name} | shape)
         array.text = " ".join(map(str, values.tolist()))
     next(tree.iter("UnstructuredGrid")).insert(0, data)
-    for array in tree.iter("DataArray"):
-        if unit := units.get(array.attrib["Name"]):
-            key = {"name": "UNITS_LABEL", "location": "vtkDataArray"}
-            ElementTree.SubElement(array, "InformationKey", key).text = unit
     tree.write(path)

@@ -76,8 +76,6 @@ class ClipResults:
         self.folder, self._size, self._export, self._bag = folder, size, export, bag
         self._fps, self._seconds = fps, seconds
         self.calibration, self.alarm = calibration, alarm
-        self.encoder = Video.encoder if overlay else None
-        """Name of the video encoder; None without an overlay."""
         self.length = ClipLength(math.nan)
         """Of a scene unit, once it is known."""
         self.columns = columns.FRAMES | ({} if alarm is None else columns.ALARM)

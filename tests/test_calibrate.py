@@ -1,5 +1,6 @@
 """The door from forces to constants."""
 
+import copy
 import functools
 import json
 from pathlib import Path
@@ -17,7 +18,6 @@ from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin
 from palpate.estimators.palpation.material_fit import MaterialFit
-from palpate.physics.fem import Material, find_equilibrium
 
 
 @functools.cache
@@ -56,15 +56,13 @@ def test_the_example_s_stiffness_is_found(tmp_path, capsys, monkeypatch):
     assert record["poisson"] == pytest.approx(example.POISSON, abs=3 * record["poisson_sd"])
     assert record["verdict"] == "determined"
     assert capsys.readouterr().out.startswith("E = 1.0")
-    errors = np.genfromtxt(tmp_path / "errors.csv", delimiter=",", names=True)["error_mm"]
-    assert 0.1 < np.sqrt(np.nanmean(errors**2)) < 0.4
-    assert np.isnan(errors).any()
+    assert 1e-4 < record["surface_error_rms_m"] < 4e-4
 
 
 @pytest.mark.slow
 def test_a_reversed_force_is_a_sentence(tmp_path, capsys):
     right = ball()[0]["palpations"][0]
-    turned = right | {"force": [-component for component in right["force"]]}
+    turned = copy.deepcopy(right) | {"force": [-component for component in right["force"]]}
     scene = write_scene(tmp_path, palpations=[right, turned])
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
     said = " ".join(capsys.readouterr().err.split())
@@ -77,9 +75,7 @@ def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkey
 
     def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
         (each,) = palpations
-        zero = np.zeros_like(skin.body.rest)
-        rest = find_equilibrium(skin.body, Material("linear", 4.6e9, 0.3), held, forces=zero)
-        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], [rest], 3e-4, 3)
+        return MaterialFit(4.6e9, 0.3, np.diag([1e6, 0.02]), [each.pose], 3e-4, 3)
 
     monkeypatch.setattr(calibrate, "fit_material", fit)
     assert calibrate.main(["palpation", str(write_scene(tmp_path)), "--output", str(tmp_path)]) == 0
@@ -110,7 +106,6 @@ PRESS = {"contact": [0, 0, 0.1], "points": "observed.csv"}
         ({"palpations": [PRESS | {"force": [0, 0, 0]}]}, "force is to be"),
         ({"palpations": [PRESS | {"force": [1e15, 0, 0]}]}, "1e-06 to 10000 N"),
         ({"cells": 64}, "cells is 64; give 2 to 24"),
-        ({"young": 1e-300}, "young is to be 1 to 1e+12 Pa"),
         ({"held_below": 1e15}, "all of the surface lies below the floor at 1e+15 m"),
         ({"extra": 1}, "unknown key 'extra'"),
     ],

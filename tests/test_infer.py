@@ -725,24 +725,6 @@ def test_clips_at_once_give_the_same_tables_and_one_that_fails_is_named(
     assert contents(tmp_path) == before
 
 
-def test_shares_together_are_the_whole(named_alike, inputs, one_by_one, tmp_path, capsys):
-    statuses, found = [], []
-    for share in ("2/3", "3/3", "1/3"):
-        statuses.append(several(named_alike, inputs, tmp_path, "--shard", share))
-        found.append(len(clips_in(tmp_path)))
-    assert (statuses, found) == ([0, 1, 0], [1, 1, 2])
-    page = (tmp_path / "index.html").read_text()  # clips of all shares, failures of the last
-    assert (page.count("/page.html"), page.count('class="failed"')) == (2, 0)
-    assert tables(tmp_path) == one_by_one
-    capsys.readouterr()
-    assert several(named_alike, inputs, tmp_path, "--shard", "1/4") == 2
-    assert "--shard 1/4 exceeds the 3 clips; give n up to that." in capsys.readouterr().err
-    for share in ("0/2", "3/2", "1", "a/b", "1/2/3", "-1/2"):
-        with pytest.raises(SystemExit, match=r"^2$"):
-            several(named_alike, inputs, tmp_path, f"--shard={share}")
-        assert f"'{share}' is no share i/n" in capsys.readouterr().err
-
-
 def test_interrupted_workers_leave_finished_clips_alone(named_alike, inputs, one_by_one, tmp_path, monkeypatch, capsys):
     def interrupted(*tasks, **options):
         with contextlib.closing(run_tasks(*tasks, **options)) as results:

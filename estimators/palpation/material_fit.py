@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.estimators.palpation.bench import Bench, Palpation
-from palpate.estimators.palpation.gauss_newton import POISSON, System, ends, iterated, states_of
+from palpate.estimators.palpation.gauss_newton import System, ends, iterated, states_of
 from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium
 from palpate.physics.identifiability import LIMIT
@@ -32,12 +32,8 @@ BEGUN = 0.03
 class FitSettings:
     """How a fit sees its model."""
 
-    law: str = "corotational"
-    """Of `physics.fem.LAWS`: co-rotational is the paper's."""
     young: float = 1e4
     """E to begin at [Pa]."""
-    poisson: float = 0.3
-    """ν to begin at."""
     model_error: float = 0.02
     """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
     takes besides the sensor's noise."""
@@ -54,8 +50,6 @@ class MaterialFit:
     """Of (log E, ν), shape [2, 2]."""
     poses: list[np.ndarray]
     """Of the sensors, aligned, each of shape [4, 4]."""
-    rests: list[Equilibrium]
-    """The body under each force, as it was simulated last."""
     noise: float
     """Root mean square distance that is left [m]."""
     solves: int
@@ -92,7 +86,7 @@ def fit_material(
         skin: the surface at rest on its body.
         held: which components of the nodes are fixed, shape [N, 3], bool.
         palpations: one or several.
-        settings: law and start.
+        settings: the start, and how wrong the model is.
         report: is given a line after every simulation.
 
     Raises:
@@ -107,16 +101,16 @@ def fit_material(
                 f"the force of palpation {number} points out of the body; give what the tool does to the body, the "
                 "negative of what a sensor in its handle feels."
             )
-    bench = Bench(skin, held, palpations, settings.law)
-    poisson = float(np.clip(settings.poisson, *POISSON))
+    bench = Bench(skin, held, palpations)
+    poisson = 0.3  # to begin at
     rests = bench.linear(settings.young, poisson)
     scale = _scale(bench, rests)
     begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(poisson))
-    young, poisson, rests, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
+    young, poisson, _, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
     # By the derivatives, from what was simulated last.
     young, poisson = float(young / (1 + found.change[0])), float(poisson + found.change[1])
     covariance = found.covariance(settings.model_error)
-    return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
+    return MaterialFit(young, poisson, covariance, found.poses, found.noise, bench.solves)
 
 
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:

@@ -14,9 +14,7 @@ from palpate.common.settings import LARGEST
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
-from palpate.estimators.palpated import YOUNG
 from palpate.estimators.palpation.bench import Palpation
-from palpate.estimators.palpation.material_fit import FitSettings
 from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
@@ -53,16 +51,10 @@ class SceneFile:
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     cells: int = 8
     """Of the mesh along the surface's longest side."""
-    young: float = 1e4
-    """E to begin at [Pa]."""
-    poisson: float = 0.3
-    """ν to begin at."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.cells <= MOST_CELLS:
             raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
-        if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
-            raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
 
@@ -105,7 +97,6 @@ class Scene:
     held: np.ndarray
     """Which components of the nodes are fixed, shape [N, 3], bool."""
     palpations: list[Palpation]
-    settings: FitSettings
 
 
 def read_scene(path: Path) -> Scene:
@@ -141,7 +132,7 @@ def read_scene(path: Path) -> Scene:
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
-    return Scene(skin, held, palpations, FitSettings(young=scene.young, poisson=scene.poisson))
+    return Scene(skin, held, palpations)
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:

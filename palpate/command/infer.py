@@ -24,21 +24,7 @@ from palpate.estimators.open import NAMES
 from palpate.results.run import run
 from palpate.results.store import BAGS
 
-
-def shard(text: str) -> tuple[int, int]:
-    """Convert `i/n` to (i, n), the type of --shard.
-
-    Raises:
-        ArgumentTypeError: there is no such share.
-    """
-    number, _, count = text.partition("/")
-    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
-        raise argparse.ArgumentTypeError(f"'{text}' is no share i/n; give two whole numbers with 1 ≤ i ≤ n, as 2/8")
-    return int(number), int(count)
-
-
 TYPES = {
-    "shard": shard,
     "jobs": whole_number(1, MOST_THREADS),
     "path": path_option,
     "threads": whole_number(0, MOST_THREADS),

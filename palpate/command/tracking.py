@@ -29,11 +29,6 @@ EXPERIMENT = "palpate"
 """Name of the experiment that holds the runs, and so compares them."""
 RUN_ID = "mlflow_run_id"
 """Name under which a checkpoint holds its run's id."""
-PLACES = (
-    ("experiments", "artifact_location"),
-    ("runs", "artifact_uri"),
-)
-"""Tables and columns of MLflow's database that hold places of artifacts."""
 LOCK_TIMEOUT_S = 5.0
 """Longest wait for another program that has the tracking database locked [s]."""
 
@@ -75,7 +70,6 @@ def run_loggers(
         root = folder.resolve().parent
         root.mkdir(parents=True, exist_ok=True)
         _require_database(root / "mlflow.db")
-        _follow_move(root / "mlflow.db", str(root / "mlflow"))
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, name)
         place = {"tracking_uri": database, "artifact_location": str(root / "mlflow")}
@@ -94,19 +88,6 @@ def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
             client.update_run(run_id, name=name)
             return run_id
     return None
-
-
-def _follow_move(path: Path, place: str) -> None:
-    """Let a database name the artifacts' folder beside it: MLflow stores absolute paths, and folders are moved."""
-    if not path.is_file():
-        return
-    with contextlib.closing(sqlite3.connect(path, timeout=LOCK_TIMEOUT_S)) as database, database:
-        known = database.execute("select artifact_location from experiments where name = ?", (EXPERIMENT,)).fetchone()
-        if known is None or known[0] == place:
-            return
-        for table, column in PLACES:
-            moved = f"update {table} set {column} = ? || substr({column}, ?) where substr({column}, 1, ?) = ?"
-            database.execute(moved, (place, len(known[0]) + 1, len(known[0]), known[0]))
 
 
 def tracked(trainer: Trainer) -> list[MLFlowLogger]:

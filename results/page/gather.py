@@ -8,7 +8,6 @@ from typing import Any
 
 from palpate.common.files import read_beside
 from palpate.results import store
-from palpate.results.calibrated import NEWTONS
 from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
 
 TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
@@ -28,8 +27,6 @@ def summary_of(folder: Path) -> dict[str, Any]:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
     """
     record = store.read_record(folder)
-    # A sequence's forces are given, not estimated.
-    report = json.loads((folder / store.REPORT).read_bytes()) if store.REPORT in record["files"] else {"contacts": []}
     given, contacts = record["input"], record["contacts"]
     order = [*COLORS, *contacts]
     return {
@@ -41,7 +38,6 @@ def summary_of(folder: Path) -> dict[str, Any]:
         "touching": int(record["statuses"].get("ok", 0)),
         "estimator": str(record["estimator"]["name"]),
         "warnings": [str(warning) for warning in record["warnings"]],
-        "newtons": any(contact["unit"].startswith(NEWTONS) for contact in report["contacts"]),
     }
 
 

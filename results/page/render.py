@@ -10,7 +10,7 @@ from palpate.common.files import as_json
 from palpate.common.output import ForeignFile, write_own
 from palpate.results import store
 from palpate.results.page.gather import clip_folders, clip_of, summary_of
-from palpate.results.verdicts import COLORS, MEANINGS
+from palpate.results.verdicts import COLORS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -50,7 +50,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
                     write_own(page, text)
             except ForeignFile as error:
                 foreign = error
-        shown = {"clips": rows, "failures": failures, "colors": COLORS, "meanings": MEANINGS}
+        shown = {"clips": rows, "failures": failures, "colors": COLORS}
         write_own(output / INDEX, environment.get_template("index.html").render(shown))
         if foreign is not None:
             raise foreign

@@ -46,7 +46,7 @@ def test_a_start_however_far_off_ends_at_the_truth_after_as_many_simulations(sla
 def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
     """What they are off by goes with the square of the change; from there fewer Newton steps lead to rest."""
     skin, held, seen = slab
-    bench = Bench(skin, held, [seen], "corotational")
+    bench = Bench(skin, held, [seen])
     (rest,) = bench.rest(1e4, 0.4, starts=[None])
     (state,) = states_of(bench, [rest], 1.0)
     assert bench.solves == 1
@@ -66,7 +66,7 @@ def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
     """In the body's own frame, whose origin sees the surface from behind."""
     skin, held, seen = slab
     bare = dataclasses.replace(seen, points=moved(seen.points, seen.pose), pose=np.eye(4))
-    bench = Bench(skin, held, [bare], "corotational")
+    bench = Bench(skin, held, [bare])
     np.testing.assert_allclose(np.linalg.norm(bench.sights[0], axis=1), 1)
     assert bench.eyes == [False]
     found = fit_material(skin, held, [bare])
@@ -75,7 +75,7 @@ def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
 
 def test_one_press_seen_twice_is_simulated_once(slab) -> None:
     skin, held, seen = slab
-    bench = Bench(skin, held, [seen, seen], "corotational")
+    bench = Bench(skin, held, [seen, seen])
     one, two = bench.linear(1e4, 0.3)
     assert one is two
     assert bench.solves == 1

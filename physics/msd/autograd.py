@@ -6,6 +6,7 @@ Jacobian, 7 kB a sample.
 
 import functools
 import os
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -15,7 +16,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.msd.simulation import Case, require_inside, watched_rollout
+from palpate.physics.msd.simulation import Case, is_chaotic, require_inside, watched_rollout
+
+
+class UnreliableGradient(RuntimeWarning):
+    """The motion is chaotic, so its derivatives by θ carry no information."""
 
 
 def map_samples(function: Callable, samples: list) -> list:
@@ -46,6 +51,8 @@ class CompiledRollout(torch.autograd.Function):
             require_inside(case.mesh, case.load, case.watch)
         results = map_samples(functools.partial(watched_rollout, sensitive=sensitive), samples)
         paths, found = zip(*results, strict=True)
+        if sensitive:
+            found = [_reliable(*each) for each in zip(samples, paths, found, strict=True)]
         slopes = torch.from_numpy(np.stack(found))
         ctx.mark_non_differentiable(slopes)
         ctx.save_for_backward(slopes)
@@ -57,3 +64,17 @@ class CompiledRollout(torch.autograd.Function):
         """Chain with the Jacobian [B, T, M, 3, 3]."""
         (slopes,) = ctx.saved_tensors
         return torch.einsum("btmc,btmcp->bp", gradient, slopes), None, None, None, None, None
+
+
+def _reliable(case: Case, path: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """The Jacobian [T, M, 3, 3], or zeros and a warning where the motion is so chaotic that rounding decides it."""
+    if is_chaotic(path, slopes * case.theta):
+        stiffness, damping, force = (float(value) for value in case.theta)
+        warnings.warn(
+            f"the motion at k_s = {stiffness:.4g}, k_d = {damping:.4g}, F = {force:.4g} is chaotic, so its gradient "
+            "by θ means nothing and 0 is returned for it; more damping, less force or a shorter horizon avoids it.",
+            UnreliableGradient,
+            stacklevel=2,
+        )
+        return np.zeros_like(slopes)
+    return slopes

@@ -53,7 +53,8 @@ def rollout_sensitivities(
 ) -> tuple[Tensor, Tensor]:
     """What `rollout` gives, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 
-    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis.
+    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
+    where the compiled motion is so chaotic that rounding decides them.
     """
     theta, watched = _checked(theta.detach(), meshes, loads, watch)
     found, slopes = CompiledRollout.apply(theta, meshes, loads, watched, mechanics, True)

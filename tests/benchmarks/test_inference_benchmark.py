@@ -30,10 +30,10 @@ def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
 
 
 def test_a_rate_is_that_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference, "VIDEO_FRAMES", 13)
-    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=13), seed=1).with_suffix(
+    monkeypatch.setattr(inference, "VIDEO_FRAMES", 16)
+    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1).with_suffix(
         ".mp4"
     )
     rate = frames_a_second(clip, tmp_path / "results", "full")
     (record,) = (tmp_path / "results").rglob("run.json")
-    assert rate == pytest.approx(13 / json.loads(record.read_text())["timings_s"]["total"])
+    assert rate == pytest.approx(16 / json.loads(record.read_text())["timings_s"]["total"])

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -16,8 +17,9 @@ from palpate.common.doors import interruptible
 from palpate.physics import Mechanics
 from palpate.physics.msd import autograd as msd_autograd
 from palpate.physics.msd import rollout
+from palpate.physics.msd.autograd import UnreliableGradient
 from tests.physics.batches import batch_of
-from tests.physics.sheets import sheet
+from tests.physics.sheets import loose, sheet
 
 THETA = [[0.7, 0.05, -0.1], [0.2, 0.3, -0.4], [0.5, 0.5, -5.0]]
 
@@ -86,6 +88,20 @@ def test_second_derivatives_are_refused_with_a_sentence():
     (gradient,) = torch.autograd.grad(rollout(theta, mesh, load).square().sum(), theta, create_graph=True)
     with pytest.raises(RuntimeError, match="differentiate twice"):
         gradient.sum().backward()
+
+
+def test_chaotic_motion_has_no_gradient_and_says_so():
+    mesh, load = batch_of([loose(sheet(21, 21))] * 2, [220, 220])
+    mechanics = Mechanics()
+    regular = torch.tensor([[0.7, 0.05, -0.1]] * 2, requires_grad=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rollout(regular, mesh, load, mechanics).square().sum().backward()
+    theta = torch.tensor([[0.7, 0.05, -0.1], [5.34, 0.0, -1.0]], requires_grad=True)
+    with pytest.warns(UnreliableGradient, match=r"k_s = 5\.34, k_d = 0, F = -1 is chaotic"):
+        rollout(theta, mesh, load, mechanics).square().sum().backward()
+    assert not theta.grad[1].any()
+    torch.testing.assert_close(theta.grad[0], regular.grad[0])
 
 
 def test_nan_parameters_are_not_hidden():

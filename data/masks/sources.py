@@ -115,7 +115,7 @@ def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> Mask
         from palpate.data.masks.onnx import OnnxMasks
         from palpate.data.picture_network import PictureNetwork
 
-        own = PictureNetwork(file, device=device, raw=True).outlines_instruments
+        own = PictureNetwork(file, threads=threads, device=device, raw=True).outlines_instruments
         return (AutomaticMasks if own else OnnxMasks)(file, threads=threads, device=device)
     from palpate.data.masks.outlined import OutlinedMasks
 

@@ -110,8 +110,22 @@ class Bench:
 
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:
         """Which matched points tell of the body, shape [P], bool."""
-        place, palpation = match.at(self.skin.triangles, self.skin.vertices), self.palpations[which]
-        beside_the_tool = np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
-        counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool
+        place = match.at(self.skin.triangles, self.skin.vertices)
+        counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
         # A pose that is a little off carries points around a sharp edge, where distances jump.
         return counts & (self.skin.from_creases(place) > OUTLIER * self.noise)
+
+
+def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:
+    """Which places on the surface at rest, shape [P, 3], the tool doesn't hide, shape [P], bool."""
+    return np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
+
+
+def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
+    """Squared distance of every point from the simulated surface, not a number where the hole masks it, shape [P] [m²].
+
+    Frank 2010, equation 3.
+    """
+    match = Match.of(moved(palpation.points, pose), skin.moved(rest.displacement), skin.triangles)
+    away = beside_the_tool(match.at(skin.triangles, skin.vertices), palpation)
+    return np.where(away, np.square(match.apart), np.nan)

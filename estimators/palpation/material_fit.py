@@ -50,6 +50,8 @@ class MaterialFit:
     """Of (log E, ν), shape [2, 2]."""
     poses: list[np.ndarray]
     """Of the sensors, aligned, each of shape [4, 4]."""
+    rests: list[Equilibrium]
+    """The body under each force, as it was simulated last."""
     noise: float
     """Root mean square distance that is left [m]."""
     solves: int
@@ -106,11 +108,11 @@ def fit_material(
     rests = bench.linear(settings.young, poisson)
     scale = _scale(bench, rests)
     begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(poisson))
-    young, poisson, _, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
+    young, poisson, rests, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)
     # By the derivatives, from what was simulated last.
     young, poisson = float(young / (1 + found.change[0])), float(poisson + found.change[1])
     covariance = found.covariance(settings.model_error)
-    return MaterialFit(young, poisson, covariance, found.poses, found.noise, bench.solves)
+    return MaterialFit(young, poisson, covariance, found.poses, rests, found.noise, bench.solves)
 
 
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:

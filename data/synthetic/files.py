@@ -85,6 +85,7 @@ def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion) -> dict[st
         "release_s": float(motion.times[motion.release_frame]),
         "force_delay_s": motion.delay,
         "release_delay_s": motion.release_delay,
+        "force_profile": scene.settings.profile,
         "force_shape": dataclasses.asdict(motion.shape),
         "peak_displacement": motion.peak,
         "integrator": INTEGRATOR,

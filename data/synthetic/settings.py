@@ -62,9 +62,11 @@ class SceneSettings:
     vertex alone."""
     force_tilt_deg: Annotated[Range, 0, 60] = (0.0, 0.0)
     """Angle between the force of a press and the normal of the tissue, drawn uniformly, to any side [degrees]."""
-    rise: Annotated[Range, 0, 1] = (0.0, 0.0)
-    """Share of the time in contact over which the force rises linearly before it holds, drawn uniformly."""
-    fall: Annotated[Range, 0, 1] = (0.0, 0.0)
+    profile: Literal["step", "ramp", "hold"] = "step"
+    """Force while in contact: constant, rising linearly from 0 to F at release, or rising, holding and falling."""
+    rise: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
+    """Share of the time in contact over which a force that holds rises, drawn uniformly."""
+    fall: Annotated[Range, 0, 1] = (1 / 3, 1 / 3)
     """Share of the time in contact over which it falls, drawn uniformly; rise and fall sum to at most 1."""
     press_seconds: Annotated[Range, 1e-6, 1e4] = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""

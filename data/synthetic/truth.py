@@ -249,7 +249,8 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     radius, tilt, rise, fall = (float(generator.uniform(*ends)) for ends in ranges)
     angle = generator.uniform(0, 2 * math.pi)
     lean = math.tan(math.radians(tilt))
-    return PressShape(radius, (0.0, 0.0), rise * load, fall * load, (lean * math.cos(angle), lean * math.sin(angle)))
+    course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
+    return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
 
 
 def force_factor(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:

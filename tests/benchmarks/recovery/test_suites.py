@@ -17,7 +17,8 @@ CHANGED = {
     "mismatch": {"stiffness_variation": 0.3},
     "oblique": {"max_tilt_deg": 30.0},
     "late-onset": {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
-    "patch": {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0)} | {"rise": (0.1, 0.45), "fall": (0.1, 0.45)},
+    "patch": {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0), "profile": "hold"}
+    | {"rise": (0.1, 0.45), "fall": (0.1, 0.45)},
 }
 
 

@@ -140,7 +140,7 @@ def test_a_force_that_leans_moves_tissue_to_its_side(scene: Scene, motion: Press
 
 def test_a_drawn_shape_lies_in_its_ranges(scene: Scene) -> None:
     ends = {"patch_radius": (2.0, 3.0), "force_tilt_deg": (5.0, 9.0), "rise": (0.1, 0.2), "fall": (0.3, 0.4)}
-    settings = with_settings(scene, **ends).settings
+    settings = with_settings(scene, profile="hold", **ends).settings
     shapes = [draw_shape(settings, 0.5, np.random.default_rng(seed)) for seed in range(50)]
     tilts = np.degrees(np.arctan([np.hypot(*shape.lean) for shape in shapes]))
     found = np.column_stack([[(shape.radius, shape.rise, shape.fall) for shape in shapes], tilts])

@@ -1,4 +1,4 @@
-"""What is measured, against known truth, the papers' tables and the clock; `python -m benchmarks.NAME`. Not installed.
+"""Measurements against known truth, the papers' tables and the clock; `python -m benchmarks.NAME`. Not installed.
 
 goldens      numbers that a change must leave as they are
 recovery     synthetic clips with known truth against the best that is possible

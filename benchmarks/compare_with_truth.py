@@ -91,7 +91,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> p
 
 @dataclass(frozen=True)
 class Compared:
-    """What is compared."""
+    """Results and truth to compare."""
 
     results: tuple[Path, ...]
     """folders of palpate infer, one a clip"""

@@ -47,7 +47,7 @@ CLASSES = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbl
 
 @dataclass(frozen=True)
 class Instruments:
-    """What is measured."""
+    """Options of the benchmark."""
 
     data: Path
     """folder of sources"""

@@ -68,7 +68,7 @@ def field_texts(kind: type[Any]) -> dict[str, str]:
 
 
 def _reading(kind: Any) -> dict[str, Any]:
-    """How argparse reads a field of a kind."""
+    """Return argparse's settings for a field of a kind."""
     inner = [each for each in get_args(kind) if each is not NoneType]
     if kind is bool:
         return {"action": argparse.BooleanOptionalAction}

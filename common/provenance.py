@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 """Folder that holds the project's packages: the checkout, or where they are installed."""
 PACKAGES = ("common", "data", "estimators", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
-"""What a prepared clip does not depend on."""
+"""Folders that no prepared clip depends on."""
 MASKS = "models/weights/instruments.onnx"
 """The network that outlines instruments."""
 PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/mesh.py", MASKS)

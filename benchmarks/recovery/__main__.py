@@ -1,4 +1,4 @@
-"""How well θ is recovered on synthetic clips with known truth, against the best that is possible.
+"""Recovery of θ on synthetic clips with known truth, against the best that is possible.
 
     python -m benchmarks.recovery --suite clean --estimator direct --clips 60 --seed 0 --output runs/benchmark
 
@@ -41,18 +41,18 @@ DIRECT = "direct"
 NAMES = tuple(sorted(OF_THETA))
 """Estimators in the order of tables."""
 LARGEST_SIZE = 4096
-"""Of pictures [px]."""
+"""Largest side of the pictures [px]."""
 """Fewer frames after the onset are refused by `direct`."""
 SHOWN_FAILURES = 8
 KINDS = ("press", "grip")
-"""Of suites, in the order of tables."""
+"""Kinds of suites, in the order of tables."""
 DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
 Name = Literal["direct", "gan", "network"]
 
 
 @dataclass(frozen=True)
 class Benchmark(Experiment):
-    """What is measured."""
+    """Options of the benchmark."""
 
     suite: tuple[str, ...] = ("clean",)
     """suites, or all of presses"""
@@ -113,7 +113,7 @@ class Benchmark(Experiment):
 
     @property
     def estimators(self) -> dict[str, EstimatorOptions]:
-        """What is compared, by name, in the order of tables."""
+        """Compared estimators by name, in the order of tables."""
         models = {"network": self.model, "gan": self.gan_model, DIRECT: None}
         found = {}
         for name in NAMES:
@@ -123,7 +123,7 @@ class Benchmark(Experiment):
         return found
 
     def record(self) -> Mapping[str, Any]:
-        """What the results depend on."""
+        """Record of everything the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
         found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
         for name, options in self.estimators.items():
@@ -178,7 +178,7 @@ class Benchmark(Experiment):
 
 
 def _estimated(scores: Scores) -> list[tuple[str, str]]:
-    """How many clips of a suite were estimated, and why others weren't."""
+    """Count the clips of a suite that were estimated, with the reasons of the others."""
     count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
     return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
 

@@ -11,16 +11,23 @@ BIN := .venv/bin
 DEMO := runs/demo
 BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
 VIDEO := $(DEMO)/clips/video04/video04_00000
-INSTALLED := .venv/.installed
+INSTALLED := .venv/.train
+TESTED := .venv/.dev
+JUDGED := .venv/.acceptance
 
 .PHONY: demo test test-fast acceptance lint lock bench model masks gan paper clean
 
-$(INSTALLED): pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv
-	@echo "Installing the libraries that constraints.txt pins into .venv; this takes a minute or two ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[train,dev]"
+# The newest pip takes half as long as the one that comes with Python.
+$(INSTALLED): EXTRAS := train
+$(TESTED): EXTRAS := train,dev
+$(JUDGED): EXTRAS := train,dev,acceptance
+$(INSTALLED) $(TESTED) $(JUDGED): pyproject.toml constraints.txt
+	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
+	@echo "Installing the libraries that constraints.txt pins into .venv; this takes a minute ..."
+	@$(BIN)/pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[$(EXTRAS)]"
 	@$(BIN)/python -m compileall -qq -j 0 -x '/tests?/|torch/testing' .venv/lib || true  # as pip would, on all cores
-	touch $@
+	@touch $(INSTALLED) $@
 
 # All extras, Python 3.11 and later, every platform; versions that stand there and still do stay.
 lock:
@@ -29,7 +36,7 @@ lock:
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras $(UPGRADE) --annotation-style line \
 		--custom-compile-command "make lock" --output-file constraints.txt pyproject.toml
 
-lint: $(INSTALLED)
+lint: $(TESTED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/ty check
@@ -37,10 +44,10 @@ lint: $(INSTALLED)
 test: lint
 	$(BIN)/pytest
 
-acceptance: $(INSTALLED)
+acceptance: $(JUDGED)
 	$(BIN)/pytest -m acceptance
 
-test-fast: $(INSTALLED)
+test-fast: $(TESTED)
 	$(BIN)/pytest -m "not slow"
 
 # Runs a program quietly while another shows what it does; both must succeed:

@@ -43,7 +43,7 @@ def strict(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(), parse_constant=refuse)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_example_s_stiffness_is_found(tmp_path, capsys, monkeypatch):
     """From half the points and triangles."""
     monkeypatch.setattr(example, "POINTS", 2000)

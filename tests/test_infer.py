@@ -439,7 +439,7 @@ def write_pictures(folder, pictures, **about):
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, version):
+def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(inputs, synthetic, tmp_path, version):
     """With the pictures that its videos are decoded to, and their time stamps; of version 3 the second episode."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
     if version == "v3.0":
@@ -454,17 +454,16 @@ def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(synthetic,
     assert len(frames) == len(pictures)
     about = {"times": [frame.time_s for frame in frames], "fps": source.fps}
     write_pictures(tmp_path / "folder", [frame.picture for frame in frames], **about)
-    for given in (clip, tmp_path / "folder"):
-        assert direct(given, tmp_path / "out", "--no-overlay") == 0
+    for given in (clip, tmp_path / "folder", clip):  # which is up to date then
+        assert call(inputs, tmp_path / "out", "--no-overlay", clips=str(given)) == 0
     found = [contents(tmp_path / "out" / name) for name in (source.name.replace("/", "_"), "folder")]
     for table in ("parameters.csv", "interactions.csv"):
         assert found[0][table] == found[1][table]
     assert runs(tmp_path / "out" / "folder")
-    assert direct(clip, tmp_path / "out", "--no-overlay") == 0  # up to date
 
 
 @pytest.mark.parametrize("name", ["same.bag", "same"])
-def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, name, capsys):
+def test_a_bag_is_read_to_the_same_estimates_as_a_folder(inputs, synthetic, tmp_path, name, capsys):
     """With the same pictures, time stamps and camera; frames of both are numbered from 0."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
     camera = {"fx": 110.8, "fy": 148.2, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96, "distortion": [1e-3] * 5}
@@ -476,24 +475,24 @@ def test_a_bag_is_read_to_the_same_estimates_as_a_folder(synthetic, tmp_path, na
         yield "/lap/camera_info", make.camera((110.8, 0, 63.5, 0, 148.2, 47.5, 0, 0, 1), [1e-3] * 5, 110)
         yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
 
-    inputs = [tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)]
-    kind = "ros1" if name == "same.bag" else "ros2"
-    for given, options in zip(inputs, ([], ["--topic", "/lap/image_raw/compressed", "--bag", kind]), strict=True):
-        output = tmp_path / f"of {given.parent.name}"
-        assert direct(given, output, "--no-overlay", *options) == 0
-    folder, bag = (contents(tmp_path / f"of {given.parent.name}" / "same") for given in inputs)
+    folder, bag = tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)
+    topic, kind = ("--topic", "/lap/image_raw/compressed"), "ros1" if name == "same.bag" else "ros2"
+    for given, options in ((folder, ()), (bag, topic)):
+        assert call(inputs, tmp_path / f"of {given.parent.name}", "--no-overlay", *options, clips=str(given)) == 0
     for table in ("parameters.csv", "interactions.csv"):
-        assert bag[table] == folder[table]
-    (run,) = runs(tmp_path / "of folder" / "same")
+        one, other = (contents(tmp_path / f"of {given.parent.name}" / "same")[table] for given in (folder, bag))
+        assert one == other
+    assert direct(bag, tmp_path / "fitted", "--no-overlay", *topic, "--bag", kind) == 0
+    (run,), written = runs(tmp_path / "fitted" / "same"), contents(tmp_path / "fitted" / "same")
     assert run["status"] == "ok"
-    (press,) = json.loads(bag["forces.json"])["contacts"]
-    assert set(BAGS.values()) & bag.keys() == {BAGS[kind]}
-    said = read_messages(tmp_path / f"of {inputs[1].parent.name}" / "same" / BAGS[kind])
+    (press,) = json.loads(written["forces.json"])["contacts"]
+    assert set(BAGS.values()) & written.keys() == {BAGS[kind]}
+    said = read_messages(tmp_path / "fitted" / "same" / BAGS[kind])
     assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
     assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
-    assert direct(inputs[1], tmp_path / "out", "--topic", "/depth/image", "--force-scale", "/wrench") == 1
+    assert direct(bag, tmp_path / "out", "--topic", "/depth/image", "--force-scale", "/wrench") == 1
     assert "holds geometry_msgs/msg/WrenchStamped on no topic; record one." in flat(capsys.readouterr().err)
-    assert direct(inputs[0], tmp_path / "out", "--topic", "/lap") == 2
+    assert direct(folder, tmp_path / "out", "--topic", "/lap") == 2
     assert "--topic is of the pictures in a bag, and there is none among the inputs" in flat(capsys.readouterr().err)
 
 

@@ -154,7 +154,7 @@ def refused(capsys, *arguments: object) -> str:
     return said[0]
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, known, tmp_path, capsys):
     bounds = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.5, 0.1, -0.05))
     torch.manual_seed(3)
@@ -175,7 +175,7 @@ def test_head_posterior_starts_pretrained_and_resumes_without_the_file(config, k
     assert (config.parent / "posterior" / "evaluation" / "per_frame.csv").stat().st_size > 0
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.usefixtures("blank_pictures")
 def test_the_recommended_system_from_training_to_an_estimate(tmp_path: Path):
     """fit, export and infer.py as a user runs them, from the shipped weights, which a few steps hardly change."""
@@ -418,7 +418,7 @@ def test_a_data_set_that_is_not_there_or_a_run_folder_that_can_t_be_made_gets_a_
         assert said in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_killed_training_resumes_and_ends_where_an_uninterrupted_run_ends(config: Path, tmp_path: Path):
     arguments = f"fit -c {config} --trainer.max_epochs 2 --ckpt_path last --trainer.default_root_dir".split()
     whole, killed = tmp_path / "whole", tmp_path / "killed"

@@ -5,6 +5,7 @@ import numpy as np
 
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
+from palpate.data.tracks.flow import FlowCarrier
 
 LEAST = 8
 """Parts of a mask with fewer pixels are no instrument [grid pixels²]."""
@@ -18,7 +19,7 @@ class InstrumentNumbers:
     """Numbers the instruments of a clip from 1 on, from left to right as they are first seen."""
 
     def __init__(self) -> None:
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._carrier = FlowCarrier()
         self._gray: np.ndarray | None = None
         self._numbers = np.zeros((0, 0), np.uint8)
         """Where instruments were in the frame before."""
@@ -67,6 +68,4 @@ class InstrumentNumbers:
             return np.zeros(shape, np.uint8)
         if before is None or self._gray is None or len(self._missed) < 2:
             return self._numbers
-        flow = self._flow.calc(self._gray, before, None)  # ty: ignore[no-matching-overload]  no first guess
-        rows, columns = np.indices(shape, np.float32)
-        return cv2.remap(self._numbers, columns + flow[..., 0], rows + flow[..., 1], cv2.INTER_NEAREST)
+        return self._carrier.carried(self._numbers, before, self._gray, cv2.INTER_NEAREST)

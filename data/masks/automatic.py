@@ -17,6 +17,7 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.masks.lit import lit_picture, picture_field
 from palpate.data.picture_network import PictureNetwork, resized
 from palpate.data.source.frames import Frame
+from palpate.data.tracks.flow import FlowCarrier
 
 WEIGHTS = ROOT / MASKS
 """The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
@@ -43,7 +44,7 @@ class AutomaticMasks:
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:
         self.network, self._every = PictureNetwork(path, threads=threads, device=device), every
-        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        self._carrier = FlowCarrier()
         self.identity = f"automatic:{file_sha256(path)}" + (f":{every}" if every > 1 else "")
         self.reset()
 
@@ -76,10 +77,7 @@ class AutomaticMasks:
         gray = cv2.cvtColor(resized(small, height // 2, width // 2), cv2.COLOR_RGB2GRAY)
         before = None
         if self._gray is not None:
-            flow = self._flow.calc(gray, self._gray, None)  # ty: ignore[no-matching-overload]  no first guess
-            rows, columns = np.indices(gray.shape, np.float32)
-            ahead = columns + flow[..., 0], rows + flow[..., 1]
-            before = cv2.remap(self._probability, *ahead, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            before = self._carrier.carried(self._probability, self._gray, gray, cv2.INTER_LINEAR)
         now = before
         if now is None or self._since % self._every == 0:
             found = self.network.run(small.transpose(2, 0, 1)[None] * np.float32(1 / 255))[0]

@@ -19,7 +19,7 @@ def few_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference, "RUNS", 2)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.parametrize("name", NETWORKS)
 def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
     file = exported(name, tmp_path)
@@ -29,6 +29,7 @@ def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
     assert 0.1 < encoder_and_head(file, 1) < 10_000
 
 
+@pytest.mark.acceptance
 def test_a_rate_is_that_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference, "VIDEO_FRAMES", 16)
     clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1).with_suffix(

@@ -19,8 +19,6 @@ SIZE = (224, 384)
 """Height and width of the network's input [px]."""
 IGNORED = 255
 """Label of pixels that no loss counts."""
-SCENES, AGAIN = 600, 0.7
-"""Scenes that are kept, and the share of pictures that film one of them anew instead of drawing one."""
 
 
 class Labelled(NamedTuple):
@@ -104,7 +102,6 @@ class InstrumentPictures(IterableDataset):
         self.real, self.seed, self.size = real, seed, size
         self.real_share = real_share if real.labelled else 0.0
         self._passes = 0
-        self._scenes: list[Labelled] = []
 
     def __iter__(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         worker = get_worker_info()
@@ -116,20 +113,10 @@ class InstrumentPictures(IterableDataset):
 
     def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw a picture float32 [H, W, 3] and its labels uint8 [H, W]."""
-        if len(self._scenes) == SCENES and rng.random() < AGAIN:
-            picture, tool = warp(rng, self._scenes[rng.integers(SCENES)], self.size)
-            picture = picture.astype(np.float32)
-        else:
-            picture, tool = self._scene(rng)
-            kept = Labelled((np.clip(picture, 0, 1) * 255).astype(np.uint8), tool.copy())
-            if len(self._scenes) == SCENES:
-                self._scenes[rng.integers(SCENES)] = kept
-            else:
-                self._scenes.append(kept)
-            picture = picture * 255
+        picture, tool = self._scene(rng)
         view = scenery.rim(rng, self.size)
         tool[view[..., 0] < 0.2] = 0
-        return filmed(rng, picture / 255, view), tool
+        return filmed(rng, picture, view), tool
 
     def _scene(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """A picture float32 [H, W, 3] before the camera, and its labels uint8 [H, W]."""

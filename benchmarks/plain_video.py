@@ -1,13 +1,13 @@
 """Plain videos: drawn clips as MP4 alone, through the session that users open, compared with their truth.
 
-    python -m benchmarks.plain_video --suite video --look endoscope --seed 77 --clips 8 --output runs/plain_video
+    python -m benchmarks.plain_video --suite video --seed 77 --clips 8 --output runs/plain_video
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
 to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
 instrument that passes over tissue and never touches), and `video-depth` (the presses of `video` with
-depth as noisy as a network's and masks given, for --observation depth, shading or both). With
-`--look endoscope` pictures are drawn by another law than the estimator's (`data.synthetic.endoscope`), and coded more
-coarsely. `--estimator network` measures what the network makes of given depth.
+depth as noisy as a network's and masks given, for --observation depth, shading or both).
+`--estimator network` measures what the network makes of given depth. Tissue obeys the law of light that estimators
+assume; presses by another renderer, of real light, are judged by `benchmarks.path_traced`.
 Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
@@ -68,9 +68,6 @@ GIVEN = "video-depth"
 """The one whose clips are folders with depth and masks."""
 HEIGHTS = {854: 480, 1280: 720}
 """Of pictures by their width [px]."""
-QUALITY = {"matte": 18, "endoscope": 23}
-"""Constant rate factor of the videos."""
-
 
 DIRECT = EstimatorOptions("direct")
 
@@ -150,8 +147,6 @@ class PlainVideo(Measurements):
 
     suite: Literal[tuple(SUITES)] = "video"  # ty: ignore[invalid-type-form]
     """what the clips show"""
-    look: Literal["matte", "endoscope"] = "matte"
-    """by which law pictures are drawn"""
     width: Literal[854, 1280] = 854
     """of the pictures, 480 or 720 pixels high"""
     seed: int = 77
@@ -185,8 +180,7 @@ class PlainVideo(Measurements):
     def settings(self) -> SceneSettings:
         """What the clips are drawn from."""
         size: dict[str, Any] = {"width": self.width, "height": HEIGHTS[self.width], "frames": self.frames}
-        drawn = {"look": self.look, "video_quality": QUALITY[self.look], **SUITES[self.suite]}
-        return from_mapping(SceneSettings, size | drawn, f"The suite {self.suite}")
+        return from_mapping(SceneSettings, {**size, **SUITES[self.suite]}, f"The suite {self.suite}")
 
     @property
     def options(self) -> EstimatorOptions:
@@ -212,8 +206,10 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     for name in ("pressed", "other"):
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
-    angles = [row["normal_error_deg"] for row in rows]
-    lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": float(np.nanmedian(angles))})
+    angles = [row["normal_error_deg"] for row in rows if "normal_error_deg" in row]
+    if angles:
+        error = float(np.nanmedian(angles))
+        lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": error})
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]

@@ -20,6 +20,7 @@ MODULES = [
     "benchmarks.online",
     "benchmarks.palpation",
     "benchmarks.palpation.example",
+    "benchmarks.path_traced",
     "benchmarks.plain_video",
     "benchmarks.real",
     "benchmarks.recovery",

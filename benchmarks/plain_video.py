@@ -3,12 +3,10 @@
     python -m benchmarks.plain_video --suite video --seed 77 --clips 8 --output runs/plain_video
 
 Suites: `video` (presses), `video-moving` (presses, the camera turns), `video-oblique` (presses on tissue that faces up
-to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls), `video-hover` (an
-instrument that passes over tissue and never touches), and `video-depth` (the presses of `video` with
-depth as noisy as a network's and masks given, for --observation depth, shading or both).
-`--estimator network` measures what the network makes of given depth. Tissue obeys the law of light that estimators
-assume; presses by another renderer, of real light, are judged by `benchmarks.path_traced`.
-Else nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
+to 25 degrees aside), `video-patch` (presses on patches, aslant, by a force that rises and falls) and `video-hover` (an
+instrument that passes over tissue and never touches). Tissue obeys the law of light that estimators assume; presses by
+another renderer, of real light, are judged by `benchmarks.path_traced`.
+Nothing but the video is given: masks are automatic, depth is guessed, the light of the tissue is what is measured.
 Lengths and forces count in the tissue's distance, which no plain video tells. table.csv has the measures of every clip,
 summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity how many
 clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
@@ -33,14 +31,10 @@ import pandas as pd
 from benchmarks.harness import Measurements, Report, Row, run
 from benchmarks.recovery.suites import EVERY, LARGEST_SEED
 from palpate.api import open_clip
-from palpate.common.files import file_sha256
 from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
-from palpate.data.clip import ClipStream
-from palpate.data.contact.geometry import GeometryStatus, dent_geometry
 from palpate.data.source.layout import from_mapping
 from palpate.data.synthetic.clip import clip_seed, draw_truth, write_clip
-from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, regime_of
 from palpate.estimators.contract import ClipInfo
@@ -49,9 +43,7 @@ from palpate.estimators.open import EstimatorOptions
 from palpate.estimators.open import open_estimator as open_by_options
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
-from palpate.models.onnx_session import SHIPPED
 from palpate.physics.mechanics import damping_ratio
-from palpate.physics.mesh import contact_normal
 
 SAME_ONSET = 2
 """A run of contact is the true one where it begins within so many frames of it."""
@@ -61,32 +53,24 @@ SUITES: Mapping[str, Mapping[str, Any]] = {
     "video-oblique": {"max_tilt_deg": 25.0},
     "video-patch": EVERY["patch"].truth,
     "video-hover": {"action": "grip", "onset_fraction": (1.0, 1.0)},
-    "video-depth": {**EVERY["noisy"].errors},
 }
 """Fields of SceneSettings that make each suite."""
-GIVEN = "video-depth"
-"""The one whose clips are folders with depth and masks."""
 HEIGHTS = {854: 480, 1280: 720}
 """Of pictures by their width [px]."""
 
-DIRECT = EstimatorOptions("direct")
 
-
-def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions = DIRECT, given: bool = False) -> Row:
-    """Measures of one drawn clip by an estimator: of its video alone, or with depth and masks given."""
-    estimator = open_by_options(options)
+def measured_video(settings: SceneSettings, seed: int) -> Row:
+    """Measures of the video alone of one drawn clip."""
+    estimator = open_by_options(EstimatorOptions("direct"))
     scene, truth = draw_truth(settings, seed)
     with tempfile.TemporaryDirectory() as folder:
-        clip = write_clip(Path(folder), 1, settings, seed)
-        stream = open_clip(clip if given else clip.with_suffix(".mp4"), estimator)
-        facing = normal_error(stream, scene)
+        stream = open_clip(write_clip(Path(folder), 1, settings, seed).with_suffix(".mp4"), estimator)
         found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
     pressed = truth.in_contact
     # Nothing has moved yet in the frame in which the press begins, and dents recover after it.
     judged = np.arange(len(pressed)) != truth.onset_frame
     row: Row = {
-        "normal_error_deg": facing,
         "pressed_frames": int((pressed & judged).sum()),
         "pressed_found": int((pressed & judged & contact).sum()),
         "other_frames": int((~pressed & judged).sum()),
@@ -104,19 +88,6 @@ def measured_video(settings: SceneSettings, seed: int, options: EstimatorOptions
     estimate = right[0].estimate
     assert estimate is not None
     return row | {"left": estimate.left} | compared(right[0], truth.theta, distance)
-
-
-def normal_error(stream: ClipStream, scene: Scene) -> float:
-    """Angle between the normal at the contact by the first picture's depth and the true one [degrees]."""
-    first = stream.prepared(next(iter(stream.source)))
-    row, column = (scene.mesh.pixels[scene.vertex] * first.depth.shape / scene.mesh.grid_shape).round().astype(int)
-    geometry = stream.settings.geometry
-    try:
-        found = dent_geometry(first.depth, first.labels, (column, row), stream.camera, geometry)
-    except GeometryStatus:
-        return math.nan
-    cosine = found.normal @ contact_normal(scene.mesh, scene.vertex)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def compared(found: InteractionEstimate, theta: np.ndarray, distance: float) -> Row:
@@ -155,10 +126,6 @@ class PlainVideo(Measurements):
     """how many"""
     frames: int = 32
     """of each clip"""
-    estimator: Literal["direct", "network"] = "direct"
-    """which"""
-    observation: Literal["depth", "shading", "both"] | None = None
-    """what is fitted (default: what there is); both with direct alone"""
 
     writes = ("table.csv", "summary.csv")
 
@@ -170,9 +137,7 @@ class PlainVideo(Measurements):
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
         """Every clip by its number."""
         return {
-            str(index): functools.partial(
-                measured_video, self.settings, clip_seed(self.seed, index), self.options, given=self.suite == GIVEN
-            )
+            str(index): functools.partial(measured_video, self.settings, clip_seed(self.seed, index))
             for index in range(self.clips)
         }
 
@@ -182,16 +147,9 @@ class PlainVideo(Measurements):
         size: dict[str, Any] = {"width": self.width, "height": HEIGHTS[self.width], "frames": self.frames}
         return from_mapping(SceneSettings, {**size, **SUITES[self.suite]}, f"The suite {self.suite}")
 
-    @property
-    def options(self) -> EstimatorOptions:
-        """What opens the estimator."""
-        return EstimatorOptions(self.estimator, observation=self.observation)
-
     def record(self) -> Mapping[str, Any]:
-        """What the clips are drawn from, and the estimator."""
-        asked = {name: getattr(self, name) for name in ("seed", "estimator", "observation")}
-        network = {"model_sha256": file_sha256(SHIPPED)} if self.estimator == "network" else {}
-        return asdict(self.settings) | asked | network
+        """What the clips are drawn from."""
+        return asdict(self.settings) | {"seed": self.seed}
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The measures of every clip, and those of all."""
@@ -206,10 +164,6 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     for name in ("pressed", "other"):
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
-    angles = [row["normal_error_deg"] for row in rows if "normal_error_deg" in row]
-    if angles:
-        error = float(np.nanmedian(angles))
-        lines.append({"measure": "error of the normal [deg]", "of": len(rows), "median error": error})
     pressed = [row for row in rows if "regime" in row]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]

@@ -136,7 +136,9 @@ class InstrumentPictures(IterableDataset):
 
     def _background(self, rng: np.random.Generator) -> np.ndarray:
         if self.real.free and rng.random() < 0.45:
-            picture = scenery.real(rng, self.size, self.real.free)
+            free = self.real.free[rng.integers(len(self.real.free))]
+            picture = warp(rng, Labelled(free, np.zeros(free.shape[:2], np.uint8)), self.size).picture / np.float32(255)
+            picture *= rng.uniform(0.5, 1.4, 3).astype(np.float32)
         else:
             picture = scenery.tissue(rng, self.size)
         if rng.random() < 0.4:

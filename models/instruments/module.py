@@ -125,7 +125,7 @@ class InstrumentSegmentation(LightningModule):
             ForeignFile, ParityError: as of `models.onnx_export.export`.
         """
         network = self.averaged.module.cpu().eval()
-        model = quantised(to_onnx(network, {"picture": pictures[:2]}, ["logits"]), pictures)
+        model = quantised(to_onnx(network, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)
 
         def difference_of(file: Path) -> float:
             session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])

@@ -1,5 +1,7 @@
 """The instrument network learns, and its exported form is the same."""
 
+from pathlib import Path
+
 import onnxruntime
 import pytest
 import torch
@@ -42,18 +44,28 @@ def test_pixels_that_nobody_labelled_do_not_count():
     assert segmentation_loss(changed, PictureBatch(picture, tool), 1.0) == pytest.approx(before.item(), rel=1e-6)
 
 
-@pytest.mark.slow
-def test_training_learns_and_the_file_agrees(tmp_path):
+def trained(folder: Path) -> InstrumentSegmentation:
+    """A network after a few steps."""
     torch.manual_seed(0)
     module = InstrumentSegmentation(average=0.5, learning_rate=3e-3)
     trainer = Trainer(max_steps=24, logger=False, enable_checkpointing=False, enable_progress_bar=False,
-                      enable_model_summary=False, default_root_dir=tmp_path, accelerator="cpu")  # fmt: skip
+                      enable_model_summary=False, default_root_dir=folder, accelerator="cpu")  # fmt: skip
     data = TensorDataset(*(torch.cat([each] * 40) for each in batch()))
     trainer.fit(module, DataLoader(data, 4), DataLoader(TensorDataset(*batch()), 4))
     [found] = trainer.validate(module, DataLoader(TensorDataset(*batch()), 4), verbose=False)
     assert found["val/iou"] > 0.8
+    return module
+
+
+@pytest.mark.slow
+def test_training_learns(tmp_path):
+    trained(tmp_path)
+
+
+@pytest.mark.acceptance
+def test_the_exported_file_agrees(tmp_path):
     file, picture = tmp_path / "instruments.onnx", batch()[0]
-    assert module.export(file, picture) < 0.01
+    assert trained(tmp_path).export(file, picture) < 0.01
     again = InstrumentSegmentation(weights=file.with_suffix(".pt"))
     with torch.inference_mode():
         expected = again.network.eval()(picture).numpy()

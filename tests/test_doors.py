@@ -21,7 +21,6 @@ MODULES = [
     "benchmarks.palpation",
     "benchmarks.palpation.example",
     "benchmarks.path_traced",
-    "benchmarks.plain_video",
     "benchmarks.real",
     "benchmarks.recovery",
     "data.synthetic",

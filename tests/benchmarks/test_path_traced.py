@@ -1,6 +1,7 @@
 """The benchmark of path-traced presses, on a drawn one in their layout."""
 
 import json
+import math
 
 import pytest
 
@@ -30,6 +31,21 @@ def test_frames_and_errors_of_a_press_are_those_of_its_truth(tmp_path, capsys):
     summary = {row["measure"]: row for row in read_rows(tmp_path / "out" / "summary.csv")}
     assert int(summary["stiffness"]["count"]) == 1
     assert float(summary["force"]["median error"]) == pytest.approx(abs(float(found["force_error"])))
+
+
+def test_summary_counts_what_is_determined_and_held():
+    frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
+    known = {"force_determined": 1, "force_sd": 0.1}
+    rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)]
+    rows.append(frames)
+    found = path_traced.summarised(rows).set_index("measure")
+    assert found.loc["pressed frames called contact", ["count", "of"]].tolist() == [32, 36]
+    assert found.loc["other frames called contact", ["count", "of"]].tolist() == [4, 88]
+    assert found.loc["force", ["count", "of"]].tolist() == [3, 4]
+    assert found.loc["force", "median error"] == pytest.approx(0.15)
+    assert found.loc["force", "held"] == pytest.approx(2 / 3)
+    assert found.loc["damping", "count"] == 0
+    assert math.isnan(found.loc["damping", "held"])
 
 
 def test_a_folder_without_clips_is_a_sentence(tmp_path, capsys):

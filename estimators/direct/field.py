@@ -102,6 +102,7 @@ class SequenceProblem(LeastSquares):
         self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | clear
         """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
         self._walls = np.square(WALL * self.patches.steepness(moved))
+        self._blurs = self.patches.blurs(moved, self.covering)
         weight = np.ones_like(left)
         if outliers:
             apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)
@@ -131,7 +132,8 @@ class SequenceProblem(LeastSquares):
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
         smooth = still[:, :, None] * self._smooth[:, None, :]
-        wrong = np.matmul(whiten, np.where(self.seen.T[..., None], self.model_errors(sunk), 0.0))
+        errors = np.concatenate([self.model_errors(sunk), self._blurs], axis=2)
+        wrong = np.matmul(whiten, np.where(self.seen.T[..., None], errors, 0.0))
         flat = np.concatenate([smooth, wrong], axis=2).reshape(-1, smooth.shape[2] + wrong.shape[2])
         return whiten, flat, np.linalg.cholesky(flat.T @ flat + np.eye(flat.shape[1]))
 

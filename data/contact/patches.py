@@ -25,7 +25,6 @@ MAX_SAMPLES = 6
 
 BLUR = 0.7
 """Standard deviation of a blur of the depth by its sensor that is as likely as none [grid pixels]."""
-
 ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
@@ -199,7 +198,9 @@ class Patches:
         if not self.averages:
             return np.zeros((pixels, count, 0))
         sunk = self.sunk(moved)
-        linear = (between(self._dense(sunk[..., None]), self._sampled(moved)).reshape(covering.shape) * self.weights).sum(axis=2)
+        linear = (
+            between(self._dense(sunk[..., None]), self._sampled(moved)).reshape(covering.shape) * self.weights
+        ).sum(axis=2)
         square = np.nan_to_num(linear).reshape(count, self._side, self._side)
         blurred = gaussian_filter(square, (0, BLUR, BLUR), mode="nearest").reshape(linear.shape)
         return np.nan_to_num(np.stack([linear - self.shown(sunk, covering), blurred - linear], axis=-1)).swapaxes(0, 1)

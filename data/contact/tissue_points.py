@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from palpate.data.contact.geometry import TISSUE
 from palpate.data.source.camera import Camera
 
+LEAST_POINTS = 6
+"""Fewer points determine no rigid motion."""
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""
 
@@ -72,7 +74,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     before, after = before[finite], after[finite]
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(3):
-        if len(before) < 6:
+        if len(before) < LEAST_POINTS:
             return np.full(3, math.nan)
         centre, target = before.mean(0), after.mean(0)
         rotation = Rotation.align_vectors(after - target, before - centre)[0].as_matrix()
@@ -83,10 +85,10 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     return rotation @ at + shift - at
 
 
-def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Evenly spaced tissue pixels (u, v) far from the contact, shape [P, 2], P at most 64."""
+def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray, most: int = 64) -> np.ndarray:
+    """Evenly spaced tissue pixels (u, v) far from the contact, shape [P, 2], P at most `most`."""
     rows, columns = np.nonzero((labels == TISSUE) & (depth > 0))
     far = np.hypot(columns - contact[0], rows - contact[1]) >= 25
     pixels = np.stack((columns[far], rows[far]), 1)
-    chosen = np.linspace(0, len(pixels) - 1, min(64, len(pixels))).round().astype(int)
+    chosen = np.linspace(0, len(pixels) - 1, min(most, len(pixels))).round().astype(int)
     return pixels[chosen].astype(np.float64)

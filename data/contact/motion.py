@@ -16,14 +16,7 @@ from palpate.data.contact.outlines import inside, uncover
 from palpate.data.contact.refinement import REFINE_FRAMES, ContactRun, picture_pixel, settle_run
 from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.contact.tissue_points import (
-    LEAST_POINTS,
-    grid_to_picture,
-    lift,
-    picture_to_grid,
-    reference_pixels,
-    rigid_motion,
-)
+from palpate.data.contact.tissue_points import grid_to_picture, lift, picture_to_grid, reference_pixels, rigid_motion
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera
@@ -214,15 +207,16 @@ class ContactMotion:
         else:
             return np.full(3, math.nan)
         grid = picture_to_grid(pixel, before.depth.shape, self.size)
+        place, found = self._lift(pixel[None], before)[0], np.full(3, math.nan)
         for most in (64, 1024):
             pixels = reference_pixels(before.depth, before.labels, grid, most)
             pixels = grid_to_picture(pixels, before.depth.shape, self.size)
             moved = self._tracker.each(before.view, after.view, pixels)
+            found = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
             # On smooth tissue few are followed.
-            if np.isfinite(moved).all(axis=1).sum() >= LEAST_POINTS:
+            if np.isfinite(found).all():
                 break
-        place = self._lift(pixel[None], before)[0]
-        return rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
+        return found
 
     def _lift(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] of full-picture pixels [P, 2]."""

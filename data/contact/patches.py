@@ -198,12 +198,12 @@ class Patches:
         if not self.averages:
             return np.zeros((pixels, count, 0))
         sunk = self.sunk(moved)
-        linear = (
-            between(self._dense(sunk[..., None]), self._sampled(moved)).reshape(covering.shape) * self.weights
-        ).sum(axis=2)
-        square = np.nan_to_num(linear).reshape(count, self._side, self._side)
+        samples = between(self._dense(sunk[..., None]), self._sampled(moved)).reshape(covering.shape)
+        linear = np.nan_to_num((samples * self.weights).sum(axis=2))
+        square = linear.reshape(count, self._side, self._side)
         blurred = gaussian_filter(square, (0, BLUR, BLUR), mode="nearest").reshape(linear.shape)
-        return np.nan_to_num(np.stack([linear - self.shown(sunk, covering), blurred - linear], axis=-1)).swapaxes(0, 1)
+        found = np.stack([linear - self.shown(sunk, covering), blurred - linear], axis=-1)
+        return np.nan_to_num(found).swapaxes(0, 1)
 
     def _sampled(self, moved: np.ndarray) -> np.ndarray:
         """Where what the samples show lay at rest, shape [N, P·K, 2].

@@ -7,7 +7,6 @@ have lengths and directions of noise. At rest tissue is smooth, so a plane fitte
 import cv2
 import numpy as np
 
-
 LEAST_SHARE = 0.1
 """Share of a fit's weights that must lie on tissue for it to be continued where tissue is hidden."""
 

@@ -8,8 +8,6 @@ from scipy.spatial.transform import Rotation
 from palpate.data.contact.geometry import TISSUE
 from palpate.data.source.camera import Camera
 
-LEAST_POINTS = 6
-"""Fewer points determine no rigid motion."""
 LIFT_REACH = 8
 """Farthest tissue that gives a covered point its depth [grid pixels]."""
 
@@ -74,7 +72,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     before, after = before[finite], after[finite]
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(3):
-        if len(before) < LEAST_POINTS:
+        if len(before) < 6:
             return np.full(3, math.nan)
         centre, target = before.mean(0), after.mean(0)
         rotation = Rotation.align_vectors(after - target, before - centre)[0].as_matrix()

@@ -160,14 +160,13 @@ def fit_press(
     misfit, counted = step.misfit(best.logs), step.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
-    aside = best_offset(step, best.logs)
+    elsewhere, aside = recentred(step, best.logs)
     if tries and any(aside):
-        elsewhere = offset_contact(contact, aside)
         found = fit_press(elsewhere, mechanics, within, noise, tissue, tries - 1)
-        shape = found.shape or PressShape(RADII[0])
         if found.misfit < misfit:
-            place = shape.offset[0] + aside[0], shape.offset[1] + aside[1]
-            return dataclasses.replace(found, shape=dataclasses.replace(shape, offset=place))
+            shape = found.shape or PressShape(RADII[0])
+            row, column = np.add(shape.offset, aside).tolist()
+            return dataclasses.replace(found, shape=dataclasses.replace(shape, offset=(row, column)))
     patch = SequenceProblem(contact, mechanics, within, noise, PatchMotion)
     shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
@@ -175,38 +174,27 @@ def fit_press(
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
-def best_offset(problem: SequenceProblem, logs: np.ndarray) -> tuple[int, int]:
-    """Rows and columns by which a fitted dent must be shifted to lie on the observed one: an instrument hides where it
-    presses.
+def recentred(problem: SequenceProblem, logs: np.ndarray) -> tuple[Interaction, tuple[int, int]]:
+    """Move a contact to where its fitted dent lies on the observed one best: an instrument hides where it presses.
+
+    Returns:
+        The contact there, and by how many rows and columns it was moved.
     """
-    simulated = problem.change(problem.motion.at(logs)[0] + problem.offset, logs)
-    side = 2 * REACH + 1
-    dents, observed = (each.reshape(-1, side, side) for each in (simulated, problem.observed))
-    inner, reach = slice(ASIDE, side - ASIDE), range(-ASIDE, ASIDE + 1)
-    left = {}
-    for row, column in itertools.product(reach, reach):
-        parts = dents[:, inner, inner], np.roll(observed, (-row, -column), (1, 2))[:, inner, inner]
-        seen = np.isfinite(parts[0]) & np.isfinite(parts[1])
-        dent, shown = (part[seen] for part in parts)
-        left[row, column] = (
-            np.square(shown - (dent @ shown) / max(dent @ dent, 1e-30) * dent).mean() if seen.any() else math.inf
-        )
-    return min(left, key=left.__getitem__)
-
-
-def offset_contact(contact: Interaction, aside: tuple[int, int]) -> Interaction:
-    """The contact so many rows and columns from where it was taken to be."""
-    sequence, pixels = contact.sequence, contact.mesh.pixels
-    assert sequence is not None
-    vertex = int(np.flatnonzero((pixels == pixels[contact.vertex] + aside).all(axis=1))[0])
-    change = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
-    side = sequence.change.shape[1]
-    rows, columns = (slice(ASIDE + way, ASIDE + way + side) for way in aside)
-    return dataclasses.replace(
-        contact,
-        load=dataclasses.replace(contact.load, vertices=np.array([vertex])),
-        sequence=dataclasses.replace(sequence, change=change[:, rows, columns]),
-    )
+    contact, sequence, side = problem.contact, problem.sequence, 2 * REACH + 1
+    simulated = problem.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
+    wide = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
+    pixels, found = contact.mesh.pixels, []
+    for row, column in itertools.product(range(-ASIDE, ASIDE + 1), repeat=2):
+        vertex = np.flatnonzero((pixels == pixels[contact.vertex] + (row, column)).all(axis=1))
+        change = wide[:, ASIDE + row : ASIDE + row + side, ASIDE + column : ASIDE + column + side]
+        inner = np.isfinite(change - simulated)
+        dent, shown = simulated[inner], change[inner].astype(np.float64)
+        if len(vertex) and len(dent):
+            left = shown - (dent @ shown) / max(dent @ dent, 1e-30) * dent
+            found.append((float(np.square(left).mean()), abs(row) + abs(column), row, column, vertex, change))
+    *_, row, column, vertex, change = min(found, key=lambda item: item[:2])
+    load, shifted = dataclasses.replace(contact.load, vertices=vertex), dataclasses.replace(sequence, change=change)
+    return dataclasses.replace(contact, load=load, sequence=shifted), (row, column)
 
 
 def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:

@@ -39,16 +39,16 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
         prepared: a frame.
         camera: intrinsics of the grid.
     """
-    depth, tool, ends = prepared.depth, prepared.labels == TOOL, prepared.ends
+    depth, tool = prepared.depth, prepared.labels == TOOL
+    ends, tips = prepared.ends, prepared.ends_within(1.5)
     tissue = (prepared.labels == TISSUE) & (depth > 0)
-    if ends is None or not tissue.any():
+    if ends is None or tips is None or not tissue.any():
         return None
     outline = near(tool)
     wide, _ = smooth_surface(depth, tissue & ~outline, WIDE, outline)
     noise = max(median_sd((depth - wide)[tissue & ~outline]), LEAST_NOISE)
     tissue &= ~outline | (depth > wide - IN_FRONT * noise)
     half = distance_transform_edt(tool) - 0.5
-    tips = prepared.ends_within(1.5)
     radius = max(0.5, float(half[tool & (distance_transform_edt(~tips) <= half + 1)].max()))
     under = smooth_surface(depth, tissue, max(radius, 1.5), tool)[0]
     valid = (ends & (depth > 0)).astype(np.float64)

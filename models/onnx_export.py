@@ -138,12 +138,17 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
 
 
 def write(
-    model: onnx.ModelProto, document: dict[str, Any], output: Path, difference_of: Callable[[Path], float]
+    model: onnx.ModelProto,
+    document: dict[str, Any],
+    output: Path,
+    difference_of: Callable[[Path], float],
+    tolerance: float = PARITY_TOLERANCE,
 ) -> float:
     """Write a graph with its metadata to a file that appears only when it is complete and agrees with torch.
 
     Args:
         difference_of: the file's largest difference from torch, which is returned.
+        tolerance: the largest that counts as agreement.
 
     Raises:
         ForeignFile, ParityError: as of `export`, or its numbers are not finite.
@@ -156,10 +161,10 @@ def write(
             difference = difference_of(partial)
         except ModelFileError as error:
             raise ParityError(str(error).replace(str(partial), str(output))) from error
-        if not difference <= PARITY_TOLERANCE:  # or it is no number
+        if not difference <= tolerance:  # or it is no number
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "
-                f"{PARITY_TOLERANCE:g}; nothing was written to {output}."
+                f"{tolerance:g}; nothing was written to {output}."
             )
     return difference
 

@@ -261,7 +261,8 @@ class Ban:
 sys.meta_path.insert(0, Ban())
 from palpate.command import infer
 raw, model = ["--masks", "automatic", "--depth", "photometric"], ["--model", {str(tmp_path / "parameters.onnx")!r}]
-for name, options in (("network", ["--no-overlay"]), ("gan", [*model, *raw]), ("direct", ["--onset", "stamp", "--no-overlay"])):
+quick = ["--onset", "stamp", "--no-overlay"]
+for name, options in (("network", quick), ("gan", [*model, *raw]), ("direct", quick)):
     output = {str(tmp_path)!r} + "/" + name
     assert infer.main([{str(clip)!r}, "--output", output, "--estimator", name, *options]) == 0, name
 loaded = [name for name in sys.modules if any(name == entry or name.startswith(entry + ".") for entry in banned)]

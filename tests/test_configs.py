@@ -70,7 +70,7 @@ def test_the_masks_configuration_builds_its_own_model(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(MasksCLI, "_run_subcommand", lambda cli, subcommand: built.append(cli))
     assert train.main(["fit", "-c", str(MASKS_FILE), "--trainer.accelerator", "cpu"]) == 0
-    assert (type(built[0].model).__name__, built[0].datamodule.size) == ("InstrumentSegmentation", (224, 384))
+    assert type(built[0].model).__name__ == "InstrumentSegmentation"
     assert built[0].trainer.default_root_dir == "runs/masks"
 
 
@@ -83,7 +83,7 @@ def test_the_masks_configuration_trains_on_own_pictures_and_exports(tmp_path, ca
     small += ["--trainer.val_check_interval=1", "--trainer.enable_progress_bar=false", f"--data.real={tmp_path}"]
     command = ["fit", "-c", str(MASKS_FILE), *small, f"--trainer.default_root_dir={run}"]
     assert train.main([*command, "--trainer.max_steps=1"]) == 0
-    assert "largest difference from torch is" in capsys.readouterr().out
+    assert "written in 8-bit numbers, which decide" in capsys.readouterr().out
     assert (run / "instruments.onnx").is_file()
     assert train.main([*command, "--trainer.max_steps=2"]) == 1
     assert "holds a training already; add --ckpt_path last" in capsys.readouterr().err

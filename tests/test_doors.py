@@ -20,7 +20,7 @@ MODULES = [
     "benchmarks.online",
     "benchmarks.palpation",
     "benchmarks.palpation.example",
-    "benchmarks.plain_video",
+    "benchmarks.path_traced",
     "benchmarks.real",
     "benchmarks.recovery",
     "data.synthetic",

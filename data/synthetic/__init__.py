@@ -4,7 +4,7 @@ settings  all settings of a scene; clip: a clip from seed to frames, in memory o
 scene     the tissue sheet, the organ's outline, the tool's entry; truth: θ, the force and the true motion of a press
 grip      tissue that the tool holds and moves, or only passes over
 surface   depth of the deformed sheet in every pixel; tool: the grasper; render: the pictures
-endoscope the same by another law of light and another camera, to judge by; turning: a camera that turns
+turning   a camera that turns
 errors    noise, rounding and wrong outlines; files: how a clip is stored
 source    a clip in memory as a FrameSource; contacts: motions without pictures, many and cheap
 

@@ -41,7 +41,7 @@ class Clips:
     seed: int = 0
     """another seed gives other clips"""
     first: int = 1
-    """number of the first video"""
+    """number of the first video; --first 4 --clips 3 writes the last three of --clips 6"""
     size: str = "full"
     """picture: full (854x480), medium (428x240), small (214x120) or WIDTHxHEIGHT"""
     overwrite: bool = False
@@ -84,7 +84,8 @@ def main(arguments: list[str] | None = None) -> int:
             advance = functools.partial(progress.advance, task)
             for index in range(wanted.clips):
                 progress.update(task, description=f"clip {index + 1} of {wanted.clips}")
-                number, seed = wanted.first + index, clip_seed(wanted.seed, index)
+                number = wanted.first + index
+                seed = clip_seed(wanted.seed, number - 1)
                 write_clip(wanted.output, number, settings, seed, overwrite=wanted.overwrite, advance=advance)
     except (ValueError, OSError) as error:
         say(console, _sentence(error), "red")

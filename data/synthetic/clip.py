@@ -12,7 +12,6 @@ import numpy as np
 from palpate.common.files import as_json, read_file
 from palpate.common.output import list_folder, require_own_folder
 from palpate.data.source.camera import Camera
-from palpate.data.synthetic.endoscope import EndoscopeRenderer
 from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from palpate.data.synthetic.files import open_video, write_frame, write_truth
 from palpate.data.synthetic.grip import GrippedMotion, draw_grip
@@ -68,8 +67,7 @@ def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.nd
         its type's largest value, shape [H, W], uint8 or uint16, 0 = invalid.
     """
     settings = scene.settings
-    draw = EndoscopeRenderer if settings.look == "endoscope" else Renderer
-    renderer = draw(scene, motion, np.random.default_rng([seed, 2]))
+    renderer = Renderer(scene, motion, np.random.default_rng([seed, 2]))
     turning = CameraTurning(scene, np.random.default_rng([seed, 6])) if settings.turning_deg else None
     depth_errors, mask_errors = np.random.default_rng([seed, 3]), np.random.default_rng([seed, 4])
     bias = depth_bias(settings, np.random.default_rng([seed, 5]))

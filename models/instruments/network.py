@@ -1,31 +1,48 @@
-"""U-Net of residual convolutions that outlines instruments at half of its input's size."""
+"""U-Net on EfficientNet-Lite0 that outlines instruments at half of its input's size."""
+
+import itertools
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
 
-WIDTHS = (16, 24, 40, 64, 96)
-"""Channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the input's size."""
-REPEATS = (0, 2, 2, 3, 2)
-"""Residual blocks of the encoder at each of these sizes."""
+STAGES = (
+    *((1, 3, 1, 16, 1), (6, 3, 2, 24, 2), (6, 5, 2, 40, 2), (6, 3, 2, 80, 3)),
+    *((6, 5, 1, 112, 3), (6, 5, 2, 192, 4), (6, 3, 1, 320, 1)),
+)
+"""Widening, kernel, stride, channels and blocks (Tan 2019, table 1, without squeeze and excitation)."""
+TAPS = {0: 16, 1: 24, 2: 32, 4: 48, 6: 64}
+"""Stages whose output the decoder reads, at 1/2, 1/4, …, 1/32 of the input's size, and its channels there."""
+FROZEN = 3
+"""Stages after the stem that keep their pretrained weights: a third of the work of a training step."""
 
 
-def convolution(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    """Convolution with batch normalisation and ReLU."""
-    conv = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False)
-    return nn.Sequential(conv, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+def convolution(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, groups: int = 1) -> nn.Sequential:
+    """Convolution and batch normalisation, padded as TensorFlow does, by which the encoder was pretrained."""
+    before, after = (kernel - 2) // 2, (kernel - 1) // 2
+    pad = nn.ZeroPad2d((before, after, before, after)) if stride == 2 else nn.Identity()
+    inside = 0 if stride == 2 else kernel // 2
+    conv = nn.Conv2d(inputs, outputs, kernel, stride, inside, groups=groups, bias=False)
+    return nn.Sequential(pad, conv, nn.BatchNorm2d(outputs, eps=1e-3))
 
 
-class Residual(nn.Module):
-    """Two convolutions with a shortcut (He 2016), the second without activation before the sum."""
+def activated(*shape: int) -> nn.Sequential:
+    """The same with ReLU6, whose range suits 8-bit numbers."""
+    return nn.Sequential(convolution(*shape), nn.ReLU6(inplace=True))
 
-    def __init__(self, width: int) -> None:
+
+class InvertedResidual(nn.Module):
+    """Widening, convolution of each channel, and narrowing (Sandler 2018), with a shortcut where the shape stays."""
+
+    def __init__(self, inputs: int, outputs: int, widening: int, kernel: int, stride: int) -> None:
         super().__init__()
-        half = width // 2
-        self.reduce = convolution(width, half)
-        self.expand = nn.Sequential(nn.Conv2d(half, width, 3, padding=1, bias=False), nn.BatchNorm2d(width))
+        wide = inputs * widening
+        first = [activated(inputs, wide)] if widening > 1 else []
+        self.body = nn.Sequential(*first, activated(wide, wide, kernel, stride, wide), convolution(wide, outputs))
+        self.shortcut = stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
-        return torch.relu(x + self.expand(self.reduce(x)))
+        return x + self.body(x) if self.shortcut else self.body(x)
 
 
 class InstrumentNet(nn.Module):
@@ -36,29 +53,56 @@ class InstrumentNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.mean: Tensor
-        self.register_buffer("mean", torch.tensor([0.45, 0.3, 0.27]).view(1, 3, 1, 1))
-        self.levels = nn.ModuleList()
-        for before, width, repeats in zip((3, *WIDTHS), WIDTHS, REPEATS, strict=False):
-            down = convolution(before, width, 5 if before == 3 else 3, stride=2)
-            self.levels.append(nn.Sequential(down, *(Residual(width) for _ in range(repeats))))
-        self.context = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(WIDTHS[-1], WIDTHS[-1], 1), nn.Hardsigmoid())
-        self.merges = nn.ModuleList()
-        for fine, coarse in zip(WIDTHS[-2::-1], WIDTHS[:0:-1], strict=True):
-            after = [Residual(fine)] if fine > WIDTHS[0] else []
-            self.merges.append(nn.Sequential(convolution(fine + coarse, fine, 1), convolution(fine, fine), *after))
-        self.head = nn.Conv2d(WIDTHS[0], 1, 3, padding=1)
+        stages, width = [activated(3, 32, 3, 2)], 32
+        for widening, kernel, stride, channels, blocks in STAGES:
+            shapes = [(width, channels, widening, kernel, stride)]
+            shapes += [(channels, channels, widening, kernel, 1)] * (blocks - 1)
+            stages.append(nn.Sequential(*(InvertedResidual(*shape) for shape in shapes)))
+            width = channels
+        self.encoder = nn.Sequential(*stages)
+        self.laterals = nn.ModuleList(activated(STAGES[stage][3], channels) for stage, channels in TAPS.items())
+        fine = list(TAPS.values())
+        self.merges = nn.ModuleList(
+            nn.Sequential(activated(here + coarser, here), activated(here, here, 3))
+            for here, coarser in itertools.pairwise(fine)
+        )
+        self.head = nn.Conv2d(fine[0], 1, 3, padding=1)
         nn.init.constant_(self.head.bias, -2.0)  # ty: ignore[invalid-argument-type]  it has one
+        self._pretrained = False
+
+    def load_encoder(self, weights: Mapping[str, Tensor]) -> None:
+        """Take over ImageNet weights of EfficientNet-Lite0, in the order of the layers, and keep its first stages.
+
+        Raises:
+            RuntimeError, ValueError: they are of another network.
+        """
+        own = self.encoder.state_dict()
+        given = [weight for name, weight in weights.items() if not name.startswith(("_conv_head", "_bn1", "_fc"))]
+        self.encoder.load_state_dict(dict(zip(own, given, strict=True)))
+        self.freeze()
+
+    def freeze(self) -> None:
+        """Keep the stem, the first stages and all of the encoder's statistics as they are from now on."""
+        self._pretrained = True
+        self.encoder[: FROZEN + 1].requires_grad_(False)
+        self.train(self.training)
+
+    def train(self, mode: bool = True) -> "InstrumentNet":
+        super().train(mode)
+        if self._pretrained:
+            self.encoder.eval()
+        return self
 
     def forward(self, picture: Tensor) -> Tensor:
         """Logits [B, 1, H/2, W/2] of a picture [B, 3, H, W]."""
-        x = (picture - self.mean) * 4
-        kept = []
-        for level in self.levels:
-            x = level(x)
-            kept.append(x)
-        x = x * self.context(x)
-        for merge, skip in zip(self.merges, kept[-2::-1], strict=True):
+        x = (picture * 255 - 127) / 128
+        kept: list[Tensor] = []
+        for index, stage in enumerate(self.encoder.children(), start=-1):
+            x = stage(x)
+            if index in TAPS:
+                kept.append(self.laterals[len(kept)](x))
+        x = kept.pop()
+        for merge in list(self.merges)[::-1]:
             up = nn.functional.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
-            x = merge(torch.cat([up, skip], dim=1))
+            x = merge(torch.cat([up, kept.pop()], dim=1))
         return self.head(x)

@@ -12,7 +12,6 @@ from palpate.estimators.estimate import (
     REPORTED,
     SYMBOLS,
     Estimate,
-    combined,
 )
 from palpate.estimators.records import FrameEstimate
 from palpate.physics.identifiability import LIMIT
@@ -131,32 +130,3 @@ def test_widening_adds_covariances() -> None:
     found = Estimate(THETA, CORRELATED).widened(0.3 * np.eye(3))
     np.testing.assert_allclose(found.covariance, CORRELATED + 0.3 * np.eye(3))
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), CORRELATED + 0.3 * np.eye(3))
-
-
-BY_DEPTH = Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED), noise=0.001, misfit=1.0)
-
-
-def test_depth_and_light_that_agree_are_the_mean_of_two_measurements() -> None:
-    """Of normal distributions, as a least-squares fit of both gives it."""
-    covariance, logs = np.diag([0.2, 0.1, 0.3]), np.log(np.abs(THETA)) + np.array([0.1, -0.2, 0.15])
-    by_light = Estimate(-np.exp(logs), covariance, information=np.linalg.inv(covariance), by_light=True)
-    found = combined(BY_DEPTH, by_light)
-    design = np.vstack([np.linalg.cholesky(np.linalg.inv(part)).T for part in (CORRELATED, covariance)])
-    observed = np.concatenate([design[:3] @ np.log(np.abs(THETA)), design[3:] @ logs])
-    np.testing.assert_allclose(np.log(np.abs(found.theta)), np.linalg.lstsq(design, observed, rcond=None)[0])
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(design.T @ design), atol=1e-12)
-    np.testing.assert_allclose(found.verdict_information, np.linalg.inv(found.covariance))
-    assert (np.sign(found.theta) == np.sign(THETA)).all()
-    assert (found.noise, found.by_light, found.refuted) == (0.001, False, "")
-
-
-def test_depth_and_light_that_contradict_each_other_determine_nothing() -> None:
-    found = combined(BY_DEPTH, Estimate(THETA * 3, 0.01 * np.eye(3), information=100 * np.eye(3)))
-    assert found.refuted == "The tissue's depth and its shading contradict each other."
-    assert found.verdict == "undetermined"
-
-
-def test_what_no_model_explains_does_not_count() -> None:
-    wrong = dataclasses.replace(BY_DEPTH, refuted="A press leaves much.")
-    assert combined(BY_DEPTH, wrong) is combined(wrong, BY_DEPTH) is BY_DEPTH
-    assert combined(wrong, wrong) is wrong

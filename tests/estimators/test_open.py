@@ -33,8 +33,8 @@ def test_a_network_of_single_frames_has_no_choice_of_what_to_look_at(tmp_path) -
 
 
 def test_the_network_goes_by_one_observation() -> None:
-    with pytest.raises(ValueError, match="both is for --estimator direct; take that"):
-        open_estimator(EstimatorOptions("network", observation="both"))
+    with pytest.raises(ValueError, match="shading is for --estimator direct; take that"):
+        open_estimator(EstimatorOptions("network", observation="shading"))
 
 
 def test_online_alone_takes_settings_and_nothing_else(tmp_path) -> None:

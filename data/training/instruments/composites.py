@@ -15,7 +15,7 @@ from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.data.training.instruments import scenery
 from palpate.data.training.instruments.drawing import Canvas, draw_instrument
 
-SIZE = (224, 384)
+SIZE = (192, 320)
 """Height and width of the network's input [px]."""
 IGNORED = 255
 """Label of pixels that no loss counts."""
@@ -136,7 +136,9 @@ class InstrumentPictures(IterableDataset):
 
     def _background(self, rng: np.random.Generator) -> np.ndarray:
         if self.real.free and rng.random() < 0.45:
-            picture = scenery.real(rng, self.size, self.real.free)
+            free = self.real.free[rng.integers(len(self.real.free))]
+            picture = warp(rng, Labelled(free, np.zeros(free.shape[:2], np.uint8)), self.size).picture / np.float32(255)
+            picture *= rng.uniform(0.5, 1.4, 3).astype(np.float32)
         else:
             picture = scenery.tissue(rng, self.size)
         if rng.random() < 0.4:

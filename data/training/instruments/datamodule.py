@@ -8,7 +8,7 @@ import torch
 from lightning.pytorch import LightningDataModule
 from torch.utils.data import DataLoader, TensorDataset
 
-from palpate.data.training.instruments.composites import SIZE, InstrumentPictures, RealPictures
+from palpate.data.training.instruments.composites import InstrumentPictures, RealPictures
 
 
 class InstrumentData(LightningDataModule):
@@ -52,11 +52,6 @@ class InstrumentData(LightningDataModule):
         drawn = zip(*(source.draw(rng) for _ in range(settings["validation"])), strict=True)
         pictures, tool = (torch.from_numpy(np.stack(each)) for each in drawn)
         return DataLoader(TensorDataset(pictures.permute(0, 3, 1, 2), tool.long()), settings["batch_size"])
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of a picture [px]."""
-        return SIZE
 
 
 def _one_thread(worker: int) -> None:

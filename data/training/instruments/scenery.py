@@ -1,7 +1,5 @@
 """Backgrounds without instruments: procedural tissue, real pictures, gauze, drapes, and what lies over a picture."""
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
@@ -81,25 +79,6 @@ def lamp(rng: np.random.Generator, size: tuple[int, int], relief: np.ndarray | N
             0, 4
         )
     return (rng.uniform(0.6, 1.4) / (1 + away))[..., None]
-
-
-def real(rng: np.random.Generator, size: tuple[int, int], pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """A real tool-free picture, cropped, turned, mirrored and recoloured, RGB float32 [H, W, 3]."""
-    source = pictures[int(rng.integers(len(pictures)))]
-    height, width = size
-    if rng.random() < 0.5:
-        source = source[:, ::-1]
-    source = np.rot90(source, int(rng.integers(4)))
-    h, w = source.shape[:2]
-    part = rng.uniform(0.45, 1.0)
-    ch = min(h, w * height / width) * part
-    cw = ch * width / height
-    y, x = rng.uniform(0, h - ch), rng.uniform(0, w - cw)
-    crop = source[int(y) : int(y + ch) + 1, int(x) : int(x + cw) + 1]
-    picture = (
-        cv2.resize(np.ascontiguousarray(crop), (width, height), interpolation=cv2.INTER_LINEAR).astype(np.float32) / 255
-    )
-    return picture * rng.uniform(0.7, 1.2, 3).astype(np.float32) * rng.uniform(0.6, 1.3)
 
 
 def sparkle(rng: np.random.Generator, picture: np.ndarray) -> None:

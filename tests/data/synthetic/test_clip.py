@@ -254,6 +254,9 @@ def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.Cap
     assert (truths[0]["seed"], truths[0]["settings"]["press_seconds"]) == (clip_seed(0, 0), [0.2, 0.3])
     assert cv2.imread(str(folders[0] / "frame_0_endo_depth.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint8
     assert "2 clips with truth" in " ".join(capsys.readouterr().err.split())
+    assert main(["--output", str(tmp_path / "last"), "--depth-bits", "8", "--first", "2", *BRIEF]) == 0
+    last = tmp_path / "last" / "video02" / "video02_00000" / "truth.json"
+    assert last.read_bytes() == (folders[1] / "truth.json").read_bytes()
 
 
 @pytest.mark.parametrize(

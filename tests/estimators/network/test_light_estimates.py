@@ -54,7 +54,7 @@ def test_fast_prepares_every_third_frame(network) -> None:
     assert [each.preparation(Chosen()).every for each in (network, fast)] == [1, 3]
 
 
-@pytest.mark.parametrize("observation", ["brightness", "both"])
+@pytest.mark.parametrize("observation", ["brightness"])
 def test_light_is_asked_of_the_direct_estimator(network, observation) -> None:
     with pytest.raises(ValueError, match="for --estimator direct"):
         NetworkEstimator(network.model, BETWEEN, observation=observation)

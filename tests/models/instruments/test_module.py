@@ -1,13 +1,16 @@
 """The instrument network learns, and its exported form is the same."""
 
+from pathlib import Path
+
 import onnxruntime
 import pytest
 import torch
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader, TensorDataset
 
+from palpate.models.checkpoint import CheckpointError
 from palpate.models.instruments.module import InstrumentSegmentation, PictureBatch, segmentation_loss
-from palpate.models.instruments.network import InstrumentNet
+from palpate.models.instruments.network import FROZEN, InstrumentNet
 
 
 def batch(count: int = 4) -> tuple[torch.Tensor, torch.Tensor]:
@@ -41,23 +44,55 @@ def test_pixels_that_nobody_labelled_do_not_count():
     assert segmentation_loss(changed, PictureBatch(picture, tool), 1.0) == pytest.approx(before.item(), rel=1e-6)
 
 
-def test_training_learns_and_the_file_agrees(tmp_path):
+def trained(folder: Path) -> InstrumentSegmentation:
+    """A network after a few steps."""
     torch.manual_seed(0)
     module = InstrumentSegmentation(average=0.5, learning_rate=3e-3)
-    trainer = Trainer(max_steps=40, logger=False, enable_checkpointing=False, enable_progress_bar=False,
-                      enable_model_summary=False, default_root_dir=tmp_path, accelerator="cpu")  # fmt: skip
+    trainer = Trainer(max_steps=24, logger=False, enable_checkpointing=False, enable_progress_bar=False,
+                      enable_model_summary=False, default_root_dir=folder, accelerator="cpu")  # fmt: skip
     data = TensorDataset(*(torch.cat([each] * 40) for each in batch()))
     trainer.fit(module, DataLoader(data, 4), DataLoader(TensorDataset(*batch()), 4))
     [found] = trainer.validate(module, DataLoader(TensorDataset(*batch()), 4), verbose=False)
     assert found["val/iou"] > 0.8
-    file = tmp_path / "instruments.onnx"
-    assert module.export(file, (64, 96)) < 1e-5
+    return module
+
+
+@pytest.mark.slow
+def test_training_learns(tmp_path):
+    trained(tmp_path)
+
+
+@pytest.mark.acceptance
+def test_the_exported_file_agrees(tmp_path):
+    file, picture = tmp_path / "instruments.onnx", batch()[0]
+    assert trained(tmp_path).export(file, picture) < 0.01
     again = InstrumentSegmentation(weights=file.with_suffix(".pt"))
-    picture = batch(1)[0]
     with torch.inference_mode():
         expected = again.network.eval()(picture).numpy()
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
-    assert session.run(None, {"picture": picture.numpy()})[0] == pytest.approx(expected, abs=1e-4)
+    found = session.run(None, {"picture": picture.numpy()})[0]
+    assert ((found > 0) == (expected > 0)).mean() > 0.98  # in 8-bit numbers
+
+
+def test_a_pretrained_encoder_keeps_its_first_stages_and_its_statistics(tmp_path):
+    torch.manual_seed(0)
+    given = InstrumentNet().encoder.state_dict()
+    torch.save(
+        {f"_{name}": weight for name, weight in given.items()} | {"_fc.bias": torch.zeros(9)}, tmp_path / "a.pth"
+    )
+    module = InstrumentSegmentation(backbone=tmp_path / "a.pth")
+    module.train()
+    segmentation_loss(module.network(batch(2)[0]), PictureBatch(*batch(2)), 3.0).backward()
+    with torch.no_grad():
+        for weights in module.parameters():
+            if weights.grad is not None:
+                weights -= 0.1 * weights.grad
+    changed = {name for name, weight in module.network.encoder.state_dict().items() if not weight.equal(given[name])}
+    assert changed
+    assert {int(name[0]) for name in changed} == {FROZEN + 1, FROZEN + 2, FROZEN + 3, FROZEN + 4}
+    assert not [name for name in changed if "running" in name]
+    with pytest.raises(CheckpointError, match=r"b\.pth holds no such weights"):
+        InstrumentSegmentation(weights=tmp_path / "b.pth")
 
 
 def test_output_has_half_the_size():

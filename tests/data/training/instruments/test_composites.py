@@ -32,7 +32,7 @@ def test_labels_agree_with_the_picture_and_repeat_by_the_seed():
     rng, shares = np.random.default_rng(1), []
     for _ in range(20):
         picture, tool = pictures.draw(rng)
-        assert (picture.shape, tool.shape) == ((224, 384, 3), (224, 384))
+        assert (picture.shape, tool.shape) == ((192, 320, 3), (192, 320))
         assert 0 <= picture.min() <= picture.max() <= 1
         assert set(np.unique(tool)) <= {0, 1}
         shares.append(tool.mean())
@@ -76,5 +76,5 @@ def test_tissue_is_lit_and_coloured():
 def test_batches_have_the_pictures_that_were_asked_for():
     data = InstrumentData(batch_size=2, workers=0, validation=3)
     picture, tool = next(iter(data.train_dataloader()))
-    assert (picture.shape, tool.shape) == ((2, 3, 224, 384), (2, 224, 384))
+    assert (picture.shape, tool.shape) == ((2, 3, 192, 320), (2, 192, 320))
     assert sum(len(batch[0]) for batch in data.val_dataloader()) == 3

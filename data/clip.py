@@ -17,6 +17,7 @@ import numpy as np
 
 from palpate.common.ahead import ahead
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
+from palpate.data.contact.clearance import MeasuredContacts
 from palpate.data.contact.evidence import ContactEvidence
 from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.instruments import InstrumentNumbers
@@ -155,9 +156,10 @@ class ClipStream:
         geometry, frames = self.settings.geometry, _staged(self._measured(noticed), most)
         if geometry.contact == "touching":
             near = geometry.contact_distance or math.inf
-            frames = self._decided(frames, ContactEvidence(near, measured=not self.guesses_depth))
-            if self.guesses_depth:
-                frames = self._decided(frames, LightContacts(self.camera, geometry))
+            if not self.guesses_depth:
+                return self._decided(frames, MeasuredContacts(near, self.camera))
+            frames = self._decided(frames, ContactEvidence(near, measured=False))
+            frames = self._decided(frames, LightContacts(self.camera, geometry))
         return frames
 
     def _decided(

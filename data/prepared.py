@@ -130,12 +130,16 @@ class PreparedFrame:
     @cached_property
     def ends(self) -> np.ndarray | None:
         """Where the free ends of instruments are, which may touch, bool [h, w]; None where there is none."""
+        return self.ends_within(None)
+
+    def ends_within(self, reach: float | None) -> np.ndarray | None:
+        """The parts of instruments within `reach` grid pixels of their tips; None = END of the picture's side."""
         tool = self.labels == TOOL
         if not (self.visible and tool.any()):
             return None
         size = self.labels.shape[::-1]
         lit = cv2.resize(self.shown.lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return free_ends(tool, lit)
+        return free_ends(tool, lit, reach)
 
     @property
     def instrument(self) -> int | None:

@@ -207,10 +207,16 @@ class ContactMotion:
         else:
             return np.full(3, math.nan)
         grid = picture_to_grid(pixel, before.depth.shape, self.size)
-        pixels = grid_to_picture(reference_pixels(before.depth, before.labels, grid), before.depth.shape, self.size)
-        moved = self._tracker.each(before.view, after.view, pixels)
-        place = self._lift(pixel[None], before)[0]
-        return rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
+        place, found = self._lift(pixel[None], before)[0], np.full(3, math.nan)
+        for most in (64, 1024):
+            pixels = reference_pixels(before.depth, before.labels, grid, most)
+            pixels = grid_to_picture(pixels, before.depth.shape, self.size)
+            moved = self._tracker.each(before.view, after.view, pixels)
+            found = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
+            # On smooth tissue few are followed.
+            if np.isfinite(found).all():
+                break
+        return found
 
     def _lift(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] of full-picture pixels [P, 2]."""

@@ -6,6 +6,7 @@ what they show.
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
@@ -22,6 +23,8 @@ SETTLED = 0.05
 MAX_SAMPLES = 6
 """Of larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels along an axis."""
 
+BLUR = 0.7
+"""Standard deviation of a blur of the depth by its sensor that is as likely as none [grid pixels]."""
 ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
@@ -178,23 +181,46 @@ class Patches:
         return np.where(np.isfinite(place), place, middle)
 
     def covering(self, moved: np.ndarray) -> np.ndarray:
-        """Vertices, as places among the V, that every pixel's samples show: shape [N, P, K]; -1 where none is known.
+        """Vertices, as places among the V, that every pixel's samples show: shape [N, P, K]; -1 where none is known."""
+        return _nearest(self._sampled(moved), self._number()).reshape(len(moved), *self.weights.shape)
+
+    def blurs(self, moved: np.ndarray, covering: np.ndarray) -> np.ndarray:
+        """What pixels that are means show otherwise if tissue sinks linearly between vertices, and if depth is blurred.
+
+        Args:
+            moved: displacements [N, V, 3].
+            covering: as of `covering`, at that motion.
+
+        Returns:
+            Changes of every pixel's depth, shape [P, N, 2]; none where a pixel of the grid is one of the picture.
+        """
+        count, pixels = covering.shape[:2]
+        if not self.averages:
+            return np.zeros((pixels, count, 0))
+        sunk = self.sunk(moved)
+        samples = between(self._dense(sunk[..., None]), self._sampled(moved)).reshape(covering.shape)
+        linear = np.nan_to_num((samples * self.weights).sum(axis=2))
+        square = linear.reshape(count, self._side, self._side)
+        blurred = gaussian_filter(square, (0, BLUR, BLUR), mode="nearest").reshape(linear.shape)
+        found = np.stack([linear - self.shown(sunk, covering), blurred - linear], axis=-1)
+        return np.nan_to_num(found).swapaxes(0, 1)
+
+    def _sampled(self, moved: np.ndarray) -> np.ndarray:
+        """Where what the samples show lay at rest, shape [N, P·K, 2].
 
         Between vertices the tissue shifts as they do, in proportion, so that what a sample shows lay at rest where the
         shift there leads to the sample.
         """
         # Where there is no vertex nothing shifts, and nothing is shown.
         shift, samples = np.nan_to_num(self._dense(self.shift(moved))), self._places.reshape(-1, 2)
-        if self.averages:
-            # Between samples half a pixel apart it hardly bends, and they are far fewer.
-            side = 2 * (self._side + 1) + 1
-            lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (MAX_SHIFT - 1)
-            found = _settled(shift, lattice).reshape(-1, side, side, 2)
-            places = np.broadcast_to(2 * (samples - (MAX_SHIFT - 1)), (len(moved), *samples.shape))
-            place = between(found, places)
-        else:
-            place = _settled(shift, samples)
-        return _nearest(place, self._number()).reshape(len(moved), *self.weights.shape)
+        if not self.averages:
+            return _settled(shift, samples)
+        # Between samples half a pixel apart it hardly bends, and they are far fewer.
+        side = 2 * (self._side + 1) + 1
+        lattice = np.mgrid[:side, :side].reshape(2, -1).T / 2 + (MAX_SHIFT - 1)
+        found = _settled(shift, lattice).reshape(-1, side, side, 2)
+        places = np.broadcast_to(2 * (samples - (MAX_SHIFT - 1)), (len(moved), *samples.shape))
+        return between(found, places)
 
     def shown(self, values: np.ndarray, covering: np.ndarray) -> np.ndarray:
         """Values of the vertices [N, V, ...] as every pixel shows them, the mean over its samples, shape [N, P, ...].

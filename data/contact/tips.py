@@ -33,9 +33,9 @@ def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> li
     return tips
 
 
-def free_ends(tool: np.ndarray, lit: np.ndarray) -> np.ndarray:
+def free_ends(tool: np.ndarray, lit: np.ndarray, reach: float | None = None) -> np.ndarray:
     """Where the free ends of instruments are, bool [h, w], by their mask and by where the picture shows anything."""
     ends = np.zeros(tool.shape, bool)
-    for tip in tool_tips(tool, lit, END * max(tool.shape), 1):
+    for tip in tool_tips(tool, lit, END * max(tool.shape) if reach is None else reach, 1):
         ends[tip[:, 1], tip[:, 0]] = True
     return ends

@@ -83,10 +83,10 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     return rotation @ at + shift - at
 
 
-def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Evenly spaced tissue pixels (u, v) far from the contact, shape [P, 2], P at most 64."""
+def reference_pixels(depth: np.ndarray, labels: np.ndarray, contact: np.ndarray, most: int = 64) -> np.ndarray:
+    """Evenly spaced tissue pixels (u, v) far from the contact, shape [P, 2], P at most `most`."""
     rows, columns = np.nonzero((labels == TISSUE) & (depth > 0))
     far = np.hypot(columns - contact[0], rows - contact[1]) >= 25
     pixels = np.stack((columns[far], rows[far]), 1)
-    chosen = np.linspace(0, len(pixels) - 1, min(64, len(pixels))).round().astype(int)
+    chosen = np.linspace(0, len(pixels) - 1, min(most, len(pixels))).round().astype(int)
     return pixels[chosen].astype(np.float64)

@@ -13,6 +13,7 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from palpate.data.contact.depth_sequence import SequenceNoise, smooth_errors
 from palpate.data.contact.interaction import Interaction
@@ -30,6 +31,8 @@ STILL_NEW = 0.05
 """Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
 WALL = 0.08
 """Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
+PARTIAL = 0.3
+"""The same beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
 STEP = math.sqrt(12)
 """Rounding step whose error has a standard deviation of σ [σ]."""
 ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
@@ -69,6 +72,8 @@ class SequenceProblem(LeastSquares):
         self.observed = sequence.change.reshape(len(sequence.times), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
         self._smooth = smooth_errors(sequence.noise.total)
+        beside = maximum_filter(~np.isfinite(sequence.change), (1, 3, 3)).reshape(self.observed.shape)
+        self._unevenness = np.where(beside, PARTIAL, WALL)
         self.offset: np.ndarray | float = 0.0
         """Error of the simulator's own steps, taken off all its displacements, shape [N, V, 3] [scene units]."""
         self.seen = np.isfinite(self.observed)
@@ -101,7 +106,8 @@ class SequenceProblem(LeastSquares):
         clear = (np.abs(np.nan_to_num(self.observed)) > MOVED * total).sum(axis=0) >= SEVERAL
         self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | clear
         """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
-        self._walls = np.square(WALL * self.patches.steepness(moved))
+        self._walls = np.square(self._unevenness * self.patches.steepness(moved))
+        self._blurs = self.patches.blurs(moved, self.covering)
         weight = np.ones_like(left)
         if outliers:
             apart = np.abs(np.where(self.seen, left, 0)) / np.sqrt(total**2 + self._walls)
@@ -131,7 +137,8 @@ class SequenceProblem(LeastSquares):
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
         smooth = still[:, :, None] * self._smooth[:, None, :]
-        wrong = np.matmul(whiten, np.where(self.seen.T[..., None], self.model_errors(sunk), 0.0))
+        errors = np.concatenate([self.model_errors(sunk), self._blurs], axis=2)
+        wrong = np.matmul(whiten, np.where(self.seen.T[..., None], errors, 0.0))
         flat = np.concatenate([smooth, wrong], axis=2).reshape(-1, smooth.shape[2] + wrong.shape[2])
         return whiten, flat, np.linalg.cholesky(flat.T @ flat + np.eye(flat.shape[1]))
 

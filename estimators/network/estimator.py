@@ -33,6 +33,7 @@ FAST_EVERY = 3
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
+UNRESOLVED = "Depth shows the dent blurred, unlike in the network's training; use --estimator direct."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
 
@@ -123,12 +124,13 @@ class NetworkEstimator(ModelEstimator):
             outputs: the network's mean, covariance and expected bound, shapes [3], [3, 3] and [3, 3].
         """
         box, (mean, covariance, expected) = self.bounds.log_box, outputs
-        misfit, information = compared(contact, mechanics, mean, covariance, within)
+        misfit, information, blurred = compared(contact, mechanics, mean, covariance, within)
         noise = network_noise(contact)
         # A mean closer to a bound than this share of the box (in logarithms) counts as at the bound.
         at_bound = np.minimum(mean - box[0], box[1] - mean) < 0.02 * (box[1] - box[0])
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
         known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
+        known["refuted"] = UNRESOLVED if blurred else ""
         return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
 
@@ -229,4 +231,5 @@ class NetworkSession(RunSession):
 
 def _doubts(found: Estimate) -> str:
     """Sentences on why the estimate may be wrong."""
-    return f"{'' if found.explained else UNEXPLAINED.format(found.misfit)} {remark(found)}".strip()
+    doubt = "" if found.explained else found.refuted or UNEXPLAINED.format(found.misfit)
+    return f"{doubt} {remark(found)}".strip()

@@ -9,6 +9,7 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import gammainccinv
 
 from palpate.data.contact.depth_sequence import REACH, DepthSequence
@@ -44,7 +45,7 @@ class _PointComparison:
 
     def __init__(self, contact: Interaction) -> None:
         self.vertices, self.times, self.observed = np.array([contact.vertex]), contact.observation.times, contact.along
-        self.compared_times = self.times
+        self.compared_times, self.blurs = self.times, np.zeros((len(self.times), 0))
         self._direction, self._noise = np.asarray(contact.direction, np.float64), contact.noise
 
     def signal(self, path: np.ndarray) -> np.ndarray:
@@ -66,6 +67,8 @@ class _PixelComparison:
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
         patches = Patches(contact.mesh, contact.vertex, sequence.size, PIXEL_RADIUS)
         self._patches, self.times, self._noise = patches, sequence.times, sequence.noise.total
+        self.blurs = np.zeros((0, 2))
+        """Of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest displacements."""
         near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
         self._change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         self.vertices = np.append(contact.vertex, patches.vertices)
@@ -91,6 +94,7 @@ class _PixelComparison:
         residual = change - self._change
         used = np.isfinite(residual) & (np.abs(change) > MOVED * self._noise).any(axis=0)
         sigma = np.hypot(self._noise, WALL * patches.steepness(moved))[used]
+        self.blurs = patches.blurs(moved, covering).swapaxes(0, 1)[used] / sigma[:, None]
         return residual[used] / sigma, shown[used, 1:] / sigma[:, None]
 
 
@@ -114,7 +118,7 @@ def largest_misfit(count: int) -> float:
 
 def compared(
     contact: Interaction, mechanics: Mechanics, logs: np.ndarray, covariance: np.ndarray, within: float
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, np.ndarray, bool]:
     """How far a contact's motion lies from the simulated one, and its information on φ if its instants are known.
 
     Args:
@@ -125,7 +129,8 @@ def compared(
             that explain the motion best.
 
     Returns:
-        Root mean square of the residual [σ], and the Fisher information [3, 3] of the contact's motion.
+        Root mean square of the residual [σ], the Fisher information [3, 3] of the contact's motion, and
+        whether depth shows the dent blurred, unlike in the training.
     """
     step, theta, comparison = mechanics.time_step, theta_of(logs), _comparison(contact)
     instants = contact.observation.steps(step)
@@ -143,17 +148,18 @@ def compared(
     if not within:
         at = motion[np.rint(comparison.compared_times / step).astype(np.int64) - 1]
         residual, slopes = comparison.residual(at[..., 0], at[..., 1:])
-        return _rms(residual + slopes @ _nearest(residual, slopes, prior)), information
+        left = residual + slopes @ _nearest(residual, slopes, prior)
+        return _rms(left), information, _blurred(residual, slopes, comparison.blurs, prior)
     pressed = max(1, round(contact.load_seconds / step)) if contact.released else 0
     lasting = _lasting(motion, pressed)
     delays = _best_delays(comparison.signal(lasting[..., 0]), comparison, pressed, step, within)
-    misfit, delays = _with_delays(lasting, comparison, pressed, step, delays, within, prior)
+    misfit, delays, blurred = _with_delays(lasting, comparison, pressed, step, delays, within, prior)
     # Presses of unknown instants that seem farther from their motion than this many σ are simulated again.
     if pressed and misfit > 1.2:
         # Large motions are not quite additive.
         motion = simulated(contact.load_seconds + delays[1] - delays[0])
         misfit = min(misfit, _with_delays(motion, comparison, 0, step, delays, within, prior)[0])
-    return misfit, information
+    return misfit, information, blurred
 
 
 def _best_delays(
@@ -187,8 +193,9 @@ def _with_delays(
     delays: tuple[float, float],
     within: float,
     prior: np.ndarray,
-) -> tuple[float, tuple[float, float]]:
-    """Root mean square of the residual [σ] with the delays that fit best near some start, and these delays [s].
+) -> tuple[float, tuple[float, float], bool]:
+    """Root mean square of the residual [σ] with the delays that fit best near some start, these delays [s], and whether
+    the dent is blurred, as of `compared`.
 
     Args:
         lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].
@@ -216,7 +223,16 @@ def _with_delays(
             break
         found.append((_rms(residual + slopes[:, count:] @ later[count:]), delays))
         delays = later_delays
-    return min(found)
+    return *min(found), _blurred(residual, slopes, comparison.blurs, whole)
+
+
+def _blurred(residual: np.ndarray, slopes: np.ndarray, blurs: np.ndarray, prior: np.ndarray) -> bool:
+    """Whether blurs of the depth [L, K] explain what the noise doesn't, and more than so many parameters by chance."""
+    count, squares = blurs.shape[1], []
+    for part, precision in (slopes, prior), (np.hstack([slopes, blurs]), block_diag(prior, np.eye(count))):
+        change = _nearest(residual, part, precision)
+        squares.append(np.square(residual + part @ change).sum() + change @ precision @ change)
+    return bool(squares[0] > len(residual) and squares[0] - squares[1] > count * math.log(len(residual)))
 
 
 def _nearest(residual: np.ndarray, slopes: np.ndarray, prior: np.ndarray) -> np.ndarray:

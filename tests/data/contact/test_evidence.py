@@ -237,8 +237,8 @@ def test_no_pressed_frame_of_a_demo_clip_is_called_hovering(tmp_path: Path) -> N
         assert [frame.status for frame in frames if pressed[frame.frame.index]] == ["ok"] * 9
         passing = [frame.hovers or frame.status == "no_contact" for frame in frames if not pressed[frame.frame.index]]
         assert sum(passing) >= 8  # the tool is in view, and its motion is known
-        if path == folder:
-            assert max(frame.contact_probability for frame in frames if pressed[frame.frame.index]) > CERTAIN
+        if path == folder:  # distance decides
+            assert all(math.isnan(frame.contact_probability) for frame in frames)
 
 
 @pytest.mark.slow

@@ -271,3 +271,16 @@ def test_rendered_clips_show_what_patches_say() -> None:
     assert seen[~under].all()
     assert seen.mean() > 0.85
     np.testing.assert_allclose(contact.sequence.change[seen], expected[seen], atol=1e-4)
+
+
+def test_a_blur_shows_less_of_a_narrow_dent() -> None:
+    """Between samples a third apart a single vertex's dent is (7/9)² deep on average if it ends at its neighbours."""
+    patches, mesh = patches_of(np.full((HEIGHT, WIDTH), 0.5), (3 * WIDTH, 3 * HEIGHT))
+    sunk = np.where((pixels_of(patches, mesh) == 0).all(axis=1), 0.01, 0.0)
+    moved = shifting(patches, mesh, 0.0, sunk)
+    linear, blurred = patches.blurs(moved, patches.covering(moved))[:, 0].T.reshape(2, SIDE, SIDE)
+    assert linear[REACH, REACH] == pytest.approx(0.01 * ((7 / 9) ** 2 - 1), rel=1e-3)
+    assert linear[REACH, REACH + 1] == pytest.approx(0.01 * 7 / 9 / 9, rel=1e-3)
+    assert blurred.sum() == pytest.approx(0.0, abs=1e-6)
+    assert blurred[REACH, REACH] < -0.002
+    assert patches_of()[0].blurs(moved, patches_of()[0].covering(moved)).shape[2] == 0

@@ -4,13 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise, smooth_errors
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.patches import Patches
 from palpate.data.source.camera import Camera, back_project
-from palpate.estimators.direct.field import OUTLIER, STILL_NEW, WALL, SequenceProblem, rounding_covariance
+from palpate.estimators.direct.contact_fit import recentred
+from palpate.estimators.direct.field import OUTLIER, PARTIAL, STILL_NEW, WALL, SequenceProblem, rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.problem import Optimum, find_optimum
 from palpate.physics.load import Press, held
@@ -113,20 +114,20 @@ def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.nd
 
 
 def expected_covariance(
-    problem: SequenceProblem, change: np.ndarray, weight: np.ndarray, steep: np.ndarray
+    problem: SequenceProblem, change: np.ndarray, weight: np.ndarray, walls: np.ndarray
 ) -> np.ndarray:
     """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
 
     Args:
         problem: looked at.
-        change, weight, steep: what the pixels show, how much they count, and their walls, shape [N, P] each.
+        change, weight, walls: what the pixels show, how much they count, and their walls, shape [N, P] each.
     """
     noise, (frames, pixels) = problem.sequence.noise, change.shape
     frame, pixel = (part.ravel() for part in np.indices((frames, pixels)))
     same, alike = pixel[:, None] == pixel, frame[:, None] == frame
     new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
     covariance = np.diag(new)
-    walls = WALL * steep.ravel()
+    walls = walls.ravel()
     covariance += 0.5 * same * walls[:, None] * walls + 0.5 * np.diag(walls**2)
     if noise.in_place:
         if noise.in_time < 0.5 * noise.in_place:
@@ -136,7 +137,9 @@ def expected_covariance(
             part = noise.correlated_in_place * (1 + STILL_NEW * alike)
         covariance += noise.in_place**2 * part * same
     smooth = smooth_errors(noise.total)[pixel]
-    covariance += smooth @ smooth.T
+    blurs = problem.patches.blurs(problem.motion.at(logs_of())[0], problem.covering).swapaxes(0, 1)
+    blurs = blurs.reshape(frames * pixels, -1)
+    covariance += smooth @ smooth.T + blurs @ blurs.T
     seen = problem.seen.ravel()
     return covariance[np.ix_(seen, seen)]
 
@@ -166,11 +169,13 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
     shown = problem.change(problem.motion.at(logs_of())[0], logs_of())
     steep = problem.patches.steepness(problem.motion.at(logs_of())[0])
     assert (steep.max() > 1e-3) == (size == LARGER)
+    beside = maximum_filter(np.isnan(contact.sequence.change), (1, 3, 3)).reshape(steep.shape)
+    walls = np.where(beside, PARTIAL, WALL) * steep
     apart = np.abs(np.where(problem.seen, shown - problem.observed, 0))
-    apart = apart / np.sqrt(problem.sequence.noise.total**2 + (WALL * steep) ** 2)
+    apart = apart / np.sqrt(problem.sequence.noise.total**2 + walls**2)
     weight = np.where(apart > OUTLIER, (OUTLIER / np.maximum(apart, 1e-9)) ** 2, 1.0)
     assert 5 < (weight < 1).sum() < 30
-    inverse = np.linalg.inv(expected_covariance(problem, shown, weight, steep))
+    inverse = np.linalg.inv(expected_covariance(problem, shown, weight, walls))
     values = generator.normal(size=(*shown.shape, 3))
     found = problem.whitened(values)
     known = values[problem.seen]
@@ -356,3 +361,18 @@ def test_linearising_is_remembered() -> None:
     assert problem.linearise(logs_of()) is first
     problem.look(logs_of() + 0.1)
     assert problem.linearise(logs_of()) is not first
+
+
+def test_a_contact_is_moved_to_where_its_dent_lies() -> None:
+    contact = contact_of()
+    assert contact.sequence is not None
+    change = np.roll(contact.sequence.change, (1, -2), (1, 2))
+    change[:, 0], change[:, :, -2:] = np.nan, np.nan
+    astray = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
+    problem = SequenceProblem(astray, MECHANICS)
+    problem.look(logs_of())
+    found, aside = recentred(problem, logs_of())
+    assert aside == (1, -2)
+    np.testing.assert_array_equal(MESH.pixels[found.vertex] - MESH.pixels[contact.vertex], aside)
+    inner = np.s_[:, :-1, 2:]
+    np.testing.assert_array_equal(found.sequence.change[inner], contact.sequence.change[inner])

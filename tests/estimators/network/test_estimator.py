@@ -237,7 +237,7 @@ def test_the_network_is_told_how_well_the_instants_are_known(network, contact, w
             assert features[-2:].tolist() == [within / 0.04, seen.sequence is not None]  # in frames
             logs, covariance, _ = (values[0] for values in told.model(features[None], None))
             np.testing.assert_allclose(found.theta, theta_of(logs), rtol=1e-6)
-            misfit, information = compared(seen, MECHANICS, logs, covariance, within)
+            misfit, information, _ = compared(seen, MECHANICS, logs, covariance, within)
             assert (found.misfit, found.misfit > LARGEST_MISFIT) == (misfit, True)
             np.testing.assert_array_equal(found.information, information)
             np.testing.assert_allclose(found.covariance, covariance + added_by(misfit, information), rtol=1e-6)

@@ -40,7 +40,7 @@ def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
 def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> None:
     """The bottom of the dent, which is narrower than a pixel of the grid, is not visible at its depth."""
     contact, logs = contact_of(within)
-    misfit, information = compared(contact, MECHANICS, logs, SURE, within)
+    misfit, information, _ = compared(contact, MECHANICS, logs, SURE, within)
     assert 0.5 < misfit < 1.3
     off = np.array([0.0, 0.0, 0.4])
     assert compared(contact, MECHANICS, logs + off, SURE, within)[0] > 2 * misfit
@@ -51,7 +51,7 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
     assert compared(contact, MECHANICS, logs + other, np.outer(other, other) + SURE, within)[0] < 1.6 * misfit
     shown = contact.observation.moved(motion_in_sequence(contact), NOISE)
     point = dataclasses.replace(contact, observation=shown, sequence=None)
-    unlike, same = compared(point, MECHANICS, logs, SURE, within)
+    unlike, same, _ = compared(point, MECHANICS, logs, SURE, within)
     assert unlike > 1.5 * misfit
     np.testing.assert_allclose(information, same, rtol=1e-5)
 
@@ -67,8 +67,8 @@ def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: in
     since = steps - began
     moved = np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
     late = dataclasses.replace(contact, observation=contact.observation.moved(moved, 0.001))
-    stamp, information = compared(late, MECHANICS, logs, SURE, 0.0)
-    between, same = compared(late, MECHANICS, logs, SURE, 0.04)
+    stamp, information, _ = compared(late, MECHANICS, logs, SURE, 0.0)
+    between, same, _ = compared(late, MECHANICS, logs, SURE, 0.04)
     assert stamp > 1
     assert between < left * stamp
     # What it would tell of a press whose instants are known.

@@ -1,0 +1,110 @@
+"""Contact by measured depth: how far an instrument's free end is from the tissue under it, along the line of sight.
+
+In a real view instruments are in front of tissue in every frame, so outlines that overlap say nothing. The tissue that
+the end hides is a local plane through what is visible around it. An instrument is taken to be as thick as it is wide:
+what the camera measures is its near side.
+"""
+
+import math
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
+
+from palpate.common.robust import median_sd
+from palpate.data.contact.evidence import ContactEvidence
+from palpate.data.contact.geometry import LEAST_NOISE
+from palpate.data.contact.outlines import near
+from palpate.data.contact.surface import smooth_surface
+from palpate.data.labels import OTHER, TISSUE, TOOL
+from palpate.data.prepared import PreparedFrame
+from palpate.data.source.camera import Camera
+
+MEETS, HOVERS, LEAVES = 2.5, 4.0, 5.0
+"""Contact begins below the first, and ends above the last, so many standard deviations of the distance. Motion decides
+whether it begins between the first two."""
+RASTER = 0.7
+"""Standard deviation of the distance by the grid alone: an outline is known to half a pixel on either side [cells]."""
+WIDE = 6.0
+"""Standard deviation of the weights of the surface by which mislabelled tool pixels are recognised [grid pixels]."""
+IN_FRONT = 5.0
+"""Tissue next to the instrument that lies so many standard deviations in front of that surface is the instrument's."""
+STEEP = 6.0
+"""Pixels of an instrument at the tissue's surface are its own up to so far behind others two pixels away [cells]."""
+APART = "The instrument's end is {:.3g} from the tissue by their measured depths; contact needs {:.3g} or less."
+
+
+def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float] | None:
+    """Distance from instruments' free ends to the tissue under them, and its standard deviation [scene units].
+
+    None where no end with a depth of its own is over tissue, where something else hides an end, or where ends lie
+    behind the tissue: their depth is wrong.
+
+    Args:
+        prepared: a frame.
+        camera: intrinsics of the grid.
+    """
+    depth, tool = prepared.depth, prepared.labels == TOOL
+    ends, tips = prepared.ends, prepared.ends_within(1.5)
+    tissue = (prepared.labels == TISSUE) & (depth > 0)
+    if ends is None or tips is None or not tissue.any():
+        return None
+    before = near(tips) & (prepared.labels == OTHER) & (depth > 0)
+    if (before & (depth < depth[tips].max())).any():
+        return None
+    outline = near(tool)
+    wide, _ = smooth_surface(depth, tissue & ~outline, WIDE, outline)
+    noise = max(median_sd((depth - wide)[tissue & ~outline]), LEAST_NOISE)
+    tissue &= ~outline | (depth > wide - IN_FRONT * noise)
+    half = distance_transform_edt(tool) - 0.5
+    radius = max(0.5, float(half[tool & (distance_transform_edt(~tips) <= half + 1)].max()))
+    under = smooth_surface(depth, tissue, max(radius, 1.5), tool)[0]
+    measured = ends & (depth > 0)
+    # A mask that is too wide shows tissue behind the instrument.
+    nearest = minimum_filter(np.where(measured, depth, np.inf), 5)
+    behind = (depth > nearest * (1 + STEEP / camera.fx)) & (
+        np.abs(depth - wide) < 2 * np.hypot(depth / camera.fx, noise)
+    )
+    valid = (measured & ~behind).astype(np.float64)
+    mean = uniform_filter(valid * depth, 3) / np.maximum(uniform_filter(valid, 3), 1e-9)
+    judged = (valid > 0) & (under > 0)
+    gap = (under - mean)[judged]
+    if not judged.any() or 2 * measured.sum() < ends.sum() or np.median(gap) < 0:
+        return None
+    cell = under[judged] / camera.fx
+    distance = gap - 2 * np.minimum(half[judged], radius) * cell
+    least = int(np.argmin(distance))
+    return float(distance[least]), math.hypot(RASTER * cell[least], noise)
+
+
+class MeasuredContacts(ContactEvidence):
+    """Contact of a clip whose depth is measured; evidence decides where instruments have no usable depth.
+
+    Args:
+        near: as of `ContactEvidence`.
+        camera: intrinsics of the grid.
+    """
+
+    def __init__(self, near: float, camera: Camera) -> None:
+        super().__init__(near)
+        self._camera, self._touches = camera, False
+
+    def judge(self, prepared: PreparedFrame) -> None:
+        """Decide a frame by distance where instrument and tissue have a depth."""
+        outlined, decidable = prepared.geometry, prepared.status in ("ok", "no_contact")
+        super().judge(prepared)
+        found = end_clearance(prepared, self._camera) if decidable else None
+        if found is None:
+            self._touches = False
+            return
+        distance, sd = found
+        limit = (LEAVES if self._touches else HOVERS) * sd
+        if distance > limit:
+            prepared.status, prepared.geometry = "no_contact", None
+            prepared.detail = APART.format(distance, limit)
+        elif outlined is not None and (self._touches or distance <= MEETS * sd):
+            prepared.status, prepared.detail, prepared.geometry = "ok", "", outlined
+        elif prepared.in_contact:
+            self._touches = True
+            return
+        prepared.distance, self._touches = distance, prepared.in_contact
+        prepared.contact_probability, prepared.undecided, self._hovering = math.nan, False, None

@@ -158,7 +158,7 @@ class ClipStream:
             near = geometry.contact_distance or math.inf
             if not self.guesses_depth:
                 return self._decided(frames, MeasuredContacts(near, self.camera))
-            frames = self._decided(frames, ContactEvidence(near, measured=False))
+            frames = self._decided(frames, ContactEvidence(near))
             frames = self._decided(frames, LightContacts(self.camera, geometry))
         return frames
 

@@ -2,7 +2,6 @@
 
 geometry       depth and labels to clouds, contact pair, mesh and normal; outlines: their doubtful rims
 surface        smooth tissue behind noisy depth, and the noise; rest_depth: its shape before it was touched
-depth_change   how much deeper than at rest tissue lies
 evidence       whether tissue moves with the tool, frame by frame; coupling: likelihood ratio of its motion if it does
 clearance      contact by the measured distance of an instrument's free end from the tissue under it
 tips           free ends of instruments in a mask; light_contacts: presses by how the tissue's light changes

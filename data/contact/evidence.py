@@ -1,9 +1,9 @@
-"""Contact by evidence: does the tissue next to the tool's tip move with the tool, or sink under it?
+"""Contact by evidence: does the tissue next to the tool's tip move with the tool?
 
 Outlines that touch in a picture say little: a tool that passes over tissue touches it there, too. From one picture
 to a later one, points in the tool's tip, next to it and far from it are followed (`data.tracks.linking`), and
-`data.contact.coupling` gives the likelihood ratio of their motion. A press moves tissue along the line of sight: depth
-that has grown next to the tool speaks for contact, too. A two-state hidden Markov chain adds it up over the frames.
+`data.contact.coupling` gives the likelihood ratio of their motion. A two-state hidden Markov chain adds it up over the
+frames. Where the instrument's depth is measured its distance decides instead (`data.contact.clearance`).
 
 Tissue that stays where it is speaks against contact only while the tool moves. A tool that hovered and comes to a stand
 may have met the tissue: contact is then undecided, and was so in the frame in which the tool arrived.
@@ -15,13 +15,10 @@ import cv2
 import numpy as np
 
 from palpate.data.contact.coupling import TipMotion, log_ratio
-from palpate.data.contact.depth_change import change_since, grid_motion
 from palpate.data.contact.geometry import FrameGeometry
-from palpate.data.contact.outlines import near
 from palpate.data.contact.tips import tool_tips
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
-from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, Background, background_motion
+from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, background_motion
 from palpate.data.tracks.following import Shown, spread, values_at
 from palpate.data.tracks.linking import followed
 
@@ -36,10 +33,6 @@ MAX_LOG_ODDS = 5.0
 """Largest change of the logarithm of the odds by one frame."""
 STANDS = 0.25
 """A tool that hovered has come to a stand where it moves by less than this share of its speed until then."""
-SINKS = 6.0
-"""The tissue next to a tool has sunk where its depth has grown by so many standard deviations."""
-ELSEWHERE = 1.5
-"""And by so many times what it has grown by anywhere far from the tool."""
 CERTAIN = 0.9
 """Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
 HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
@@ -48,8 +41,6 @@ SPACING = 8
 """Of the tissue's points [px]."""
 GUARD = 8.0
 """Points nearer to the tool's mask may be the tool's own, or be followed by its edge [px]."""
-DENT = 10
-"""Tissue that a tool presses sinks within this distance of its mask [grid px]."""
 RING = 100.0
 """Points nearer than this beyond the guard band are next to the tool, others are the background [px]."""
 TIP = 96.0
@@ -66,12 +57,10 @@ class ContactEvidence:
     Args:
         near: no farther from tissue in depth, a tool that was apart from it and then is at it in the picture has come
             to it [scene units].
-        measured: whether depth is measured, so that tissue that sinks shows in it. Depth that is guessed from pictures
-            changes with the light and the view, and most next to a tool.
     """
 
-    def __init__(self, near: float = math.inf, *, measured: bool = True) -> None:
-        self._near, self._measured = near, measured
+    def __init__(self, near: float = math.inf) -> None:
+        self._near = near
         self._reference: tuple[Shown, PreparedFrame] | None = None
         """The frame that frames are compared with until the tool has gone far enough."""
         self._age = 0
@@ -147,18 +136,17 @@ class ContactEvidence:
         # Contacts begin and end: by this share the probability returns to PRIOR in a frame.
         self._odds = _log_odds(share + 0.03 * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
-        tips, background = ([], None) if before is None else observed_motion(before[0], shown)
+        tips = [] if before is None else observed_motion(before[0], shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
         stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
-        sunk = self._measured and before is not None and bool(tips) and _has_sunk(*before, prepared, background)
         # Tissue that doesn't move says nothing next to a tool that doesn't move either.
         ratio = 0.0 if stands else float(np.clip(_ratio_of_tips(tips), -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        if stands or (hovered and (sunk or not tips)):
+        if stands or (hovered and not tips):
             self._odds, self._undecided = _log_odds(PRIOR), True
-        odds = self._odds + min(ratio + (MAX_LOG_ODDS if sunk else 0.0), MAX_LOG_ODDS)
+        odds = self._odds + ratio
         probability = 1 / (1 + math.exp(-odds))
-        self._arrives = stands or (sunk and probability >= THRESHOLD)
+        self._arrives = stands
         length = float(np.linalg.norm(way))
         self._speed = length / self._age if probability < THRESHOLD else 0.0
         self._undecided &= probability >= THRESHOLD
@@ -180,32 +168,16 @@ def _ratio_of_tips(tips: list[TipMotion]) -> float:
     return max((log_ratio(tip) for tip, length in zip(tips, way, strict=True) if length >= max(way) / 2), default=0.0)
 
 
-def _has_sunk(shown: Shown, before: PreparedFrame, after: PreparedFrame, background: Background | None) -> bool:
-    """Whether the tissue next to the tool lies deeper than it did, against the tissue around; where depth is known.
-
-    Args:
-        shown: picture of the frame before.
-        before, after: the frames.
-        background: motion of the picture between them.
-    """
-    change = change_since(before, after, grid_motion(background, shown, before))
-    if change is None:
-        return False
-    tool, sigmas = after.labels == TOOL, change.sigmas()
-    largest = sigmas[near(tool, DENT)].max(initial=0.0)
-    return bool(largest > max(SINKS, ELSEWHERE * sigmas[~near(tool, 2 * DENT)].max(initial=0.0)))
-
-
-def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Background | None]:
+def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
     """How every tool's tip, the tissue next to it and the background moved from one picture to a later one.
 
     Returns:
-        One a tool whose motion is known, and the background's motion; none where that isn't known.
+        One a tool whose motion is known; none where the background's isn't.
     """
     # Parts of a mask with fewer pixels are no tool.
     tips = tool_tips(before.tool, before.lit, TIP, 60)
     if not tips:
-        return [], None
+        return []
     places = spread((before.away > GUARD) & before.lit, SPACING)
     distance = values_at(before.away, places) - GUARD
     far = np.flatnonzero(distance > RING)
@@ -218,7 +190,7 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
     step, known = followed(before.gray, after.gray, places)
     background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
     if background is None:
-        return [], None
+        return []
     known &= values_at(after.away, np.rint(places + step)) > GUARD / 2
     moved = step - background.at(places)
     motions = []
@@ -230,7 +202,7 @@ def observed_motion(before: Shown, after: Shown) -> tuple[list[TipMotion], Backg
         if motion is not None:
             around, errors = known & (owner == index), (background.noise, background.error)
             motions.append(TipMotion(moved[around], distance[around], SPACING, *motion, *errors))
-    return motions, background
+    return motions
 
 
 def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:

@@ -151,52 +151,15 @@ COMES = np.array([(3.0 * min(index, 4), 0.0) for index in range(9)])
 """A tool passes, arrives in frame 4 and then stands still."""
 
 
-def on_grid(number: int, view: View, sunk: float) -> PreparedFrame:
-    """A frame whose depth, on a grid of a quarter of the picture's size, has a dent before the tool's tip."""
-    frame = prepared(number, view)
-    height, width = HEIGHT // 4, WIDTH // 4
-    row, column = np.mgrid[:height, :width]
-    tip = (TIP + COMES[4]) / 4
-    away = np.hypot(column - tip[0] - 4, row - tip[1])
-    noise = np.random.default_rng(number).normal(0, 0.0005, (height, width))
-    frame.depth = (0.5 + sunk * np.exp(-away / 3) + noise).astype(np.float32)
-    frame.labels = cv2.resize(frame.picture_labels, (width, height), interpolation=cv2.INTER_NEAREST)
-    return frame
-
-
-def pressing(depth: float, **options: bool) -> list[PreparedFrame]:
-    """That tool's frames, under which the tissue sinks by `depth` a frame from the fifth on [scene units]."""
-    frames = [on_grid(number, view, depth * max(number - 4, 0)) for number, view in enumerate(drawn(COMES))]
-    return judged(frames, ContactEvidence(**options))
-
-
 def test_a_tool_that_comes_to_a_stand_is_not_called_hovering() -> None:
     """It may press from the frame in which it arrives; nothing tells."""
-    frames = pressing(0.0)
+    frames = judged(frames_of(drawn(COMES)))
     assert [frame.status for frame in frames] == ["ok"] + ["no_contact"] * 3 + ["ok"] * 5
     for index, frame in enumerate(frames):
         assert (frame.hovers, frame.undecided) == (0 < index < 4, index >= 4)
     for frame in frames[4:]:
         assert frame.contact_probability == pytest.approx(PRIOR, abs=0.12)
         assert (frame.in_contact, frame.detail) == (True, "")
-
-
-def test_tissue_that_sinks_beside_a_tool_is_pressed() -> None:
-    """Where depth is measured; what is guessed from pictures leaves it undecided."""
-    for index, frame in enumerate(pressing(0.004)):
-        found = frame.hovers, frame.undecided, frame.contact_probability > CERTAIN
-        assert found == (0 < index < 4, index == 4, index > 4)
-    guessed = pressing(0.004, measured=False)
-    assert all(frame.undecided and frame.contact_probability < CERTAIN for frame in guessed[4:])
-
-
-def test_tissue_that_sinks_under_a_sliding_tool_is_not_passed_over() -> None:
-    """It does not follow the tool across, and lies deeper beside it than before."""
-    views = drawn(line((3.0, 0.0), 6))
-    frames = judged([on_grid(number, view, 0.02 * (number > 3)) for number, view in enumerate(views)])
-    assert [frame.hovers for frame in frames[:3]] == [False, True, True]
-    assert not frames[3].hovers  # the press may have begun here
-    assert (frames[4].status, frames[4].undecided) == ("ok", True)
 
 
 def changed(views: list[View], wider: int) -> list[View]:

@@ -1,7 +1,7 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
 The network's probability is averaged over time: that of the frame before is moved along the optical flow. Of its parts
-those count that are large and sure, enter the view, and were there in the frame before, too. docs/reports/masks.md
+those count that are large, enter the view, and were there in the frame before, too. docs/reports/masks.md
 reports its accuracy on real pictures.
 """
 
@@ -23,8 +23,8 @@ WEIGHTS = ROOT / MASKS
 """The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
 NEW_SHARE = 0.7
 """Weight of a frame's own probability; the rest is that of the frame before."""
-LEAST_SHARE, LEAST_SURE = 0.004, 0.6
-"""Smallest part of an instrument, as a share of the picture, and its smallest mean probability."""
+LEAST_SHARE = 0.004
+"""Smallest part of an instrument, as a share of the picture."""
 RIM = 0.04
 """A part that reaches less far into the view is its rim, as a share of the picture's longer side."""
 HIDDEN = 0.3
@@ -89,7 +89,7 @@ class AutomaticMasks:
 
 
 def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Connected parts that are instruments, bool [h, w]: large and sure, and there in the frame before, too.
+    """Connected parts that are instruments, bool [h, w]: large, and there in the frame before, too.
 
     An instrument enters the view: a part begins at the view's end, or not far from it for its length, and reaches into
     the view.
@@ -109,6 +109,5 @@ def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarr
         part = numbers[box] == index
         depth = within[box][part]
         enters = depth.min() - 2 <= HIDDEN * np.hypot(width, height) and depth.max() >= RIM * max(mask.shape)
-        sure = probability[box][part].mean() >= LEAST_SURE and before[box][part].max() >= FAINT
-        kept[index] = index > 0 and enters and sure
+        kept[index] = index > 0 and enters and before[box][part].max() >= FAINT
     return kept[numbers]

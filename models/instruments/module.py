@@ -145,7 +145,7 @@ class _Pictures(CalibrationDataReader):
     def __init__(self, pictures: Tensor) -> None:
         self._left = iter(pictures.split(1))
 
-    def get_next(self) -> dict[str, np.ndarray] | None:  # ty: ignore[invalid-method-override]  None ends it
+    def get_next(self) -> dict[str, np.ndarray] | None:  # ty: ignore[incompatible-method-override]  None ends it
         picture = next(self._left, None)
         return None if picture is None else {"picture": picture.numpy()}
 

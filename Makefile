@@ -25,8 +25,8 @@ $(JUDGED): EXTRAS := train,dev,acceptance
 $(INSTALLED) $(TESTED) $(JUDGED): pyproject.toml constraints.txt
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	@echo "Installing the libraries that constraints.txt pins into .venv; this takes a minute ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
-	@$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[$(EXTRAS)]"
+	@$(BIN)/pip install -qq --disable-pip-version-check --upgrade "pip>=25.1"
+	@$(BIN)/pip install -qq --disable-pip-version-check --no-compile -c constraints.txt -e ".[$(EXTRAS)]"
 	@$(BIN)/python -m compileall -qq -j 0 -x '/tests?/|torch/testing' .venv/lib || true  # as pip would, on all cores
 	@touch $(INSTALLED) $@
 

@@ -142,17 +142,18 @@ def write(
     document: dict[str, Any],
     output: Path,
     difference_of: Callable[[Path], float],
-    tolerance: float = PARITY_TOLERANCE,
+    tolerance: float | None = None,
 ) -> float:
     """Write a graph with its metadata to a file that appears only when it is complete and agrees with torch.
 
     Args:
         difference_of: the file's largest difference from torch, which is returned.
-        tolerance: the largest that counts as agreement.
+        tolerance: the largest that counts as agreement; None = PARITY_TOLERANCE.
 
     Raises:
         ForeignFile, ParityError: as of `export`, or its numbers are not finite.
     """
+    most = PARITY_TOLERANCE if tolerance is None else tolerance
     onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})
     output.parent.mkdir(parents=True, exist_ok=True)
     with replacing_own(output) as partial:
@@ -161,10 +162,10 @@ def write(
             difference = difference_of(partial)
         except ModelFileError as error:
             raise ParityError(str(error).replace(str(partial), str(output))) from error
-        if not difference <= tolerance:  # or it is no number
+        if not difference <= most:  # or it is no number
             raise ParityError(
                 f"the exported network differs from torch by {difference:.2g} in its outputs, more than "
-                f"{tolerance:g}; nothing was written to {output}."
+                f"{most:g}; nothing was written to {output}."
             )
     return difference
 

@@ -51,9 +51,10 @@ acceptance: $(JUDGED)
 test-fast: $(TESTED)
 	$(BIN)/pytest -m "not slow"
 
-# Runs a program quietly while another shows what it does; both must succeed:
-# $(call alongside,QUIET PROGRAM,NAME OF ITS LOG,SHOWN PROGRAM)
-alongside = @{ $(BIN)/python $(1); } > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)/python $(3); $(BIN)/python $(3) && \
+# Runs a program quietly while another shows what it does, on a native thread each: threads of two would wait for each
+# other. Both must succeed: $(call alongside,QUIET PROGRAM,NAME OF ITS LOG,SHOWN PROGRAM)
+alongside = @export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1; \
+	{ $(BIN)/python $(1); } > $(DEMO)/$(2).log 2>&1 & quiet=$$!; echo $(BIN)/python $(3); $(BIN)/python $(3) && \
 	{ wait $$quiet || { cat $(DEMO)/$(2).log; false; }; }
 
 # The system is trained on stored depth and annotated masks. The frame folder of the test clip has both; its video file

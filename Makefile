@@ -18,7 +18,7 @@ JUDGED := .venv/.acceptance
 
 .PHONY: demo test test-fast acceptance lint lock bench model masks gan paper clean
 
-# The newest pip takes half as long as the one that comes with Python.
+# A newer pip than the one that comes with Python is faster.
 $(INSTALLED): EXTRAS := train
 $(TESTED): EXTRAS := train,dev
 $(JUDGED): EXTRAS := train,dev,acceptance

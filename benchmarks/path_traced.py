@@ -116,6 +116,10 @@ class PathTraced(Measurements):
             raise InputError(f"{self.data} holds no NAME{TRUTH} beside its clip; give a folder of path-traced clips.")
         return found
 
+    def record(self) -> Mapping[str, Any]:
+        """What is given and which estimator: other results belong in another folder."""
+        return {"given": self.given, "estimator": self.estimator}
+
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """The measures of every clip, and those of all."""
         report = super().report(rows)

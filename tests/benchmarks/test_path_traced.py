@@ -21,6 +21,8 @@ def test_frames_and_errors_of_a_press_are_those_of_its_truth(tmp_path, capsys):
     (tmp_path / "press.truth.json").write_text(json.dumps(truth | {"mm_per_scene_unit": 100.0}))
     arguments = ["--data", str(tmp_path), "--given", "depth", "--output", str(tmp_path / "out")]
     assert path_traced.main(arguments) == 0
+    assert path_traced.main([*arguments[:2], *arguments[4:]]) == 2  # of the video alone: other results
+    assert "holds results of another given" in " ".join(capsys.readouterr().err.split())
     found = {row["measure"]: row["value"] for row in read_rows(tmp_path / "out" / "table.csv")}
     assert (int(found["pressed_frames"]), int(found["other_frames"])) == (len(frames), SCENE.frames - len(frames))
     assert int(found["pressed_found"]) >= len(frames) - 1

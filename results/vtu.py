@@ -99,27 +99,27 @@ def write_series(folder: Path, name: str, found: Deformation) -> None:
 
     faces: dict[str, Any] = {"triangle": found.triangles.astype(np.int32)}
     Mesh(found.points, faces).write(folder / f"{name}.ply")
-    solid = found.tetrahedra
+    solid, index = found.tetrahedra, folder / f"{name}.pvd"
     inner: dict[str, Any] = {} if solid is None else {"tetra": solid.astype(np.int32)}
     fields = {key: each.astype(np.int32 if each.dtype == bool else np.float64) for key, each in found.fields.items()}
-    files = [f"{name}_{frame:04d}.vtu" for frame in range(len(found.times))]
-    for file, time, moved in zip(files, found.times.tolist(), found.displacement, strict=True):
-        with contextlib.redirect_stderr(io.StringIO()):  # meshio warns that text is large
-            mesh = Mesh(found.points.astype(np.float64), faces | inner, {"displacement": moved} | fields)
-            mesh.write(folder / file, binary=False)
-        _annotate(folder / file, {**found.parameters, "TimeValue": np.array([time])})
-    sets = (f'<DataSet timestep="{time}" file="{file}"/>' for time, file in zip(found.times, files, strict=True))
-    index = '<VTKFile type="Collection" version="0.1">\n<Collection>\n{}\n</Collection>\n</VTKFile>\n'
-    (folder / f"{name}.pvd").write_text(index.format("\n".join(sets)), encoding="utf-8")
-
-
-def _annotate(path: Path, parameters: Mapping[str, np.ndarray]) -> None:
-    """Add parameters as field data, which meshio doesn't write."""
-    tree = ElementTree.parse(path)
-    data = ElementTree.Element("FieldData")
-    for name, values in parameters.items():
-        shape = {"NumberOfComponents": str(len(values)), "NumberOfTuples": "1", "format": "ascii"}
-        array = ElementTree.SubElement(data, "DataArray", {"type": "Float64", "Name": name} | shape)
-        array.text = " ".join(map(str, values.tolist()))
+    mesh = Mesh(found.points.astype(np.float64), faces | inner, {"displacement": np.zeros(found.points.shape)} | fields)
+    with contextlib.redirect_stderr(io.StringIO()):  # meshio warns that text is large
+        mesh.write(index, "vtu", binary=False)
+    tree = ElementTree.parse(index)
+    displacement, *_ = tree.iterfind(".//DataArray[@Name='displacement']")
+    data = ElementTree.Element("FieldData")  # which meshio doesn't write
     next(tree.iter("UnstructuredGrid")).insert(0, data)
-    tree.write(path)
+    for key, values in {**found.parameters, "TimeValue": np.zeros(1)}.items():
+        shape = {"NumberOfComponents": str(len(values)), "NumberOfTuples": "1", "format": "ascii"}
+        ElementTree.SubElement(data, "DataArray", {"type": "Float64", "Name": key} | shape).text = _text(values)
+    files = [f"{name}_{frame:04d}.vtu" for frame in range(len(found.times))]
+    for file, time, moved in zip(files, found.times, found.displacement, strict=True):
+        displacement.text, data[-1].text = _text(moved), _text(time)
+        tree.write(folder / file)
+    sets = (f'<DataSet timestep="{time}" file="{file}"/>' for time, file in zip(found.times, files, strict=True))
+    collection = '<VTKFile type="Collection" version="0.1">\n<Collection>\n{}\n</Collection>\n</VTKFile>\n'
+    index.write_text(collection.format("\n".join(sets)), encoding="utf-8")
+
+
+def _text(values: np.ndarray) -> str:
+    return " ".join(map(str, values.ravel().tolist()))

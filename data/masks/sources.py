@@ -243,7 +243,8 @@ def _drawn_as(name: str, mask: np.ndarray, tolerance: int) -> np.ndarray:
     """Where a mask shows a class, bool [H, W]."""
     if mask.ndim == 2:
         return mask == CLASSES[name].grey
-    return np.abs(mask.astype(np.int16) - CLASSES[name].color).sum(axis=2) <= tolerance
+    apart = cv2.absdiff(mask, (*map(float, CLASSES[name].color), 0.0))
+    return cv2.transform(apart, np.ones((1, 3))) <= tolerance  # a sum above 255 counts as 255
 
 
 def read_label_mask(path: Path, size: tuple[int, int], layout: ClipLayout) -> np.ndarray:

@@ -45,7 +45,7 @@ FILES = [
     LIST, "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
 ]  # fmt: skip
 SCENE = SceneSettings(
-    width=214, height=120, frames=22, onset_fraction=(0.15, 0.2), press_seconds=(0.2, 0.2), depth_noise=0.0005,
+    width=214, height=120, frames=17, onset_fraction=(0.2, 0.25), press_seconds=(0.2, 0.2), depth_noise=0.0005,
     stiffness=(0.4, 0.4), damping=(0.03, 0.03), force=(-0.05, -0.05),
 )  # fmt: skip
 
@@ -290,7 +290,7 @@ def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done, sy
 
 def test_every_frame_has_a_row_the_record_says_what_was_done_and_the_picture_shows_it(done):
     found, (run,) = rows(done), runs(done)
-    assert len(found) == 22
+    assert len(found) == 17
     assert {row["stiffness"] + row["damping"] + row["force"] for row in found} == {""}
     touching = [row for row in found if row["status"] == "ok"]
     assert touching[0]["frame"] == run["onset_frame"]
@@ -325,7 +325,7 @@ def test_every_estimator_writes_the_same_files(estimator, inputs, synthetic, don
     found = record(folder)
     assert found["estimator"]["name"] == estimator
     assert sum(found["contacts"].values()) == 1
-    assert sum(found["statuses"].values()) == found["input"]["frames"] == 22
+    assert sum(found["statuses"].values()) == found["input"]["frames"] == 17
 
 
 def test_real_presses_begin_between_frames(done, synthetic, tmp_path):
@@ -466,28 +466,28 @@ def test_a_lerobot_data_set_is_read_to_the_same_estimates_as_a_folder(inputs, sy
 def test_a_bag_is_read_to_the_same_estimates_as_a_folder(inputs, synthetic, tmp_path, name, capsys):
     """With the same pictures, time stamps and camera; frames of both are numbered from 0."""
     pictures = [read_image(path) for path in sorted((synthetic / "video01_00000").glob("*_endo.png"))]
-    camera = {"fx": 110.8, "fy": 148.2, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96, "distortion": [1e-3] * 5}
+    camera = {"fx": 110.8, "fy": 148.2, "cx": 63.5, "cy": 47.5, "width": 128, "height": 96, "distortion": [1e-4] * 5}
     times = [index * RATE / 1e9 for index in range(len(pictures))]
     write_pictures(tmp_path / "folder" / "same", pictures, camera=camera, times=times)
 
     def recorded(make):
         yield from (("/lap/image_raw/compressed", make.compressed(*item)) for item in enumerate(pictures))
-        yield "/lap/camera_info", make.camera((110.8, 0, 63.5, 0, 148.2, 47.5, 0, 0, 1), [1e-3] * 5, 110)
+        yield "/lap/camera_info", make.camera((110.8, 0, 63.5, 0, 148.2, 47.5, 0, 0, 1), [1e-4] * 5, 110)
         yield from (("/depth/image", make.image(index, item)) for index, item in enumerate(pictures))
 
     folder, bag = tmp_path / "folder" / "same", write_bag(tmp_path / name, recorded)
     topic, kind = ("--topic", "/lap/image_raw/compressed"), "ros1" if name == "same.bag" else "ros2"
-    for given, options in ((folder, ()), (bag, topic)):
+    for given, options in ((folder, ()), (bag, (*topic, "--bag", kind))):
         assert call(inputs, tmp_path / f"of {given.parent.name}", "--no-overlay", *options, clips=str(given)) == 0
     for table in ("parameters.csv", "interactions.csv"):
         one, other = (contents(tmp_path / f"of {given.parent.name}" / "same")[table] for given in (folder, bag))
         assert one == other
-    assert direct(bag, tmp_path / "fitted", "--no-overlay", *topic, "--bag", kind) == 0
-    (run,), written = runs(tmp_path / "fitted" / "same"), contents(tmp_path / "fitted" / "same")
+    results = tmp_path / f"of {bag.parent.name}" / "same"
+    (run,), written = runs(results), contents(results)
     assert run["status"] == "ok"
     (press,) = json.loads(written["forces.json"])["contacts"]
     assert set(BAGS.values()) & written.keys() == {BAGS[kind]}
-    said = read_messages(tmp_path / "fitted" / "same" / BAGS[kind])
+    said = read_messages(results / BAGS[kind])
     assert (press["verdict"], list(said)) == ("undetermined", ["/palpate/verdict"])  # no force is known
     assert said["/palpate/verdict"] == [(BEGIN + round(press["onset_time_s"] * 1e9), press["verdict"])]
     assert direct(bag, tmp_path / "out", "--topic", "/depth/image", "--force-scale", "/wrench") == 1
@@ -562,13 +562,14 @@ def test_real_clip_directly(real_data, tmp_path):
 
 @pytest.mark.slow
 def test_real_clip(real_data, tmp_path):
-    """Judged: 80 rows, no tool on frames 80–148, and at least 9 of 149–159 in contact."""
+    """Judged: a row a frame, no tool on frames 130–148, and at least 9 of 149–159 in contact."""
     geometry = {"height": 120, "width": 214}
     write_model(tmp_path / "parameters.onnx", metadata(geometry=geometry))
-    assert call(tmp_path, tmp_path / "out", "--no-overlay", clips=str(real_data / "cholecseg8k")) == 0
+    clip = real_frames(real_data, tmp_path / "video01" / "video01_00080", range(130, 160))
+    assert call(tmp_path, tmp_path / "out", "--no-overlay", clips=str(clip)) == 0
     status = {int(row["frame"]): row["status"] for row in rows(tmp_path / "out" / "video01_00080")}
-    assert sorted(status) == list(range(80, 160))
-    assert {status[number] for number in range(80, 149)} == {"no_tool"}
+    assert sorted(status) == list(range(130, 160))
+    assert {status[number] for number in range(130, 149)} == {"no_tool"}
     assert sum(status[number] == "ok" for number in range(149, 160)) >= 9
 
 
@@ -577,7 +578,8 @@ def test_a_known_force_tells_newtons(synthetic, tmp_path):
     known = f"force_N: 2.0\nforce_sd_N: 0.02\nforce_time_s: {truth['onset_s'] + 0.1}\n"
     (tmp_path / "known.yaml").write_text(known)
     given = ["--no-overlay", "--force-scale", str(tmp_path / "known.yaml")]
-    assert direct(synthetic / "video01_00000", tmp_path / "out", *given, "--bag", "ros2") == 0
+    arguments = [str(synthetic), "--output", str(tmp_path / "out"), "--onset", "stamp", *given, "--bag", "ros2"]
+    assert infer.main(arguments) == 0
     folder = tmp_path / "out" / "video01_00000"
     (one,), (found,) = rows(folder, "calibrated.csv"), runs(folder)
     assert float(one["force"]) == pytest.approx(2.0, rel=1e-6)
@@ -616,13 +618,14 @@ def test_a_calibration_that_can_t_be_used_is_wrong_usage(known, options, said, i
     assert said in flat(capsys.readouterr().err)
 
 
-def test_a_shaft_s_diameter_tells_newtons_a_metre_and_millimetres(synthetic, done, tmp_path):
+def test_a_shaft_s_diameter_tells_newtons_a_metre_and_millimetres(synthetic, tmp_path):
     """The drawn shaft's radius is `SHAFT_RADIUS` scene units; its length enters with its uncertainty."""
     truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
     (tmp_path / "known.yaml").write_text(f"force_N: 2.0\nforce_time_s: {truth['onset_s'] + 0.1}\n")
     given = ["--no-overlay", "--force-scale", str(tmp_path / "known.yaml"), "--shaft-diameter", "8"]
-    assert direct(synthetic, tmp_path / "out", *given) == 0
-    folder, (found,) = tmp_path / "out" / "video01_00000", runs(done)
+    assert infer.main([str(synthetic), "--output", str(tmp_path / "out"), "--onset", "stamp", *given]) == 0
+    folder = tmp_path / "out" / "video01_00000"
+    (found,) = runs(folder)
     scale = record(folder)["scale"]
     assert scale["mm"] == pytest.approx(4 / SHAFT_RADIUS, rel=0.05)
     assert scale["mm_low"] < 4 / SHAFT_RADIUS < scale["mm_high"]
@@ -803,8 +806,8 @@ def test_every_network_runs_where_and_as_wide_as_was_asked_and_the_record_says_s
 
 
 def test_a_killed_worker_fails_what_is_left_and_keeps_the_rest(named_alike, inputs, tmp_path, monkeypatch, capsys):
-    def lost(*tasks, **options):
-        yield next(run_tasks(*tasks, **options))
+    def lost(function, tasks, *_, **__):
+        yield function(tasks[0])
         raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.")
 
     monkeypatch.setattr("palpate.results.run.run_tasks", lost)

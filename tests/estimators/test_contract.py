@@ -293,12 +293,12 @@ def faulty(
 
 # The tool touches frames 7 to 14 of `pressed`.
 FAULTY = {
-    "unreadable": (range(20), {"unreadable": (0, 10)}, [(7, True), (11, False)]),
-    "without depth": (range(20), {"without_depth": (2, 10, 16)}, [(7, True)]),
-    "without mask": (range(20), {"without_mask": (6, 10)}, [(7, False)]),
-    "gaps in the numbers": (range(20), {"missing": (1, 9, 15)}, [(6, True), (8, False)]),
-    "flicker": (range(20), {"without_tool": (9, 11, 12)}, [(7, True)]),
-    "contact from the first frame on": (range(7, 20), {}, [(0, False)]),
+    "unreadable": (range(17), {"unreadable": (0, 10)}, [(7, True), (11, False)]),
+    "without depth": (range(17), {"without_depth": (2, 10, 16)}, [(7, True)]),
+    "without mask": (range(17), {"without_mask": (6, 10)}, [(7, False)]),
+    "gaps in the numbers": (range(17), {"missing": (1, 9, 15)}, [(6, True), (8, False)]),
+    "flicker": (range(17), {"without_tool": (9, 11, 12)}, [(7, True)]),
+    "contact from the first frame on": (range(7, 17), {}, [(0, False)]),
     "always in contact": (range(8, 14), {}, [(0, False)]),
     "one frame": (range(8, 9), {}, [(0, False)]),
     "no contact": (range(5), {}, []),

@@ -670,6 +670,7 @@ def test_paper_yaml_trains_resumes_and_evaluates_a_root_in_the_real_layout(tmp_p
     smaller += f" --data.geometry.height 48 --data.geometry.width 64 --trainer.default_root_dir {tmp_path / 'run'}"
     smaller += f" --data.root {tmp_path / 'data'} --data.cache {tmp_path / 'cache'}"
     parts = {"train": f"[{','.join(names[:2])}]", "val": f"[{names[2]}]", "test": f"[{names[3]}]"}
+    smaller += " --model.mechanics.steps 40 --model.mechanics.load_steps 10"
     given = ["-c", str(CHECKOUT / "configs" / "paper.yaml"), *smaller.split()]
     given += [f"--data.loading.videos.{part}={videos}" for part, videos in parts.items()]
     assert train.main(["fit", *given, "--trainer.max_epochs=1"]) == 0

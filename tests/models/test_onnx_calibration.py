@@ -22,11 +22,15 @@ WHOLE = Widths((1.0, 2.0, 0.5), (1.0, 0.8, 0.5), (0.0, 0.2, 0.1), (0.0, 0.3, -0.
 BOUNDS = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1))
 
 
+def untrained() -> ContactPosterior:
+    return ContactPosterior(10, torch.tensor(BOUNDS.log_box), width=16, blocks=1)
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory) -> Path:
     """An exported posterior that takes ten numbers."""
     torch.manual_seed(0)
-    posterior = ContactPosterior(10, torch.tensor(BOUNDS.log_box))
+    posterior = untrained()
     with torch.no_grad():  # the exporter keeps equal weights once
         for weights in posterior.parameters():
             weights += 0.01 * torch.randn(weights.shape)
@@ -112,7 +116,7 @@ def test_a_generators_posterior_is_calibrated_as_well(tmp_path: Path) -> None:
 
 
 def test_weights_of_a_calibrated_file_are_still_those_of_the_network(plain: Path, calibrated: Path) -> None:
-    posteriors = [ContactPosterior(10, torch.tensor(BOUNDS.log_box)) for _ in range(2)]
+    posteriors = [untrained() for _ in range(2)]
     for posterior, path in zip(posteriors, (plain, calibrated), strict=True):
         load_posterior(posterior, path)
     first, second = (posterior.state_dict() for posterior in posteriors)

@@ -102,8 +102,8 @@ def test_code_does_not_outlive_a_constant_of_another_file(copied):
 
 @pytest.mark.slow
 def test_processes_that_start_together_and_find_no_code_compute_the_same(copied):
-    kinds = ["float32", "float64", "float32", "float64"]
+    kinds = ["float32", "float64", "float32"]
     results = shown(*(start(copied, kind) for kind in kinds))
     again = shown(*(start(copied, kind) for kind in kinds[:2]))
-    assert results == again + again
+    assert results == [*again, again[0]]
     assert [value for _, value in again] == [expected(kind) for kind in kinds[:2]]

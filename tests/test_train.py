@@ -25,6 +25,7 @@ from palpate.command import infer, tracking, train
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.synthetic import __main__ as synthetic
+from palpate.models.checkpoint import CheckpointError, require_same_weights
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds
@@ -366,7 +367,9 @@ def test_a_bad_checkpoint_gets_a_sentence(trained: Path, config: Path, tmp_path:
         assert "garbage.ckpt is not a readable checkpoint; give one that train.py fit wrote." in said
 
 
-def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, config: Path, tmp_path: Path, capsys):
+def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(
+    trained: Path, config: Path, tmp_path: Path, capsys, monkeypatch
+):
     """Readable, of these settings, and yet of no use."""
     whole = torch.load(trained / "checkpoints" / "last.ckpt", weights_only=True)
     weights, path = whole["state_dict"], tmp_path / "wrong.ckpt"
@@ -375,16 +378,24 @@ def test_a_checkpoint_whose_inside_is_wrong_gets_a_sentence(trained: Path, confi
         ({"state_dict": {}}, "test", f"holds other weights than this network has, {len(weights)} of them"),
         ({"state_dict": weights | {first: torch.zeros(2)}}, "fit", f"1 of them, such as {first}; give the config"),
         ({"state_dict": weights | {"more": torch.zeros(2)}}, "export", "1 of them, such as more; give the config"),
+        ({"optimizer_states": [], "state_dict": weights}, "fit", "holds no state of a training to go on from"),
         ({"optimizer_states": "none"}, "fit", "holds no state of a training to go on from"),
         ({"optimizer_states": [{}]}, "fit", "holds no state of a training to go on from"),
         ({"loops": None}, "fit", "holds no state of a training to go on from"),
         ({"loops": {"fit_loop": {}}}, "validate", "holds no state of a training to go on from"),
-        ({"optimizer_states": []}, "fit", "holds no state of a training to go on from"),
         ({"optimizer_states": [{"state": {}, "param_groups": []}] * 3}, "fit", "holds no state of a training to go"),
     ]
+    built: list[Any] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, _: built.append(cli.model))
+        assert train.main(["fit", "-c", str(config), "--ckpt_path", "last"]) == 0
     for change, command, expected in cases:
         torch.save(whole | change, path)
-        assert expected in refused(capsys, command, "-c", config, "--ckpt_path", path)
+        if "state_dict" in change:
+            assert expected in refused(capsys, command, "-c", config, "--ckpt_path", path)
+        else:
+            with pytest.raises(CheckpointError, match=expected):
+                require_same_weights(path, built[0], command)
     for data in ({}, {"trained_on": 3}, {"trained_on": {"depth": "stored"}}):
         torch.save(whole | {"ClipDataModule": data}, path)
         output = tmp_path / "out.onnx"

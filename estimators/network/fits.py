@@ -24,6 +24,7 @@ from palpate.data.contact.sequence_features import (
     motion_in_sequence,
     shape_amounts,
 )
+from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import ContactProblem, find_optimum
@@ -127,6 +128,15 @@ def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, 
         if rms <= EXPLAINED:
             break
     return best, rms
+
+
+CONTACTS_A_SCENE = 8
+
+
+def scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
+    """Contacts of a scene by its settings, seed and `within`; here, where worker processes load no torch."""
+    settings, seed, within = task
+    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
 
 
 def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:

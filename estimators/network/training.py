@@ -41,11 +41,11 @@ from palpate.data.contact.features import FEATURES, contact_features, contact_su
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_features
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
-from palpate.data.synthetic.settings import SceneSettings
+from palpate.data.synthetic.contacts import SimulatedContact
 from palpate.data.synthetic.truth import REGIMES
 from palpate.estimators.network.fits import (
     BOUNDS,
+    CONTACTS_A_SCENE,
     EXPLAINED,
     FRAME_S,
     MECHANICS,
@@ -55,6 +55,7 @@ from palpate.estimators.network.fits import (
     Fits,
     draw_observed,
     fit_sequence,
+    scene_contacts,
 )
 from palpate.models.evidence import bound_loss, box_prior, covering, preconditioned
 from palpate.models.posterior import ContactPosterior
@@ -62,7 +63,6 @@ from palpate.physics.likelihood import Likelihood, Linearised
 
 WEIGHTS, LOG = "posterior.pt", "training.jsonl"
 """Files of the output folder; the first appears at the end."""
-CONTACTS_A_SCENE = 8
 ROUGH_BATCH, ROUGH_RATE = 64, 1e-3
 """Samples a step of the rough stage, and its largest learning rate."""
 FINE_BATCH, FINE_RATE = 512, 2e-3
@@ -231,11 +231,6 @@ def descend(
         yield float(loss.detach())
 
 
-def _scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
-    settings, seed, within = task
-    return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
-
-
 def make_contacts(
     count: int, seed: int, progress: Progress, workers: int | None = None, within: float = 0.0
 ) -> list[SimulatedContact]:
@@ -255,7 +250,7 @@ def make_contacts(
     seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
     turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
     tasks = [(turns[number % len(turns)], scene, within) for number, scene in enumerate(seeds)]
-    drawn = run_tasks(_scene_contacts, tasks, workers, ordered=True)
+    drawn = run_tasks(scene_contacts, tasks, workers, ordered=True)
     scenes = progress.track(drawn, len(tasks), description="scenes")
     found = [contact for contacts in scenes for contact in contacts]
     if not found:

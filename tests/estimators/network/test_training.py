@@ -293,6 +293,6 @@ def test_nothing_to_train_on_is_told(unsure: list[SimulatedContact], fitted: lis
     monkeypatch.setattr(contact_training, "EXPLAINED", -1.0)
     with pytest.raises(contact_training.TrainingError, match="No motion could be explained"):
         Trainer(unsure, MADE, 0).fit(Progress(disable=True), 0)
-    monkeypatch.setattr(contact_training, "draw_contacts", lambda *_, **__: [])
+    monkeypatch.setattr(drawing, "draw_contacts", lambda *_, **__: [])
     with pytest.raises(contact_training.TrainingError, match="No contact could be drawn"):
         make_contacts(8, 0, Progress(disable=True), 0)

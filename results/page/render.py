@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
     return output / INDEX
 
 
+@functools.cache
 def _environment() -> Environment:
     """Templates whose every value is escaped: names of files are a user's."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined

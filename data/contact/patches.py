@@ -25,7 +25,6 @@ MAX_SAMPLES = 6
 
 BLUR = 0.7
 """Standard deviation of a blur of the depth by its sensor that is as likely as none [grid pixels]."""
-ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
 
@@ -96,20 +95,19 @@ class Patches:
         dense[:, self._cells[0], self._cells[1]] = values
         return dense
 
-    def shift(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
-        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns.
+    def shift(self, moved: np.ndarray) -> np.ndarray:
+        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns."""
+        across = moved[..., :2] - self._rays * moved[..., 2:]
+        return (self._focal * across / (self._depth[:, None] + moved[..., 2:]))[..., ::-1]
+
+    def sunk(self, moved: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
+
+        A patch that shifts along sloping tissue changes it as well.
 
         Args:
             moved: of all patches or, with their places among the V, of some.
             some: these places.
-        """
-        across = moved[..., :2] - self._rays[some] * moved[..., 2:]
-        return (self._focal * across / (self._depth[some, None] + moved[..., 2:]))[..., ::-1]
-
-    def sunk(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
-        """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
-
-        A patch that shifts along sloping tissue changes it as well. Arguments as of `shift`.
         """
         (across, down, away), pull = np.moveaxis(moved, -1, 0), self._pull[some]
         along = pull[:, 0] * (across - self._rays[some, 0] * away) + pull[:, 1] * (down - self._rays[some, 1] * away)

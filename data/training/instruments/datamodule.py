@@ -42,11 +42,9 @@ class InstrumentData(LightningDataModule):
         settings = self.hparams
         pictures = InstrumentPictures(self.real_pictures, settings["seed"], settings["real_share"])
         count, size = settings["workers"], settings["batch_size"]
-        if not count:
-            return DataLoader(pictures, size)
         # Forked workers hang where OpenCV has begun threads before.
-        how: dict[str, Any] = {"worker_init_fn": _one_thread, "multiprocessing_context": "spawn"}
-        return DataLoader(pictures, size, num_workers=count, prefetch_factor=4, **how)
+        how: dict[str, Any] = {"multiprocessing_context": "spawn", "prefetch_factor": 4} if count else {}
+        return DataLoader(pictures, size, num_workers=count, worker_init_fn=_one_thread, **how)
 
     def val_dataloader(self) -> DataLoader:
         """Composites of a seed of their own."""

@@ -68,8 +68,7 @@ def _press(found: Estimate, contact: Interaction, mechanics: Mechanics, times: n
     moved = simulate(found.theta, mesh, press, mechanics, watch=np.arange(len(mesh.vertices)), dtype=np.float64)
     steps = np.rint(times / mechanics.time_step).astype(int)
     inside, numbers = (steps >= 0) & (steps <= len(moved)), found.numbers()
-    names = {name: [numbers[f"{name}{end}"] for end in ("", "_low", "_high")] for name in PARAMETERS}
-    parameters = {name: np.array(values) for name, values in names.items()}
+    parameters = {name: np.array([numbers[f"{name}{end}"] for end in ("", "_low", "_high")]) for name in PARAMETERS}
     parameters |= {"force_direction": np.sign(found.theta[2]) * press.direction}
     moved = np.concatenate([np.zeros_like(moved[:1]), moved])[steps[inside]]
     return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {})

@@ -28,6 +28,8 @@ WIDE = 6.0
 """Standard deviation of the weights of the surface by which mislabelled tool pixels are recognised [grid pixels]."""
 IN_FRONT = 5.0
 """Tissue next to the instrument that lies so many standard deviations in front of that surface is the instrument's."""
+AROUND = 30
+"""Nothing farther from an instrument's tip is looked at [cells]."""
 STEEP = 6.0
 """Pixels of an instrument at the tissue's surface are its own up to so far behind others two pixels away [cells]."""
 APART = "The instrument's end is {:.3g} from the tissue by their measured depths; contact needs {:.3g} or less."
@@ -43,12 +45,15 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
         prepared: a frame.
         camera: intrinsics of the grid.
     """
-    depth, tool = prepared.depth, prepared.labels == TOOL
     ends, tips = prepared.ends, prepared.ends_within(1.5)
-    tissue = (prepared.labels == TISSUE) & (depth > 0)
-    if ends is None or tips is None or not tissue.any():
+    if ends is None or tips is None or not tips.any():
         return None
-    before = near(tips) & (prepared.labels == OTHER) & (depth > 0)
+    box = tuple(slice(max(place.min() - AROUND, 0), place.max() + AROUND + 1) for place in np.nonzero(tips))
+    depth, labels, ends, tips = (each[box] for each in (prepared.depth, prepared.labels, ends, tips))
+    tool, tissue = labels == TOOL, (labels == TISSUE) & (depth > 0)
+    if not tissue.any():
+        return None
+    before = near(tips) & (labels == OTHER) & (depth > 0)
     if (before & (depth < depth[tips].max())).any():
         return None
     outline = near(tool)

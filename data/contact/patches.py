@@ -25,7 +25,6 @@ MAX_SAMPLES = 6
 
 BLUR = 0.7
 """Standard deviation of a blur of the depth by its sensor that is as likely as none [grid pixels]."""
-ALL = np.s_[:]
 CROSS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """A pixel and its neighbours."""
 
@@ -55,6 +54,7 @@ class Patches:
         self._depth, self._rays = rest[:, 2], rest[:, :2] / rest[:, 2:]
         self._focal = focal_length(mesh)
         self._slope = self._rest_slope()
+        self._pull = self._slope[:, ::-1] * self._focal
         centre = mesh.pixels[vertex]
         axes = zip(centre, mesh.grid_shape, size[::-1], strict=True)
         rows, columns = (footprint(int(middle) + pixels, cells, length, parts) for middle, cells, length in axes)
@@ -95,26 +95,27 @@ class Patches:
         dense[:, self._cells[0], self._cells[1]] = values
         return dense
 
-    def shift(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
-        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns.
+    def shift(self, moved: np.ndarray) -> np.ndarray:
+        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns."""
+        across = moved[..., :2] - self._rays * moved[..., 2:]
+        return (self._focal * across / (self._depth[:, None] + moved[..., 2:]))[..., ::-1]
+
+    def sunk(self, moved: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
+
+        A patch that shifts along sloping tissue changes it as well.
 
         Args:
             moved: of all patches or, with their places among the V, of some.
             some: these places.
         """
-        across = moved[..., :2] - self._rays[some] * moved[..., 2:]
-        return (self._focal * across / (self._depth[some, None] + moved[..., 2:]))[..., ::-1]
-
-    def sunk(self, moved: np.ndarray, some: np.ndarray | slice = ALL) -> np.ndarray:
-        """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
-
-        A patch that shifts along sloping tissue changes it as well. Arguments as of `shift`.
-        """
-        return moved[..., 2] - (self._slope[some] * self.shift(moved, some)).sum(axis=-1)
+        (across, down, away), pull = np.moveaxis(moved, -1, 0), self._pull[some]
+        along = pull[:, 0] * (across - self._rays[some, 0] * away) + pull[:, 1] * (down - self._rays[some, 1] * away)
+        return away - along / (self._depth[some] + away)
 
     def sunk_slopes(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Derivatives of `sunk` from those of the displacements, shapes [N, V, 3, D] to [N, V, D]."""
-        after, pull = self._depth + moved[..., 2], self._slope[:, ::-1] * self._focal
+        after, pull = self._depth + moved[..., 2], self._pull
         sinking = after + (self._slope * self.shift(moved)).sum(axis=-1) + (pull * self._rays).sum(axis=-1)
         across = np.broadcast_to(-pull, (*after.shape, 2))
         by_motion = np.concatenate([across, sinking[..., None]], axis=-1) / after[..., None]
@@ -227,12 +228,8 @@ class Patches:
 
         Not a number where a sample shows nothing known.
         """
-        frames = np.arange(len(values))[:, None]
-        total = np.zeros((*covering.shape[:2], *values.shape[2:]))
-        for sample, weight in zip(np.moveaxis(covering, 2, 0), self.weights.T, strict=True):
-            total += values[frames, sample] * weight.reshape(-1, *(1,) * (values.ndim - 2))
-        total[((covering < 0) & (self.weights > 0)).any(axis=2)] = np.nan
-        return total
+        flat = np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
+        return _mean_of(flat, covering, self.weights).reshape(*covering.shape[:2], *values.shape[2:])
 
 
 def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -326,6 +323,21 @@ def _settled(shift, samples):
                     break
             if not np.isnan(row + column) and change < SETTLED:
                 found[frame, index, 0], found[frame, index, 1] = row, column
+    return found
+
+
+@kernel
+def _mean_of(values, covering, weights):
+    """Mean [N, P, C] of values [N, V, C] over samples that show vertices [N, P, K] with weights [P, K]."""
+    found = np.zeros((covering.shape[0], covering.shape[1], values.shape[2]))
+    for frame in range(covering.shape[0]):
+        for pixel in range(covering.shape[1]):
+            for sample in range(covering.shape[2]):
+                vertex, weight = covering[frame, pixel, sample], weights[pixel, sample]
+                if weight > 0:
+                    for channel in range(values.shape[2]):
+                        value = values[frame, vertex, channel] if vertex >= 0 else np.nan
+                        found[frame, pixel, channel] += weight * value
     return found
 
 

@@ -1,6 +1,7 @@
 """The pictures that a training of the instrument network reads, and those that validate it."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -41,8 +42,9 @@ class InstrumentData(LightningDataModule):
         settings = self.hparams
         pictures = InstrumentPictures(self.real_pictures, settings["seed"], settings["real_share"])
         count, size = settings["workers"], settings["batch_size"]
-        ahead = 4 if count else None
-        return DataLoader(pictures, size, num_workers=count, prefetch_factor=ahead, worker_init_fn=_one_thread)
+        # Forked workers hang where OpenCV has begun threads before.
+        how: dict[str, Any] = {"multiprocessing_context": "spawn", "prefetch_factor": 4} if count else {}
+        return DataLoader(pictures, size, num_workers=count, worker_init_fn=_one_thread, **how)
 
     def val_dataloader(self) -> DataLoader:
         """Composites of a seed of their own."""

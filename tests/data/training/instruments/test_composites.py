@@ -78,3 +78,8 @@ def test_batches_have_the_pictures_that_were_asked_for():
     picture, tool = next(iter(data.train_dataloader()))
     assert (picture.shape, tool.shape) == ((2, 3, 192, 320), (2, 192, 320))
     assert sum(len(batch[0]) for batch in data.val_dataloader()) == 3
+
+
+def test_processes_that_draw_are_not_forked_from_one_with_threads_of_opencv():
+    loader = InstrumentData(workers=1).train_dataloader()
+    assert loader.multiprocessing_context.get_start_method() == "spawn"

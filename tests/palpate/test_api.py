@@ -23,8 +23,9 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("name", ["network", "direct"])
 def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path: Path, name: str) -> None:
-    found = palpate.estimate(clip, name)
-    assert infer.main([str(clip), "--output", str(tmp_path), "--estimator", name, "--no-overlay"]) == 0
+    found = palpate.estimate(clip, palpate.open_estimator(name, onset="stamp"))
+    options = ["--estimator", name, "--onset", "stamp", "--no-overlay"]
+    assert infer.main([str(clip), "--output", str(tmp_path), *options]) == 0
     rows = read_rows(tmp_path / clip.name / "interactions.csv")
     assert [run.onset_frame for run in found] == [int(row["onset_frame"]) for row in rows]
     assert [run.verdict for run in found] == [row["verdict"] for row in rows]

@@ -1,5 +1,6 @@
 """Lengths by a shaft's known diameter: exact projections of cylinders, with noise on their outlines."""
 
+import functools
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +20,7 @@ UNIT = 0.13
 """Metres of a scene unit of the frames below."""
 
 
+@functools.cache
 def rays_of(camera: Camera) -> np.ndarray:
     """(x, y, 1) of every pixel, shape [H, W, 3]."""
     rows, columns = np.indices((camera.height, camera.width))
@@ -37,13 +39,19 @@ def cylinder(camera: Camera, tip: np.ndarray, axis: np.ndarray, length: float = 
     return np.where((root > 0) & (depth > 0) & (along > 0) & (along < length), depth, 0)
 
 
+@functools.lru_cache(64)
+def covered(tip: tuple[float, ...], axis: tuple[float, ...]) -> np.ndarray:
+    """Where a shaft is in the picture, [H, W] bool."""
+    return cylinder(PICTURE, np.array(tip), np.array(axis)) > 0
+
+
 def drawn(seed: int, distance: float, tilt: float, noise: float = 0.0) -> tuple[Any, np.ndarray, np.ndarray]:
     """A frame in contact at the tip of a shaft that comes towards the camera, its tip [m] and its mask."""
     generator = np.random.default_rng(seed)
     turn, tilt = generator.uniform(0, 2 * np.pi), math.radians(tilt)
     axis = np.array([math.cos(turn) * math.cos(tilt), math.sin(turn) * math.cos(tilt), -math.sin(tilt)])
     tip = distance * np.array([*generator.uniform(-0.1, 0.1, 2), 1.0])
-    mask = (cylinder(PICTURE, tip, axis) > 0).astype(np.float32)
+    mask = covered((*tip,), (*axis,)).astype(np.float32)
     if noise:  # of the outline, some pixels long
         shift = cv2.GaussianBlur(generator.normal(0, 1, (2, 480, 854)).astype(np.float32).transpose(1, 2, 0), (0, 0), 3)
         shift *= noise / shift.std()

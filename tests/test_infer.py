@@ -562,14 +562,13 @@ def test_real_clip_directly(real_data, tmp_path):
 
 @pytest.mark.slow
 def test_real_clip(real_data, tmp_path):
-    """Judged: a row a frame, no tool on frames 130–148, and at least 9 of 149–159 in contact."""
+    """Judged: 80 rows, no tool on frames 80–148, and at least 9 of 149–159 in contact."""
     geometry = {"height": 120, "width": 214}
     write_model(tmp_path / "parameters.onnx", metadata(geometry=geometry))
-    clip = real_frames(real_data, tmp_path / "video01" / "video01_00080", range(130, 160))
-    assert call(tmp_path, tmp_path / "out", "--no-overlay", clips=str(clip)) == 0
+    assert call(tmp_path, tmp_path / "out", "--no-overlay", clips=str(real_data / "cholecseg8k")) == 0
     status = {int(row["frame"]): row["status"] for row in rows(tmp_path / "out" / "video01_00080")}
-    assert sorted(status) == list(range(130, 160))
-    assert {status[number] for number in range(130, 149)} == {"no_tool"}
+    assert sorted(status) == list(range(80, 160))
+    assert {status[number] for number in range(80, 149)} == {"no_tool"}
     assert sum(status[number] == "ok" for number in range(149, 160)) >= 9
 
 

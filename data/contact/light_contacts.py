@@ -28,6 +28,8 @@ WIDTH = 1.0
 SHADOW, SHADOWS = 1.5, 8
 """What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
 last so many frames in which one moved."""
+OWN = 1.2
+"""What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out."""
 DARKER, CLEAR = 0.04, 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
 FIRST, FEWEST_REST = 6, 3
@@ -208,6 +210,7 @@ class LightContacts:
         change = change_of_light(lit.light, self._rest.median())
         if change is None:
             return
+        change[cv2.dilate((change < -OWN).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = np.nan
         known = np.isfinite(change).astype(np.float32)
         weights, sums = (
             cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))

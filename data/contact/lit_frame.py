@@ -99,7 +99,7 @@ class LitFrame:
 
     def is_at(self, place: tuple[int, int]) -> bool:
         """Whether an instrument is at a place [grid pixels]."""
-        return bool(self.near[FINE * place[0], FINE * place[1]] <= ARRIVED)
+        return bool(self.near[FINE * place[0], FINE * place[1]] <= REACH)
 
     def stands_since(self, first: "LitFrame", within: float = STILL) -> bool:
         """Whether the instrument next to the dent is where one was some frames before, within grid pixels."""

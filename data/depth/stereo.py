@@ -129,18 +129,6 @@ def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.n
     return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + FLAT), -1, 1)
 
 
-def _matched(features: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of features [N, C] and [M, C] that are nearest to each other, in a third of OpenCV's time.
-
-    SIFT's features are small whole numbers, so that these squared distances are exact.
-    """
-    squares = (np.square(each).sum(axis=1) for each in (features, others))
-    apart = np.add.outer(*squares) - 2 * features @ others.T
-    nearest = apart.argmin(axis=1)
-    mutual = np.flatnonzero(apart.argmin(axis=0)[nearest] == np.arange(len(features)))
-    return mutual, nearest[mutual]
-
-
 def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
 
@@ -152,10 +140,9 @@ def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
     if any(features is None for _, features in found):
         return np.full(3, np.nan)
-    places, others = (np.array([point.pt for point in points]).reshape(-1, 2) for points, _ in found)
-    first, second = _matched(found[0][1], found[1][1])
-    here = places[first]
-    across, down = (here - others[second]).T
+    pairs = cv2.BFMatcher(cv2.NORM_L2, crossCheck=True).match(found[0][1], found[1][1])
+    here = np.array([found[0][0][pair.queryIdx].pt for pair in pairs]).reshape(-1, 2)
+    across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
     near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
     terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
     if len(terms) < LEAST_MATCHES:

@@ -243,7 +243,7 @@ def _drawn_as(name: str, mask: np.ndarray, tolerance: int) -> np.ndarray:
     """Where a mask shows a class, bool [H, W]."""
     if mask.ndim == 2:
         return mask == CLASSES[name].grey
-    apart = cv2.absdiff(mask, (*map(float, CLASSES[name].color), 0.0))
+    apart = cv2.absdiff(mask, np.array([*CLASSES[name].color, 0.0]))
     return cv2.transform(apart, np.ones((1, 3))) <= tolerance  # a sum above 255 counts as 255
 
 

@@ -14,7 +14,7 @@ from palpate.data.tracks.linking import followed
 
 SPACING, GUARD = 32, 24
 """Of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
-FEWEST, LEAST_SHARE = 30, 0.5
+FEWEST, LEAST_SHARE = 12, 0.5
 """Fewer points, or a smaller share of them, that agree on a motion tell none."""
 STILL = 0.3
 """A camera is still where no corner of the picture moves farther [px]."""

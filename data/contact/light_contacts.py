@@ -16,7 +16,7 @@ import numpy as np
 from palpate.common.robust import median_sd
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings
-from palpate.data.contact.lit_frame import ARRIVED, REACH, STILL, LitFrame, centre, darkest, darkness_of, lie_together
+from palpate.data.contact.lit_frame import ARRIVED, REACH, LitFrame, centre, darkest, darkness_of, lie_together
 from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE, log_light
 from palpate.data.shading.registration import Registration, View
@@ -158,7 +158,7 @@ class LightContacts:
         before = self._waiting[-BEGINS - 1 :: -1]
         before = before[_went_along(before, dents[0]) :]
         if dents[0].is_half_hidden():
-            at_tissue = [one.is_at(self._place) or _pressed_already(one, dents[0]) for one in before[1:HIDDEN_FOR]]
+            at_tissue = [one.is_at(self._place) for one in before[1:HIDDEN_FOR]]
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
@@ -287,14 +287,6 @@ def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
         if since > 1:
             break
     return count
-
-
-def _pressed_already(lit: LitFrame, first: LitFrame) -> bool:
-    """Whether the instrument that hides a dent was where it is in the first frame that shows it.
-
-    Where outlines have it in contact, too, it may have been farther off: its mask changes as the tissue darkens.
-    """
-    return first.stands_since(lit, ARRIVED if lit.prepared.in_contact else STILL)
 
 
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:

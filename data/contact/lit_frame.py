@@ -101,12 +101,12 @@ class LitFrame:
         """Whether an instrument is at a place [grid pixels]."""
         return bool(self.near[FINE * place[0], FINE * place[1]] <= REACH)
 
-    def stands_since(self, first: "LitFrame", within: float = STILL) -> bool:
-        """Whether the instrument next to the dent is where one was some frames before, within grid pixels."""
+    def stands_since(self, first: "LitFrame") -> bool:
+        """Whether the instrument next to the dent is where one was some frames before."""
         if self.dent is None or not self.tips or not first.tips:
             return False
         tip = min(self.tips, key=lambda each: float(np.linalg.norm(each - np.array(self.dent) / FINE)))
-        return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < within)
+        return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < STILL)
 
     def goes_along(self) -> bool:
         """Whether an instrument moves that is still near to what it has bared, so that it may go with the dent."""

@@ -2,7 +2,8 @@
 
 from palpate.data.source.layout import InputError
 
-OTHER, TISSUE, TOOL = 0, 1, 2
+OTHER, TISSUE, TOOL, UNSURE = 0, 1, 2, 3
+"""The last may be an instrument or not."""
 
 
 class MaskError(InputError):

@@ -13,7 +13,7 @@ from scipy.special import expit
 
 from palpate.common.files import file_sha256
 from palpate.common.provenance import MASKS, ROOT
-from palpate.data.labels import OTHER, TISSUE, TOOL
+from palpate.data.labels import TISSUE, TOOL, UNSURE
 from palpate.data.masks.lit import lit_picture, picture_field
 from palpate.data.picture_network import PictureNetwork, resized
 from palpate.data.source.frames import Frame
@@ -31,10 +31,8 @@ HIDDEN = 0.3
 """How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest."""
 FAINT = 0.3
 """A part has been there before if the frame before has so much probability in it, moved along the flow."""
-
-
-UNSURE = 0.1
-"""Pixels with a larger probability, up to one half, are neither instrument nor tissue."""
+LEAST = 0.1
+"""Pixels with a larger probability may be an instrument; it is one above one half."""
 
 
 class AutomaticMasks:
@@ -68,7 +66,7 @@ class AutomaticMasks:
         kept = np.where(instrument_parts(probability, view, before), probability, np.minimum(probability, 0.4))
         labels = lit.astype(np.uint8) * np.uint8(TISSUE)
         kept = cv2.resize(kept, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        labels[kept > UNSURE] = OTHER
+        labels[kept > LEAST] = UNSURE
         labels[kept > 0.5] = TOOL
         return labels
 

@@ -30,16 +30,12 @@ class View(NamedTuple):
 
     def moved(self, pixel: np.ndarray) -> np.ndarray:
         """Row and column in the reference of a place (row, column) of the frame, shape [2] [grid pixels]."""
-        return _through(self.matrix, pixel)
+        place = np.array([[pixel[::-1]]], np.float64)
+        return cv2.perspectiveTransform(place, self.matrix)[0, 0, ::-1]
 
     def back(self, pixel: np.ndarray) -> np.ndarray:
         """The other way round."""
-        return _through(np.linalg.inv(self.matrix), pixel)
-
-
-def _through(matrix: np.ndarray, pixel: np.ndarray) -> np.ndarray:
-    place = matrix @ [pixel[1], pixel[0], 1.0]
-    return place[1::-1] / place[2]
+        return View(self.reference, np.linalg.inv(self.matrix)).moved(pixel)
 
 
 class Registration:

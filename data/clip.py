@@ -27,7 +27,7 @@ from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, 
 from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
 from palpate.data.gaps import bridge_gaps, gap
-from palpate.data.labels import TISSUE, MaskError
+from palpate.data.labels import TISSUE, UNSURE, MaskError
 from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -225,7 +225,8 @@ class ClipStream:
             depth = depth if depth_before is not None else self._undistortion.depth(depth)
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
-            known = labels if labels is not None else np.zeros(frame.picture.shape[:2], np.uint8)
+            known = np.zeros(frame.picture.shape[:2], np.uint8) if labels is None else labels
+            known = np.where(known == UNSURE, np.uint8(TISSUE), known)
             # What of shading is shape is found on the grid.
             if depth_before is not None:
                 z, grid_labels = depth_before, resize_labels(known, shape)

@@ -53,8 +53,6 @@ def measured(clip: Path, truth: Mapping[str, Any], options: EstimatorOptions) ->
         "other_found": int((~pressed & contact).sum()),
     }
     onsets = [frame for frame in truth["contact_frames"] if frame - 1 not in truth["contact_frames"]]
-    if onsets:
-        row["regime"] = f"damping ratio {truth['zeta']:g}"
     for output in found:
         if isinstance(output, InteractionEstimate) and output.estimate is not None:
             if min(abs(output.onset_frame - onset) for onset in onsets or [np.inf]) <= SAME_ONSET:
@@ -133,7 +131,7 @@ def summarised(rows: Sequence[Row]) -> pd.DataFrame:
     for name in ("pressed", "other"):
         found, frames = (sum(row[f"{name}_{end}"] for row in rows) for end in ("found", "frames"))
         lines.append({"measure": f"{name} frames called contact", "count": found, "of": frames})
-    pressed = [row for row in rows if "regime" in row]
+    pressed = [row for row in rows if row["pressed_frames"]]
     for name in REPORTED if pressed else ():
         known = [row for row in pressed if row.get(f"{name}_determined")]
         ends = "error", "sd"

@@ -9,7 +9,6 @@ tracks     hundreds of tissue points followed over a clip
 clip       ClipStream, the one path from pictures to prepared frames; settings: what decides it
 gaps       frames that measure nothing, and the neighbours that measurements around them are
 prepared   what a prepared frame holds; labels: what a pixel shows; windows: the network's input
-gaussian   means over wide areas of an image
 cache      prepared clips on disk
 synthetic  clips with known truth
 training   samples, splits and batches

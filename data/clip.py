@@ -225,8 +225,8 @@ class ClipStream:
             depth = depth if depth_before is not None else self._undistortion.depth(depth)
             labels = None if labels is None else self._undistortion.labels(labels)
         with self._timed("geometry"):
-            known = np.zeros(frame.picture.shape[:2], np.uint8) if labels is None else labels
-            known = np.where(known == UNSURE, np.uint8(TISSUE), known)
+            plain = np.zeros(frame.picture.shape[:2], np.uint8) if labels is None else labels
+            known = np.where(plain == UNSURE, TISSUE, plain)
             # What of shading is shape is found on the grid.
             if depth_before is not None:
                 z, grid_labels = depth_before, resize_labels(known, shape)

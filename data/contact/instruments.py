@@ -37,8 +37,8 @@ class InstrumentNumbers:
             if stats[index, cv2.CC_STAT_AREA] >= LEAST:
                 part = parts == index
                 numbers[part] = self._of(part, before)
-        self._missed = {each: 0 if (numbers == each).any() else count + 1 for each, count in self._missed.items()}
-        self._missed = {each: count for each, count in self._missed.items() if count <= MISSED}
+        missed = {each: 0 if (numbers == each).any() else count + 1 for each, count in self._missed.items()}
+        self._missed = {each: count for each, count in missed.items() if count <= MISSED}
         kept = np.where(np.isin(before, [each for each, count in self._missed.items() if count]), before, 0)
         self._numbers = np.where(numbers > 0, numbers, kept).astype(np.uint8)
         return numbers

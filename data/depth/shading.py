@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd
-from palpate.data.gaussian import gaussian_sum
 from palpate.data.source.camera import Camera, back_project
 
 EDGE = 6
@@ -58,7 +57,7 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     facing = np.maximum(rays @ normal, GRAZING)
     left = brightness - 3 * np.log(facing)
     left = np.where(kept, np.clip(left - np.median(left[kept]), -1, 1), 0.0)
-    total, weight = (gaussian_sum(part.astype(np.float32), ORGAN * depth.shape[1]) for part in (left, kept))
+    total, weight = (_gaussian_sum(part.astype(np.float32), ORGAN * depth.shape[1]) for part in (left, kept))
     shape = rays[..., 2] / facing * np.exp(-0.5 * total / np.maximum(weight, 1e-3))
     return np.where(lit, shape * np.median(depth[valid] / shape[valid]), 0).astype(np.float32)
 
@@ -88,3 +87,19 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         tangents = np.clip(tangents + np.linalg.solve(information, step), -LARGEST_TANGENT, LARGEST_TANGENT)
     normal = np.append(tangents, 1.0)
     return normal / np.linalg.norm(normal)
+
+
+def _gaussian_sum(values: np.ndarray, scale: float) -> np.ndarray:
+    """Sum weighted by a Gaussian of an image that is 0 around, shape [h, w] float32.
+
+    Args:
+        values: shape [h, w] float32.
+        scale: standard deviation of the weights [grid pixels].
+    """
+    # A sum that is so wide has no detail: a quarter of the pixels along each axis tell it.
+    if scale < 12.0:
+        return cv2.GaussianBlur(values, (0, 0), scale, borderType=cv2.BORDER_CONSTANT)
+    height, width = values.shape
+    small = cv2.resize(values, (-(-width // 4), -(-height // 4)), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), scale / 4, borderType=cv2.BORDER_CONSTANT)
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)

@@ -64,11 +64,9 @@ class AutomaticMasks:
         probability, before = self._averaged(image)
         view = picture_field(cv2.resize(lit.astype(np.uint8), probability.shape[::-1]) > 0)
         kept = np.where(instrument_parts(probability, view, before), probability, np.minimum(probability, 0.4))
-        labels = lit.astype(np.uint8) * np.uint8(TISSUE)
         kept = cv2.resize(kept, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        labels[kept > LEAST] = UNSURE
-        labels[kept > 0.5] = TOOL
-        return labels
+        other = np.where(kept > LEAST, np.uint8(UNSURE), lit * np.uint8(TISSUE))
+        return np.where(kept > 0.5, np.uint8(TOOL), other)
 
     def _averaged(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Probability of an instrument at half of the network's size, and that before, moved; float32 [h, w] each.

@@ -36,7 +36,7 @@ def test_frames_and_errors_of_a_press_are_those_of_its_truth(tmp_path, capsys):
 
 
 def test_summary_counts_what_is_determined_and_held():
-    frames = {"regime": "over-damped", "pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
+    frames = {"pressed_frames": 9, "pressed_found": 8, "other_frames": 22, "other_found": 1}
     known = {"force_determined": 1, "force_sd": 0.1}
     rows = [frames | known | {"force_error": error} for error in (0.05, -0.15, 0.4)]
     rows.append(frames)

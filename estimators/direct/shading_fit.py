@@ -48,9 +48,9 @@ USUALLY_LEFT, TOGETHER = 0.2, 40.0
 the more wrong is the law; coding errs as much where it is less."""
 LAW_ERROR, SCALE_ERROR = (0.19, 0.3), 0.25
 """Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
-which inertia alone tells. Twelve synthetic clips (`python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their
-MP4 by `infer.py --estimator direct`, then `python -m benchmarks.compare_with_truth`) are 0.21 and 0.29 off; where k_s is
-determined, 0.13. For path-traced ones `python -m benchmarks.path_traced` says it."""
+which inertia alone tells. Twelve synthetic clips are 0.21 and 0.29 off and, in the one that determines k_s, 0.13 there:
+`python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
+`python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
 FEWEST_FRAMES = 3
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.tissue_points import grid_to_picture, lift, rigid_motion
+from palpate.data.labels import TISSUE, UNSURE
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
@@ -41,6 +42,21 @@ def test_statuses_runs_and_positions_of_a_clean_clip(tmp_path):
     assert first.track_position == pytest.approx(first.geometry.tissue_point, abs=1e-6)
     assert first.depth.dtype == np.float32
     assert first.depth[0, 0] == pytest.approx(0.5 + 3 * clips.DEPTH_STEP + 0.5 * clips.SLOPE, abs=1e-5)
+
+
+def test_the_grid_takes_for_tissue_what_the_mask_is_unsure_of(tmp_path, monkeypatch):
+    folder = write_clip(tmp_path / "video01_00000")
+    expected, stream = run(folder)[4], ClipStream(open_source(folder, SETTINGS.layout), SETTINGS)
+    read = type(stream._masks).__call__
+
+    def unsure(masks, frame):
+        labels = read(masks, frame)
+        return np.where(labels == TISSUE, UNSURE, labels)
+
+    monkeypatch.setattr(type(stream._masks), "__call__", unsure)
+    found = list(stream)[4]
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(found.picture_labels == UNSURE, expected.picture_labels == TISSUE)
 
 
 def test_observed_motion_follows_the_tissue(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.light_contacts import LightContacts
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import TISSUE, TOOL, UNSURE
 from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import SRGB
 from palpate.data.source.camera import Camera
@@ -88,7 +88,7 @@ def test_an_instrument_beside_tissue_that_stays_as_bright_does_not_touch(gain):
 
 def test_motion_that_is_sure_of_contact_keeps_its_word():
     frames = [prepared(index, tool=index >= 4) for index in range(14)]
-    for frame in frames[8:]:
+    for frame in frames[11:]:
         frame.contact_probability = 0.99
     assert [frame.status for frame in decided(frames)[8:]] == ["ok"] * 6
 
@@ -151,3 +151,14 @@ def test_a_press_goes_on_while_its_instrument_hides_all_but_the_dent_s_rim():
     found = pressed_in(frames)
     assert found[-1] == 14
     assert found == list(range(found[0], 15))
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_the_part_of_an_instrument_that_its_mask_leaves_out_is_no_dent(marked):
+    """Neither what is darker than tissue can be, nor what the mask is unsure of, however dark."""
+    frames = [prepared(index, tool=index >= 8) for index in range(18)]
+    for frame in frames[11:]:
+        frame.frame.image[4 * 32 : 4 * 37, 150:174] = [140, 100, 80] if marked else 45
+        if marked:
+            frame.picture_labels[4 * 32 : 4 * 37, 150:174] = UNSURE
+    assert pressed_in(frames) == []

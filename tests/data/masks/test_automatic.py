@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from palpate.data.labels import TISSUE, TOOL, UNSURE
 from palpate.data.masks.automatic import AutomaticMasks, instrument_parts
 from palpate.data.masks.lit import lit_picture, picture_field
 from palpate.data.masks.sources import AnnotationMasks, MaskClasses
@@ -167,3 +168,12 @@ def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
         found = automatic(frame) == 2
         assert found.any()
         assert (annotation(frame) == 2)[found].mean() > 0.98
+
+
+def test_pixels_that_may_be_an_instrument_are_marked(monkeypatch):
+    likely = np.zeros((96, 160), np.float32)
+    likely[:60, 60:100], likely[:50, 70:90] = 0.3, 0.9
+    monkeypatch.setattr(AutomaticMasks, "_averaged", lambda *_: (likely, likely))
+    labels = AutomaticMasks()(as_frame(tissue()))
+    assert [labels[row, 320] for row in (100, 215, 300)] == [TOOL, UNSURE, TISSUE]
+    assert [(labels == value).mean() for value in (TOOL, UNSURE)] == pytest.approx([50 / 768, 70 / 768], rel=0.05)

@@ -158,7 +158,7 @@ def test_the_part_of_an_instrument_that_its_mask_leaves_out_is_no_dent(marked):
     """Neither what is darker than tissue can be, nor what the mask is unsure of, however dark."""
     frames = [prepared(index, tool=index >= 8) for index in range(18)]
     for frame in frames[11:]:
-        frame.frame.image[4 * 32 : 4 * 37, 150:174] = [140, 100, 80] if marked else 45
+        frame.frame.image[4 * 32 : 4 * 37, 150:174] = [140, 100, 80] if marked else [60, 35, 28]
         if marked:
             frame.picture_labels[4 * 32 : 4 * 37, 150:174] = UNSURE
     assert pressed_in(frames) == []

@@ -82,7 +82,7 @@ def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any
     verdict, values = run["verdict"], {name: _number(cell) for name, cell in run.items()}
     doubtful = verdict == "determined" and run["detail"]
     shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
-    return {"row": run, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
+    return {"row": run, "known": values, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
 
 
 def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:

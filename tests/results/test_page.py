@@ -94,7 +94,8 @@ def test_the_numbers_are_those_of_the_tables(results: Path) -> None:
     assert contact == shown | {"name": run["verdict"], "sure": True}
     assert len(forces["time_s"]) == sum(row["contact"] == "1" for row in frames)
     assert f"unknown for 0 of {forces['contact_s']:.4g} s" in page.text
-    assert f"misfit {run['misfit']} (" in page.text
+    assert f"misfit {float(run['misfit']):.4g} (" in page.text
+    assert f"Contact from frame {run['onset_frame']} ({float(run['onset_time_s']):.4g} s), instrument 1: " in page.text
 
 
 def test_the_video_plays_in_browsers_or_the_page_says_that_there_is_none(results: Path, tmp_path: Path) -> None:

@@ -544,7 +544,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
         infer.main([])
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_real_clip_directly(real_data, tmp_path):
     """Judged: the grasper holds the gallbladder from frame 149 on, and pulls aslant.
 

@@ -136,7 +136,7 @@ def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
         a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; none of them is a number where
         too few agree.
     """
-    finder, height, width = cv2.SIFT.create(3000, contrastThreshold=0.01), *left.shape[:2]
+    finder, height, width = cv2.SIFT.create(1500, contrastThreshold=0.01), *left.shape[:2]
     found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
     if any(features is None for _, features in found):
         return np.full(3, np.nan)

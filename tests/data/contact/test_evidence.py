@@ -186,7 +186,7 @@ def cholecystectomy(data: Path, first: int, stop: int) -> list[View]:
     return list(zip(pictures, masks, strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_no_pressed_frame_of_a_demo_clip_is_called_hovering(tmp_path: Path) -> None:
     """Neither as a video nor as a folder with its true depth, both with automatic masks."""
     write_clip(tmp_path, 2, SceneSettings(width=428, height=240, frames=32), clip_seed(1, 1))

@@ -88,7 +88,7 @@ def test_an_instrument_beside_tissue_that_stays_as_bright_does_not_touch(gain):
 
 def test_motion_that_is_sure_of_contact_keeps_its_word():
     frames = [prepared(index, tool=index >= 4) for index in range(14)]
-    for frame in frames[11:]:
+    for frame in frames[8:]:
         frame.contact_probability = 0.99
     assert [frame.status for frame in decided(frames)[8:]] == ["ok"] * 6
 

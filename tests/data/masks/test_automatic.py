@@ -141,7 +141,7 @@ def test_where_the_network_runs_in_one_frame_of_three_instruments_are_carried_al
     assert masks.identity == AutomaticMasks().identity + ":3"
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_real_clip_keeps_what_docs_masks_reports(real_data):
     layout = ClipLayout()
     clip = real_data / "cholecseg8k" / "video01" / "video01_00080"

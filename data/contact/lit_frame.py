@@ -21,7 +21,7 @@ REACH = 6.0
 STILL = 1.5
 """An instrument stands that moves less from frame to frame [grid pixels]."""
 ARRIVED = 4.0
-"""An instrument is at a place that is so near to its free end [grid pixels]."""
+"""What an instrument may have hidden lies so near to its free end [grid pixels]."""
 BRIGHTER = 0.5
 """A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled along
 shows its texture elsewhere, and does both."""

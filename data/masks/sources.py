@@ -58,7 +58,7 @@ class MaskSource(Protocol):
     """Everything except the frame that the result depends on, for cache keys and reports."""
 
     def __call__(self, frame: Frame) -> np.ndarray:
-        """Label map uint8 [H, W] of a readable frame, at its size.
+        """Label map uint8 [H, W] of a readable frame, at its size, of values of `data.labels`.
 
         Raises:
             MaskError: this frame has no usable mask.

@@ -5,7 +5,7 @@ import math
 import reprlib
 import types
 from collections.abc import Collection
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 WORDS: dict[Any, str] = {
     str: "text",
@@ -123,3 +123,17 @@ def require_between(settings: Any, group: str = "", /, **ranges: tuple[float, fl
         value = getattr(settings, name)
         if value is not None and not least <= value <= most:
             raise ValueError(f"{group}{name} is {value}; give {least} to {most}.")
+
+
+def require_ranges(settings: Any, group: str = "") -> None:
+    """Raise a ValueError where a field lies outside the two numbers of its annotation, or is no number.
+
+    Both ends of a field that is a range must lie inside, in their order; None is no number, and passes.
+    """
+    for name, kind in get_type_hints(type(settings), include_extras=True).items():
+        limits = next((each.__metadata__ for each in (kind, *get_args(kind)) if get_origin(each) is Annotated), None)
+        value = getattr(settings, name)
+        ends = value if isinstance(value, tuple) else (value,)
+        if limits and value is not None and not limits[0] <= ends[0] <= ends[-1] <= limits[1]:
+            wanted = "a number" if len(ends) == 1 else "a low end up to a high end"
+            raise ValueError(f"{group}{name} is {value}; give {wanted} within [{limits[0]:g}, {limits[1]:g}].")

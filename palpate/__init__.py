@@ -21,7 +21,8 @@ from palpate.common.lazy import exported
 __getattr__, __dir__, __all__ = exported(
     {
         "palpate.common.provenance": ("__version__",),
-        "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
+        "palpate.api": ("calibrate", "estimate", "open_clip", "plan"),
+        "palpate.estimators.open": ("open_estimator",),
         "palpate.data.contact.interaction": ("Interaction",),
         "palpate.estimators.estimate": ("Estimate",),
         "palpate.estimators.records": ("InteractionEstimate",),

@@ -32,10 +32,10 @@ from rich.progress import Progress
 from torch import Tensor, nn
 
 from palpate.common.ahead import ahead
-from palpate.common.command_line import LARGEST_NUMBER, progress_bars
+from palpate.common.command_line import progress_bars
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own, write_own
-from palpate.common.settings import require_between
+from palpate.common.settings import LARGEST, require_between
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
 from palpate.data.contact.interaction import Interaction
@@ -97,8 +97,8 @@ class ContactSettings:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
         # Fewest steps of a stage.
-        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST_NUMBER))
-        numbers = {"contacts": (1, LARGEST_NUMBER), "seed": (0, LARGEST_NUMBER), "workers": (0, MOST_THREADS)}
+        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST))
+        numbers = {"contacts": (1, LARGEST), "seed": (0, LARGEST), "workers": (0, MOST_THREADS)}
         require_between(self, **numbers, **steps)
 
 

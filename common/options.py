@@ -25,6 +25,7 @@ import yaml
 
 from palpate.common.doors import program
 from palpate.common.files import read_file
+from palpate.common.provenance import __version__
 from palpate.common.registry import Registry
 from palpate.common.settings import LARGEST, sound
 
@@ -67,6 +68,7 @@ class Parser(argparse.ArgumentParser):
         layout: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
         layout |= {"description": text, "epilog": f"{ending}\n\nExample: {example}" if example else ending}
         super().__init__(program(module), allow_abbrev=False, argument_default=argparse.SUPPRESS, **layout)
+        self.add_argument("--version", action="version", version=f"palpate {__version__}")
         self.fields: dict[str, dataclasses.Field[Any]] = {}
         self.others: Callable[[], dict[str, type[Any]]] = dict
         """Returns settings that aren't chosen, by what chooses them."""
@@ -94,12 +96,12 @@ class Parser(argparse.ArgumentParser):
         for field in dataclasses.fields(kind):
             if field.init and not field.metadata.get("hidden") and field.name not in {*self.fields, *without}:
                 self.fields[field.name] = field
-                reading = _reading(kinds[field.name], field.metadata)
+                reading, flag = _reading(kinds[field.name], field.metadata), flag_of(field.name)
                 if field.metadata.get("positional"):
                     reading |= {"nargs": "*", "action": "store"} if "nargs" in reading else {}
-                    group.add_argument(field.name, help=_help(field, texts), **reading)
-                else:
-                    group.add_argument(flag_of(field.name), help=_help(field, texts), **reading)
+                    flag = field.name
+                # `missing` names what is required, after a file of options.
+                group.add_argument(flag, help=_help(field, texts), **reading).required = False
         required = [flag_of(name) for name in self.missing({}) if not self.fields[name].metadata.get("positional")]
         hints = [(name.upper(), field.metadata) for name, field in self.fields.items()]
         positional = [hint.get("metavar", name) for name, hint in hints if hint.get("positional")]

@@ -26,7 +26,8 @@ ESTIMATORS = Registry(
 def default_estimator(model: str | Path | None) -> str:
     """Return the name of the estimator that a model's file is for; without a file, or with a wrong one, `network`."""
     try:
-        return "gan" if model is not None and not isinstance(open_model(Path(model)), PosteriorModel) else "network"
+        of_network = model is None or isinstance(open_model(Path(model), 1, "cpu"), PosteriorModel)
+        return "network" if of_network else "gan"
     except ModelFileError:
         return "network"  # which says what is wrong with it
 

@@ -13,6 +13,7 @@ import dataclasses
 import difflib
 import inspect
 import itertools
+import json
 import math
 import sys
 import textwrap
@@ -24,7 +25,7 @@ from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_
 import yaml
 
 from palpate.common.doors import program
-from palpate.common.files import read_file
+from palpate.common.files import as_json, read_file
 from palpate.common.provenance import __version__
 from palpate.common.registry import Registry
 from palpate.common.settings import LARGEST, sound
@@ -60,27 +61,33 @@ class Parser(argparse.ArgumentParser):
     Args:
         module: of the program; empty = the program is called as it was typed.
         text: description for the help, whose first indented line is the example at the end.
+        defaults: in place of those of fields.
     """
 
-    def __init__(self, module: str, text: str | None) -> None:
-        example = next((line.strip() for line in (text or "").splitlines() if line.startswith("    ")), "")
-        ending = "Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted."
-        layout: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
-        layout |= {"description": text, "epilog": f"{ending}\n\nExample: {example}" if example else ending}
-        super().__init__(program(module), allow_abbrev=False, argument_default=argparse.SUPPRESS, **layout)
+    def __init__(self, module: str, text: str | None, defaults: Mapping[str, Any] | None = None) -> None:
+        example = next(
+            (f"\n\nExample: {line.strip()}" for line in (text or "").splitlines() if line[:4] == 4 * " "), ""
+        )
+        ending = f"Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.{example}"
+        layout: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
+        super().__init__(program(module), None, text, ending, argument_default=argparse.SUPPRESS, **layout)
         self.add_argument("--version", action="version", version=f"palpate {__version__}")
-        self.fields: dict[str, dataclasses.Field[Any]] = {}
+        self.hints: dict[str, Mapping[str, Any]] = {}
+        """Hints of `option` by field."""
+        self.known: dict[str, Any] = {}
+        """Defaults by field; ... where it is required."""
         self.others: Callable[[], dict[str, type[Any]]] = dict
         """Returns settings that aren't chosen, by what chooses them."""
+        self._defaults = defaults or {}
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message}\n")
 
     def format_help(self) -> str:
         """Return the help, with the settings that aren't chosen at the end."""
-        others = [f"  {choice}: {_title(kind)}" for choice, kind in self.others().items()]
-        ending = ["Other choices, with --help for their options:", *others, "", self.epilog or ""]
-        self.epilog = "\n".join(ending) if others else self.epilog
+        others = "".join(f"  {choice}: {_title(kind)}\n" for choice, kind in self.others().items())
+        if others:
+            self.epilog = f"Other choices, with --help for their options:\n{others}\n{self.epilog}"
         return super().format_help()
 
     def declare(self, kind: type[Any], without: Sequence[str] = (), choice: str = "") -> None:
@@ -92,27 +99,27 @@ class Parser(argparse.ArgumentParser):
             choice: what chooses it.
         """
         texts, kinds = field_texts(kind), get_type_hints(kind, include_extras=True)
-        group = self.add_argument_group(choice + _title(kind)) if self.fields else self
+        group = self.add_argument_group(choice + _title(kind)) if self.hints else self
         for field in dataclasses.fields(kind):
-            if field.init and not field.metadata.get("hidden") and field.name not in {*self.fields, *without}:
-                self.fields[field.name] = field
-                reading, flag = _reading(kinds[field.name], field.metadata), flag_of(field.name)
-                if field.metadata.get("positional"):
-                    reading |= {"nargs": "*", "action": "store"} if "nargs" in reading else {}
-                    flag = field.name
-                # `missing` names what is required, after a file of options.
-                group.add_argument(flag, help=_help(field, texts), **reading).required = False
-        required = [flag_of(name) for name in self.missing({}) if not self.fields[name].metadata.get("positional")]
-        hints = [(name.upper(), field.metadata) for name, field in self.fields.items()]
-        positional = [hint.get("metavar", name) for name, hint in hints if hint.get("positional")]
-        self.usage = " ".join(["%(prog)s", *positional, *(f"{flag} VALUE" for flag in required), "[options]"])
-
-    def missing(self, values: Mapping[str, Any]) -> list[str]:
-        """Names of required options without a value."""
-        return [name for name, field in self.fields.items() if _default(field) is ... and name not in values]
+            name, hints, made = field.name, field.metadata, field.default_factory
+            if not field.init or hints.get("hidden") or name in {*self.hints, *without}:
+                continue
+            default = (
+                (... if made is dataclasses.MISSING else made())
+                if field.default is dataclasses.MISSING
+                else field.default
+            )
+            self.hints[name], self.known[name] = hints, self._defaults.get(name, default)
+            reading = {"help": _help(texts.get(name, ""), hints, self.known[name]), **_reading(kinds[name], hints)}
+            if hints.get("positional") and "nargs" in reading:
+                reading |= {"nargs": "*", "action": "store"}
+            # What is required may stand in a file of options; `parse` names it.
+            group.add_argument(name if hints.get("positional") else flag_of(name), **reading).required = False
+        positional = [f"{hints.get('metavar', name)} " for name, hints in self.hints.items() if hints.get("positional")]
+        self.usage = f"%(prog)s {''.join(positional)}[options]"
 
     def values(self, tokens: Sequence[str]) -> dict[str, Any]:
-        """Values of the options that are given; ends the program where one is wrong."""
+        """Return the values of the options that are given; ends the program where one is wrong."""
         for token in itertools.takewhile(lambda token: token != "--", tokens):
             flag = token.partition("=")[0]
             if token == "" or token.endswith("="):
@@ -128,31 +135,29 @@ class Parser(argparse.ArgumentParser):
         """Return a sentence about an option that doesn't exist."""
         elsewhere: dict[str, list[str]] = {}
         for choice, kind in self.others().items():
-            for field in dataclasses.fields(kind):
-                if not field.metadata.get("hidden") and field.name not in self.fields:
-                    elsewhere.setdefault(flag_of(field.name), []).append(choice)
+            for field in (field for field in dataclasses.fields(kind) if not field.metadata.get("hidden")):
+                elsewhere.setdefault(flag_of(field.name), []).append(choice)
         if flag in elsewhere:
             return f"{flag} is an option of {' or '.join(elsewhere[flag])}."
         close = difflib.get_close_matches(flag, [*self._option_string_actions, *elsewhere], 1)
         return f"there is no option {flag}; " + (f"did you mean {close[0]}?" if close else "--help lists all.")
 
     def tokens(self, content: Mapping[str, Any]) -> list[str]:
-        """Options of a file as they would be typed."""
-        found, positional = [], []
-        for key, value in content.items():
-            flag, name = flag_of(str(key)), str(key).replace("-", "_")
-            if value is None:
+        """Return the options of a file as they would be typed."""
+        found, positional = [], ["--"]
+        for name, value in content.items():
+            flag, values = flag_of(name), [str(each) for each in (value if isinstance(value, list) else [value])]
+            if value is None or values == []:
                 continue
-            if name not in self.fields:
+            if name not in self.hints:
                 self.error(self.unknown(flag))
-            values = [str(each) for each in (value if isinstance(value, list) else [value])]
-            if self.fields[name].metadata.get("positional"):
+            if self.hints[name].get("positional"):
                 positional += values
             elif isinstance(value, bool):
                 found.append(flag if value else f"--no-{flag[2:]}")
-            elif values:
+            else:
                 found += [f"{flag}={values[0]}"] if len(values) == 1 else [flag, *values]
-        return [*found, "--", *positional] if positional else found
+        return [*found, *positional[: len(positional) * (len(positional) > 1)]]
 
 
 def flag_of(name: str) -> str:
@@ -162,9 +167,8 @@ def flag_of(name: str) -> str:
 
 def options(kind: type[Any], arguments: Sequence[str] | None, module: str, text: str | None) -> Any:
     """Fill a dataclass from the command line; ends the program where an option is wrong."""
-    found = parse([kind], arguments, module, text)
     try:
-        return filled(kind, vars(found))
+        return filled(kind, vars(parse([kind], arguments, module, text)))
     except ValueError as error:
         Parser(module, text).error(str(error))
 
@@ -188,44 +192,44 @@ def parse(
         text: description for the help.
         without: fields that are no options here.
         component: part whose settings add their fields.
-        defaults: defaults of this program, of options that it has, in place of the fields' own.
+        defaults: in place of those of fields, where there are such.
 
     Returns:
         Every option's value by its field's name; that of `component` is the name that is chosen.
     """
-    tokens, parser = sys.argv[1:] if arguments is None else list(arguments), Parser(module, text)
+    tokens, parser = sys.argv[1:] if arguments is None else list(arguments), Parser(module, text, defaults)
     for kind in kinds:
         parser.declare(kind, without)
     chosen, content = _chosen(parser, tokens, component, without) if component else ({}, {})
-    values = parser.values(parser.tokens(content)) | parser.values(tokens) | chosen
-    found = {name: _default(field) for name, field in parser.fields.items()} | dict(defaults or {}) | values
-    found = {name: None if found[name] is ... else found[name] for name in parser.fields}
-    if "print_config" in values:
-        print(yaml.safe_dump({name: _plain(value) for name, value in found.items()}, sort_keys=False), end="")
+    values = parser.known | parser.values(parser.tokens(content)) | parser.values(tokens) | chosen
+    if values.pop("print_config", False):
+        known = {name: None if value is ... else value for name, value in values.items()}
+        print(yaml.safe_dump(json.loads(as_json(known, default=str)), sort_keys=False), end="")
         parser.exit()
-    for name in parser.missing(values):
-        hints = parser.fields[name].metadata
+    for name in (name for name, value in values.items() if value is ...):
+        hints = parser.hints[name]
         asked = hints.get("metavar", name.upper()) if hints.get("positional") else flag_of(name)
         parser.error(f"{asked} is required; see --help.")
-    return argparse.Namespace(**found)
+    return argparse.Namespace(**values)
 
 
 def _chosen(
     parser: Parser, tokens: Sequence[str], component: Component, without: Sequence[str]
 ) -> tuple[dict[str, str], dict[str, Any]]:
     """Declare the options of the component that is chosen; return its name, and the content of `--config`."""
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    first, flag = argparse.ArgumentParser(add_help=False, allow_abbrev=False), flag_of(component.flag)
+    content: dict[str, Any] = {}
 
     def peek(name: str) -> Any:
         action = first.add_argument(flag_of(name))
         value = getattr(first.parse_known_args(tokens)[0], action.dest)
         return content.get(name) if value is None else value
 
-    parser.add_argument("--config", metavar="FILE", help="YAML file of options; those on the command line count more")
+    help_text = "YAML file of options; those on the command line count more"
+    parser.add_argument("--config", metavar="FILE", default=None, help=help_text)
     parser.add_argument("--print_config", action="store_true", help="print all options as such a file, and stop")
-    content, flag = {}, flag_of(component.flag)
-    content = _read(parser, Path(path)) if (path := peek("config")) else {}
     try:
+        content |= _read(Path(path)) if (path := peek("config")) else {}
         name = peek(component.flag) or component.default(peek)
         parser.declare(component.registry[name], without, f"{flag} {name}: ")
     except ValueError as error:
@@ -235,13 +239,14 @@ def _chosen(
     return {component.flag: name}, content
 
 
-def _read(parser: Parser, path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, Any]:
+    """Return the options in a file, or raise a ValueError."""
     try:
         content = yaml.safe_load(read_file(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        parser.error(f"{path} can't be read as YAML ({str(error).splitlines()[0]}); give a file as of --print_config.")
+        raise ValueError(f"{path} can't be read as YAML ({str(error).splitlines()[0]}); see --print_config.") from error
     if not isinstance(content, dict) or not sound(content):
-        parser.error(f"{path} holds no options; give a file as of --print_config.")
+        raise ValueError(f"{path} holds no options; give a file as of --print_config.")
     return {str(name).replace("-", "_"): value for name, value in content.items()}
 
 
@@ -263,28 +268,15 @@ def field_texts(kind: type[Any]) -> dict[str, str]:
     return found
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
-    """Default of a field; ... where it has none."""
-    made = field.default_factory
-    return field.default if field.default is not dataclasses.MISSING else ... if made is dataclasses.MISSING else made()
-
-
 def _title(kind: type[Any]) -> str:
     """First line of a dataclass's documentation."""
     return (kind.__doc__ or "").split("\n")[0].rstrip(".")
 
 
-def _plain(value: Any) -> Any:
-    """Value of an option as YAML has it."""
-    if isinstance(value, tuple | list):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, Path) else value
-
-
-def _help(field: dataclasses.Field[Any], texts: Mapping[str, str]) -> str:
-    text, default = texts.get(field.name, ""), _default(field)
-    if "names" in field.metadata:
-        text += f": {', '.join(field.metadata['names']())}"
+def _help(text: str, hints: Mapping[str, Any], default: Any) -> str:
+    """Text of an option, with names that it takes, and its default."""
+    if "names" in hints:
+        text += f": {', '.join(hints['names']())}"
     if not (isinstance(default, bool) or default in (None, (), ...) or "(default" in text):
         text += f" (default {' '.join(map(str, default)) if isinstance(default, tuple) else default})"
     return text.replace("%", "%%")
@@ -320,9 +312,8 @@ def _number(kind: type[Any], least: float, most: float) -> Callable[[str], Any]:
         except ValueError:
             value = math.nan
         if not least <= value <= most:
-            ends = ((f" of {least:g} or more", least > -LARGEST), (f" of {most:g} or less", most < LARGEST))
-            asked = " and".join(text for text, is_so in ends if is_so)
-            raise argparse.ArgumentTypeError(f"'{text}' is not a {'whole ' * (kind is int)}number{asked}")
+            asked = f"{'whole ' * (kind is int)}number from {least:g} to {most:g}"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a {asked}")
         return value
 
     return read

@@ -1,7 +1,7 @@
 """What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol, Self
 
@@ -150,7 +150,8 @@ class Estimator(Protocol):
     @property
     def described(self) -> dict[str, Any]:
         """Its settings, JSON-able: with its model's file all that its numbers depend on."""
-        return {"name": self.name}
+        settings: Any = self.settings or self
+        return {"name": self.name} | (asdict(settings) if is_dataclass(settings) else {})
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Preparation of frames for it."""

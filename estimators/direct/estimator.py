@@ -90,7 +90,7 @@ class DirectEstimator(Estimator):
     def described(self) -> dict[str, Any]:
         """All that the fits depend on besides the clip."""
         model = {"mechanics": dataclasses.asdict(self.mechanics), "bounds": dataclasses.asdict(self.bounds)}
-        return {"name": self.name, **dataclasses.asdict(self.settings), **model}
+        return super().described | model
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Smoothed tissue, the camera's motion subtracted, and otherwise what the user chooses."""

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -77,11 +77,6 @@ class OnlineEstimator(Estimator):
 
     def __init__(self, settings: OnlineSettings, smoothing: float = SMOOTHING) -> None:
         self.settings, self.smoothing = settings, smoothing
-
-    @property
-    def described(self) -> dict[str, Any]:
-        """All that the fields depend on besides the clip."""
-        return {"name": self.name, **dataclasses.asdict(self.settings)}
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Smoothed tissue, and otherwise what the user chooses."""

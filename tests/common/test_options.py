@@ -58,9 +58,9 @@ def test_options_are_the_fields_of_the_dataclass_and_its_bases(capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--most", "2"], "argument --most: '2' is not a number of 0 or more and of 1 or less"),
+        (["--most", "2"], "argument --most: '2' is not a number from 0 to 1"),
         (["--most", "nan"], "'nan' is not a number"),
-        (["--count", "2"], "'2' is not a whole number of 3 or more and of 9 or less"),
+        (["--count", "2"], "'2' is not a whole number from 3 to 9"),
         (["--count", "x"], "'x' is not a whole number"),
         (["--unit-name", "cm"], "cm"),
         (["--numbers", "one"], "one"),

@@ -65,10 +65,8 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, module: str, text: str | None, defaults: Mapping[str, Any] | None = None) -> None:
-        example = next(
-            (f"\n\nExample: {line.strip()}" for line in (text or "").splitlines() if line[:4] == 4 * " "), ""
-        )
-        ending = f"Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.{example}"
+        example = next((line.strip() for line in (text or "").splitlines() if line.startswith("    ")), "see above")
+        ending = f"Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.\n\nExample: {example}"
         layout: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
         super().__init__(program(module), None, text, ending, argument_default=argparse.SUPPRESS, **layout)
         self.add_argument("--version", action="version", version=f"palpate {__version__}")
@@ -78,7 +76,7 @@ class Parser(argparse.ArgumentParser):
         """Defaults by field; ... where it is required."""
         self.others: Callable[[], dict[str, type[Any]]] = dict
         """Returns settings that aren't chosen, by what chooses them."""
-        self._defaults = defaults or {}
+        self._own = dict(defaults or {})
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message}\n")
@@ -104,13 +102,11 @@ class Parser(argparse.ArgumentParser):
             name, hints, made = field.name, field.metadata, field.default_factory
             if not field.init or hints.get("hidden") or name in {*self.hints, *without}:
                 continue
-            default = (
-                (... if made is dataclasses.MISSING else made())
-                if field.default is dataclasses.MISSING
-                else field.default
-            )
-            self.hints[name], self.known[name] = hints, self._defaults.get(name, default)
-            reading = {"help": _help(texts.get(name, ""), hints, self.known[name]), **_reading(kinds[name], hints)}
+            default = made() if made is not dataclasses.MISSING else field.default
+            default = self._own.get(name, ... if default is dataclasses.MISSING else default)
+            self.hints[name], self.known[name] = hints, default
+            text = _help(texts.get(name, ""), hints, default)
+            reading: dict[str, Any] = {"help": text, **_reading(kinds[name], hints)}
             if hints.get("positional") and "nargs" in reading:
                 reading |= {"nargs": "*", "action": "store"}
             # What is required may stand in a file of options; `parse` names it.
@@ -144,7 +140,7 @@ class Parser(argparse.ArgumentParser):
 
     def tokens(self, content: Mapping[str, Any]) -> list[str]:
         """Return the options of a file as they would be typed."""
-        found, positional = [], ["--"]
+        found, positional = [], []
         for name, value in content.items():
             flag, values = flag_of(name), [str(each) for each in (value if isinstance(value, list) else [value])]
             if value is None or values == []:
@@ -157,7 +153,7 @@ class Parser(argparse.ArgumentParser):
                 found.append(flag if value else f"--no-{flag[2:]}")
             else:
                 found += [f"{flag}={values[0]}"] if len(values) == 1 else [flag, *values]
-        return [*found, *positional[: len(positional) * (len(positional) > 1)]]
+        return [*found, "--", *positional] if positional else found
 
 
 def flag_of(name: str) -> str:
@@ -202,6 +198,7 @@ def parse(
         parser.declare(kind, without)
     chosen, content = _chosen(parser, tokens, component, without) if component else ({}, {})
     values = parser.known | parser.values(parser.tokens(content)) | parser.values(tokens) | chosen
+    values.pop("config", None)
     if values.pop("print_config", False):
         known = {name: None if value is ... else value for name, value in values.items()}
         print(yaml.safe_dump(json.loads(as_json(known, default=str)), sort_keys=False), end="")
@@ -226,7 +223,7 @@ def _chosen(
         return content.get(name) if value is None else value
 
     help_text = "YAML file of options; those on the command line count more"
-    parser.add_argument("--config", metavar="FILE", default=None, help=help_text)
+    parser.add_argument("--config", metavar="FILE", help=help_text)
     parser.add_argument("--print_config", action="store_true", help="print all options as such a file, and stop")
     try:
         content |= _read(Path(path)) if (path := peek("config")) else {}

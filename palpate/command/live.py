@@ -7,8 +7,8 @@
 A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
 so far; where a run of contact has ended, another one holds what `interactions.csv` does. Whether an instrument touches
 is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Where depth is
-measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on (--rate
-fast of `palpate infer`). Research software, not a medical device.
+measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on. The
+estimator online estimates stiffness place by place. Research software, not a medical device.
 """
 
 import dataclasses

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from palpate.common.options import option
+from palpate.common.settings import Checked
 from palpate.data.contact.interaction import Horizon
 
 BETWEEN, STAMP = "between", "stamp"
@@ -15,7 +16,7 @@ BETWEEN, STAMP = "between", "stamp"
 
 
 @dataclass(frozen=True)
-class PressSettings:
+class PressSettings(Checked):
     """Beginning and end of a press; part of the settings of estimators that fit whole presses."""
 
     onset: Literal["between", "stamp"] = BETWEEN

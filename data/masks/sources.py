@@ -7,12 +7,13 @@ of the annotation is used).
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Annotated, Any, Protocol, Self
 
 import cv2
 import numpy as np
 
 from palpate.common.registry import Registry
+from palpate.common.settings import Checked
 from palpate.data.labels import OTHER, TISSUE, TOOL, MaskError
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.frames import Frame
@@ -39,17 +40,18 @@ LEAST_OF_CLASS = 0.5
 
 
 @dataclass(frozen=True)
-class MaskClasses:
+class MaskClasses(Checked, group="classes."):
     """Which annotated classes count as tool and as tissue (Bini 2026, section 3.1: grasper and gallbladder)."""
 
     tool: tuple[str, ...] = ("grasper",)
     """Names of class_table.CLASSES that are tool."""
     tissue: tuple[str, ...] = ("gallbladder",)
     """Names of class_table.CLASSES that are tissue."""
-    tolerance: int = 5
-    """Largest L1 distance of a mask's colour from its class's colour, over the three channels."""
+    tolerance: Annotated[int, 0, 42] = 5
+    """Largest L1 distance of a mask's colour from its class's, over the three channels; some differ by only 85."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for field in ("tool", "tissue"):
             names = getattr(self, field)
             unknown = [f"'{name}', which is no class" for name in names if name not in CLASSES]
@@ -59,8 +61,6 @@ class MaskClasses:
         both = sorted(set(self.tool) & set(self.tissue))
         if both:
             raise ValueError(f"classes.tool and classes.tissue both name '{both[0]}'; a class is one or the other.")
-        if not 0 <= self.tolerance <= 42:
-            raise ValueError(f"classes.tolerance is {self.tolerance}; give 0 to 42 (some colours differ by only 85).")
 
 
 class MaskSource(Protocol):

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from palpate.common.options import option
-from palpate.common.settings import LARGEST, require_ranges
+from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import SHADING, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
@@ -53,9 +53,6 @@ class DirectSettings(PressSettings):
     """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
     noise: Annotated[float, LEAST_SIGMA, LARGEST] | None = option(None, metavar="X")
     """noise of the depth [scene units] (default: as measured)"""
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     def build(self) -> "DirectEstimator":
         """Open the estimator."""

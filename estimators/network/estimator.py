@@ -48,10 +48,6 @@ class NetworkSettings(PressSettings, ModelSettings):
     """fast: automatic masks and guessed depth are found in one frame of three, and instruments move with the picture in
     between"""
 
-    def __post_init__(self) -> None:
-        if self.observation not in (None, "depth"):
-            raise ValueError(f"--observation {self.observation} is for --estimator direct; take that, or leave it out.")
-
     def build(self) -> "NetworkEstimator":
         """Open the estimator.
 

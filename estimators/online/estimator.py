@@ -17,7 +17,7 @@ import numpy as np
 
 from palpate.common.options import option
 from palpate.common.robust import affine_motion
-from palpate.common.settings import LARGEST, require_ranges
+from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
@@ -42,16 +42,13 @@ NUMBERS = (
 
 
 @dataclass(frozen=True)
-class OnlineOptions:
+class OnlineOptions(Checked):
     """Stiffness place by place, relative, of tissue that an instrument drives, frame by frame."""
 
     settings: Path | None = option(None, metavar="FILE")
     """YAML file (default: as configs/online.yaml, which explains them)"""
     smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
     """smooth the tissue's resting shape over this many grid pixels"""
-
-    def __post_init__(self) -> None:
-        require_ranges(self)
 
     def build(self) -> "OnlineEstimator":
         """Open the estimator.

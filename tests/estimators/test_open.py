@@ -33,7 +33,7 @@ def test_an_option_of_another_estimator_is_refused(name: str) -> None:
 
 
 def test_the_network_goes_by_one_observation() -> None:
-    with pytest.raises(ValueError, match="shading is for --estimator direct; take that"):
+    with pytest.raises(ValueError, match="observation is 'shading'; give one of depth"):
         open_estimator("network", observation="shading")
 
 

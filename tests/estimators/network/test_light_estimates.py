@@ -55,5 +55,5 @@ def test_fast_prepares_every_third_frame(network) -> None:
 
 @pytest.mark.parametrize("observation", ["brightness"])
 def test_light_is_asked_of_the_direct_estimator(observation) -> None:
-    with pytest.raises(ValueError, match="for --estimator direct"):
+    with pytest.raises(ValueError, match="give one of depth"):
         NetworkSettings(observation=observation)

@@ -63,7 +63,7 @@ class Drawn(AnnotationMasks):
     """Masks as they are drawn."""
 
     def __init__(self, asked):
-        super().__init__(asked.layout, asked.classes, asked.clip)
+        super().__init__(asked)
         self.identity = "drawn"
 '''
 ENTRIES = {

@@ -107,6 +107,7 @@ def test_snapshots_are_four_of_the_last_twenty_frames():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
+        (lambda: Method(rate=0.0), "rate is 0.0; give a positive number"),
         (lambda: Method("RM"), "name is 'RM'; give one of PBD, PBD-RM, PBD-RM-ON"),  # ty: ignore[invalid-argument-type]
     ],
 )

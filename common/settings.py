@@ -123,7 +123,7 @@ class Checked:
             if ends is not None:
                 start, end = ("a positive number", "up to") if least == 1e-15 else (f"{least:g}", "to")
                 wanted = f"{start} {end} {most:g}" if most < LARGEST else f"{start}{' or more' * (end == 'to')}"
-            raise ValueError(f"{self._group}{name} is {value!r}; give {wanted}.")
+            raise ValueError(f"{self._group}{name} is {shown(value)}; give {wanted}.")
 
 
 @functools.cache

@@ -153,7 +153,8 @@ class ClipStream:
 
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, frames = self.settings.geometry, _staged(self._measured(noticed), most)
+        geometry, measured = self.settings.geometry, bridge_gaps(self._prepared(noticed), stored=not self.guesses_depth)
+        frames = _staged(measured, most)
         if geometry.contact == "touching":
             near = geometry.contact_distance or math.inf
             if not self.guesses_depth:
@@ -171,10 +172,6 @@ class ClipStream:
                 decided = contacts.push(prepared)
             yield from decided
         yield from contacts.finish()
-
-    def _measured(self, noticed: Noticed) -> Iterator[PreparedFrame]:
-        """Frames that measure something, with the gaps before them."""
-        return bridge_gaps(self._prepared(noticed), stored=not self.guesses_depth)
 
     def _prepared(self, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Every frame by itself, in order."""

@@ -262,20 +262,15 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
         for names in (node.input, node.output):
             names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
     added = to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,))
-    _extend(model, added, NAME_PREFIX, "node", "initializer")
+    added = onnx.compose.add_prefix(added, NAME_PREFIX, rename_inputs=False, rename_outputs=False)
+    model.graph.node.extend(added.graph.node)
+    model.graph.initializer.extend(added.graph.initializer)
 
     def difference_of(path: Path) -> float:
         found = torch.from_numpy(PosteriorModel(path)(*given)[1])
         return float((found - widening(contact, mean, own)).abs().max())
 
     return write(model, plain.metadata | {"calibration": asdict(calibration)}, output, difference_of)
-
-
-def _extend(model: onnx.ModelProto, added: onnx.ModelProto, prefix: str, *parts: str) -> None:
-    """Add these parts of a model's graph to another one, with a prefix to all names but its inputs' and outputs'."""
-    added = onnx.compose.add_prefix(added, prefix, rename_inputs=False, rename_outputs=False)
-    for part in parts:
-        getattr(model.graph, part).extend(getattr(added.graph, part))
 
 
 def _sum_of(contact: Tensor, features: Sequence[int]) -> Tensor:

@@ -94,7 +94,9 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> 
     across = rows[:, None] * scene.entry[0] - columns * scene.entry[1]
     # Inverse depth grows towards the entry: a straight line in space.
     axis_depth = tip_depth / np.maximum(1 + 0.006 * along, 0.5)
-    half_width = _half_width(along, SHAFT_RADIUS * scene.grid_camera.fx / axis_depth)
+    # Jaws and joint of narrow pictures must not outgrow the shaft.
+    shaft = SHAFT_RADIUS * scene.grid_camera.fx / axis_depth
+    half_width = np.where(along < HALF_WIDTHS[-1][0], np.minimum(jaw_width(along), shaft), shaft)
     row, column = np.nonzero((along >= TIP_START) & (np.abs(across) <= half_width))
     along, across, axis_depth, half_width = (a[row, column] for a in (along, across, axis_depth, half_width))
     section = across / half_width
@@ -108,12 +110,6 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> 
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
         depth[keel] = tip_depth - (TIP_GAP + 0.3 * np.abs(across[keel])) * scene.spacing
     return Tool(row, column, depth.astype(np.float32), _light(along, across, section, bulge))
-
-
-def _half_width(along: np.ndarray, shaft: np.ndarray) -> np.ndarray:
-    """Half-width of the tool at places along its axis; `shaft` is that of the shaft there [grid px]."""
-    # Jaws and joint of narrow pictures must not outgrow the shaft.
-    return np.where(along < HALF_WIDTHS[-1][0], np.minimum(jaw_width(along), shaft), shaft)
 
 
 def jaw_width(along: np.ndarray) -> np.ndarray:

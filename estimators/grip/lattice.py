@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.common.robust import affine_terms
+from palpate.physics.mesh import grid_springs
 from palpate.physics.sheet import equilibrium
 
 ALPHAS = np.geomspace(1e-3, 1.0, 14)
@@ -159,12 +160,8 @@ def lattice_springs(points: np.ndarray, spacing: int) -> np.ndarray:
     """Pairs of neighbours on a square grid, diagonals included, shape [S, 2]; points [N, 2] (column, row) [px]."""
     cells = np.rint(points / spacing).astype(np.int64)
     cells -= cells.min(axis=0)
-    number = np.full(cells.max(axis=0) + 2, -1)
-    number[cells[:, 0], cells[:, 1]] = np.arange(len(cells))
-    pairs = []
-    for right, down in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        other = cells + np.array([right, down])
-        # Below 0 the index wraps round to the last row, which is empty.
-        found = number[other[:, 0], other[:, 1]]
-        pairs.append(np.column_stack([np.arange(len(cells)), found])[found >= 0])
-    return np.concatenate(pairs)
+    number = np.full(cells.max(axis=0) + 1, -1)
+    number[tuple(cells.T)] = np.arange(len(cells))
+    steps = (1, 0), (0, 1), (1, 1), (1, -1)
+    pairs = number.ravel()[np.concatenate([grid_springs(number.shape, *step) for step in steps])]
+    return pairs[(pairs >= 0).all(axis=1)]

@@ -70,19 +70,12 @@ class Bench:
         self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
         """Of the points along the sight, by what of them has not moved [m]."""
 
-    def rest(self, young: float, poisson: float, *, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
-        """The body under each force.
+    def rests(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
+        """Equilibria of the body under each force.
 
         Raises:
             NoEquilibrium: it can't bear one.
         """
-        return self._found(Material("corotational", young, poisson), starts)
-
-    def linear(self, young: float, poisson: float) -> list[Equilibrium]:
-        """The same by Hooke's law at small strain, where displacements go with 1/E."""
-        return self._found(Material("linear", young, poisson), [None] * len(self.forces))
-
-    def _found(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
         found: dict[bytes, Equilibrium] = {}
         for forces, start in zip(self.forces, starts, strict=True):
             if forces.tobytes() in found:  # one press seen several times

@@ -13,7 +13,7 @@ import numpy as np
 
 from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench
 from palpate.estimators.palpation.registration import turned
-from palpate.physics.fem import Equilibrium, NoEquilibrium
+from palpate.physics.fem import Equilibrium, Material, NoEquilibrium
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
@@ -224,7 +224,7 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         if rests:
             starts = [state.predicted(trust * found.change) for state in found.states]
         try:
-            tried = bench.rest(*aim, starts=starts)
+            tried = bench.rests(Material("corotational", *aim), starts)
         except NoEquilibrium:
             if rests:
                 trust /= 3

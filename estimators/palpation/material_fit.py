@@ -17,7 +17,7 @@ import numpy as np
 from palpate.estimators.palpation.bench import Bench, Palpation
 from palpate.estimators.palpation.gauss_newton import System, ends, iterated, states_of
 from palpate.estimators.palpation.skin import Match, Skin
-from palpate.physics.fem import Equilibrium
+from palpate.physics.fem import Equilibrium, Material
 from palpate.physics.identifiability import LIMIT
 
 KNOWN = 0.025
@@ -105,7 +105,7 @@ def fit_material(
             )
     bench = Bench(skin, held, palpations)
     poisson = 0.3  # to begin at
-    rests = bench.linear(settings.young, poisson)
+    rests = bench.rests(Material("linear", settings.young, poisson), [None] * len(palpations))
     scale = _scale(bench, rests)
     begun = System(bench, states_of(bench, rests, scale), np.zeros(2), bench.poses, ends(poisson))
     young, poisson, rests, found = iterated(bench, (settings.young / scale, poisson, [], begun), report)

@@ -13,6 +13,7 @@ from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.gauss_newton import states_of
 from palpate.estimators.palpation.material_fit import NOTHING
 from palpate.estimators.palpation.registration import MOST_ALIGNED, thinned
+from palpate.physics.fem import Material
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
@@ -47,15 +48,16 @@ def test_the_next_simulation_begins_where_derivatives_say(slab) -> None:
     """What they are off by goes with the square of the change; from there fewer Newton steps lead to rest."""
     skin, held, seen = slab
     bench = Bench(skin, held, [seen])
-    (rest,) = bench.rest(1e4, 0.4, starts=[None])
+    (rest,) = bench.rests(Material("corotational", 1e4, 0.4), [None])
     (state,) = states_of(bench, [rest], 1.0)
     assert bench.solves == 1
     off = []
     for change in (np.array([0.02, 0.01]), np.array([0.01, 0.005])):
         begun = state.predicted(change)
-        (there,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], starts=[begun])
+        changed = Material("corotational", 1e4 / (1 + change[0]), 0.4 + change[1])
+        (there,) = bench.rests(changed, [begun])
         off.append(np.abs(begun - there.displacement).max() / np.abs(rest.displacement).max())
-        (plain,) = bench.rest(1e4 / (1 + change[0]), 0.4 + change[1], starts=[rest.displacement])
+        (plain,) = bench.rests(changed, [rest.displacement])
         assert there.iterations < plain.iterations
         np.testing.assert_allclose(there.displacement, plain.displacement, atol=1e-9)
     assert off[0] < 2e-3
@@ -76,7 +78,7 @@ def test_points_whose_sensor_is_not_told_are_fitted_along_the_surface_s_normals(
 def test_one_press_seen_twice_is_simulated_once(slab) -> None:
     skin, held, seen = slab
     bench = Bench(skin, held, [seen, seen])
-    one, two = bench.linear(1e4, 0.3)
+    one, two = bench.rests(Material("linear", 1e4, 0.3), [None, None])
     assert one is two
     assert bench.solves == 1
 

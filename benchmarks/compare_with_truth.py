@@ -35,8 +35,6 @@ from palpate.results.store import INTERACTIONS, RECORD
 COLUMNS = ("quantity", "estimate", "low", "high", "truth", "90 % interval")
 IN_LENGTHS = ("force", "force_over_stiffness")
 """Quantities that count in the clip's unit of length."""
-SAME_ONSET = 1.5
-"""A run of contact is the true one where it begins within so many frames of it."""
 
 
 class NoTruth(ValueError):
@@ -56,7 +54,8 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         rows = list(csv.DictReader(text))
         truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
         theta, onset = np.abs([float(truth["theta"][name]) for name in PARAMETERS]), float(truth["onset_s"])
-        begun = [row for row in rows if abs(float(row["onset_time_s"]) - onset) * fps <= SAME_ONSET]
+        # A run of contact is the true one where it begins within so many frames of it.
+        begun = [row for row in rows if abs(float(row["onset_time_s"]) - onset) * fps <= 1.5]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         problem = f"holds no results of infer.py on a clip of data.synthetic ({reason(error)})"
         raise NoTruth(f"{folder} {problem}; give a clip's folder.") from error

@@ -33,8 +33,6 @@ from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 
-SAME_ONSET = 2
-"""A run of contact is the true one where it begins within so many frames of it."""
 TRUTH = ".truth.json"
 """Ending of the files of truth."""
 
@@ -55,7 +53,8 @@ def measured(clip: Path, truth: Mapping[str, Any], name: str) -> Row:
     onsets = [frame for frame in truth["contact_frames"] if frame - 1 not in truth["contact_frames"]]
     for output in found:
         if isinstance(output, InteractionEstimate) and output.estimate is not None:
-            if min(abs(output.onset_frame - onset) for onset in onsets or [np.inf]) <= SAME_ONSET:
+            # A run of contact is the true one where it begins within so many frames of it.
+            if min(abs(output.onset_frame - onset) for onset in onsets or [np.inf]) <= 2:
                 theta = np.array(list(truth["theta"].values()))
                 return row | compared(output, theta, truth["distance_mm"] / truth["mm_per_scene_unit"])
             row["verdict"] = output.verdict  # of a press that there isn't

@@ -24,8 +24,6 @@ JUMP = math.log(1.1)
 """Smallest jump of the depth's scale between two frames, as a logarithm."""
 FLICKERS = 6.0
 """And as a multiple of the median of the clip's own changes of scale."""
-LEAST_PIXELS = 50
-"""Fewest grid pixels of tissue in both frames by which their scales are compared."""
 
 
 def gap(frame: Frame, shape: tuple[int, int], status: str = REPEATED, detail: str = PICTURE_REPEATS) -> PreparedFrame:
@@ -87,7 +85,8 @@ def bridge_gaps(frames: Iterable[PreparedFrame], stored: bool) -> Iterator[Prepa
 def _compared(before: PreparedFrame, after: PreparedFrame) -> tuple[float, float]:
     """Logarithm of the scale of a frame's tissue against another's, and the share of its pixels that differ."""
     both = (before.labels == TISSUE) & (after.labels == TISSUE) & (before.depth > 0) & (after.depth > 0)
-    if both.sum() < LEAST_PIXELS:
+    # Fewest grid pixels of tissue in both frames by which their scales are compared.
+    if both.sum() < 50:
         return 0.0, 1.0
     one, other = before.depth[both], after.depth[both]
     return float(np.median(np.log(other / one))), float(np.mean(one != other))

@@ -42,8 +42,6 @@ BLOCK_DRAG = YOUNG / (1.5 * 0.0075**2)
 sides of cubes make a modulus of about 1.5 over that distance."""
 BLOCK_STEPS, SETTLED = 2, 1e-8
 """Implicit steps of a block a frame; largest force out of balance in each, over the largest at a node."""
-HELD = 0.012
-"""Radius of what the gripper holds [m]."""
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
 """Standard deviation of observations, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
 
@@ -149,7 +147,8 @@ class Sequence:
 def _held(rest: np.ndarray, block: bool) -> np.ndarray:
     """Places that the gripper holds: around the middle of the side opposite the pins, of a block on its upper side."""
     size = BLOCK if block else (SIDE, SIDE, 0.0)
-    return np.linalg.norm(rest - (size[0], size[1] / 2, size[2]), axis=1) < HELD
+    # Radius of what the gripper holds [m].
+    return np.linalg.norm(rest - (size[0], size[1] / 2, size[2]), axis=1) < 0.012
 
 
 def _grid(columns: int, rows: int, size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

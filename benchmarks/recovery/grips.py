@@ -20,8 +20,6 @@ from palpate.estimators.records import FrameEstimate, InteractionEstimate
 COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
 AVERAGES = {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}
 """Numbers of rows whose mean is in the table, and how it is called there."""
-STIRRED = 1.0
-"""Tool or tissue moves where either has gone so far since the frame before [px]."""
 
 
 def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
@@ -49,7 +47,8 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
     tip = place + motion.course * scene.settings.cell
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
-    return np.append(False, steps > STIRRED)
+    # Tool or tissue moves where either has gone so far since the frame before [px].
+    return np.append(False, steps > 1.0)
 
 
 def force_curve(onset: int, grip: GripEstimate, reaction: np.ndarray, fps: float) -> np.ndarray:

@@ -22,16 +22,8 @@ from palpate.data.source.camera import Camera
 MEETS, HOVERS, LEAVES = 2.5, 4.0, 5.0
 """Contact begins below the first, and ends above the last, so many standard deviations of the distance. Motion decides
 whether it begins between the first two."""
-RASTER = 0.7
-"""Standard deviation of the distance by the grid alone: an outline is known to half a pixel on either side [cells]."""
-WIDE = 6.0
-"""Standard deviation of the weights of the surface by which mislabelled tool pixels are recognised [grid pixels]."""
-IN_FRONT = 5.0
-"""Tissue next to the instrument that lies so many standard deviations in front of that surface is the instrument's."""
 AROUND = 30
 """Nothing farther from an instrument's tip is looked at [cells]."""
-STEEP = 6.0
-"""Pixels of an instrument at the tissue's surface are its own up to so far behind others two pixels away [cells]."""
 APART = "The instrument's end is {:.3g} from the tissue by their measured depths; contact needs {:.3g} or less."
 
 
@@ -57,18 +49,19 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
     if (before & (depth < depth[tips].max())).any():
         return None
     outline = near(tool)
-    wide, _ = smooth_surface(depth, tissue & ~outline, WIDE, outline)
+    # Standard deviation of the weights of the surface by which mislabelled tool pixels are recognised [grid pixels].
+    wide, _ = smooth_surface(depth, tissue & ~outline, 6.0, outline)
     noise = max(median_sd((depth - wide)[tissue & ~outline]), LEAST_NOISE)
-    tissue &= ~outline | (depth > wide - IN_FRONT * noise)
+    # Tissue next to the instrument that lies so many standard deviations in front of that surface is the instrument's.
+    tissue &= ~outline | (depth > wide - 5.0 * noise)
     half = distance_transform_edt(tool) - 0.5
     radius = max(0.5, float(half[tool & (distance_transform_edt(~tips) <= half + 1)].max()))
     under = smooth_surface(depth, tissue, max(radius, 1.5), tool)[0]
     measured = ends & (depth > 0)
     # A mask that is too wide shows tissue behind the instrument.
     nearest = minimum_filter(np.where(measured, depth, np.inf), 5)
-    behind = (depth > nearest * (1 + STEEP / camera.fx)) & (
-        np.abs(depth - wide) < 2 * np.hypot(depth / camera.fx, noise)
-    )
+    # Pixels of an instrument at the tissue's surface are its own up to so far behind others two pixels away [cells].
+    behind = (depth > nearest * (1 + 6.0 / camera.fx)) & (np.abs(depth - wide) < 2 * np.hypot(depth / camera.fx, noise))
     valid = (measured & ~behind).astype(np.float64)
     mean = uniform_filter(valid * depth, 3) / np.maximum(uniform_filter(valid, 3), 1e-9)
     judged = (valid > 0) & (under > 0)
@@ -78,7 +71,8 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
     cell = under[judged] / camera.fx
     distance = gap - 2 * np.minimum(half[judged], radius) * cell
     least = int(np.argmin(distance))
-    return float(distance[least]), math.hypot(RASTER * cell[least], noise)
+    # Standard deviation of the distance by the grid alone: an outline is known to half a pixel on either side [cells].
+    return float(distance[least]), math.hypot(0.7 * cell[least], noise)
 
 
 class MeasuredContacts(ContactEvidence):

@@ -32,15 +32,10 @@ STILL_SHARE = 0.1
 variance."""
 ROUNDED = 0.5
 """Errors that stay belong to rounding where those that are new are less than this share of them."""
-CHANCE = 3.0
-"""Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480 pixels
-of the grid share pixels of the picture, and 0.05 is none."""
 REST_SHARE, REST_LENGTH = 0.1, 5.0
 """Standard deviation of the rest surface's error [σ], and its correlation length [grid pixels]."""
 REST_KEPT = 0.99
 """Share of its variance that is taken into account."""
-MAX_CORRELATED = 12
-"""Noise of pixels farther apart than this is independent [grid pixels]."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +191,11 @@ def _correlated(products: np.ndarray, pairs: int) -> float:
     found = 1.0
     for product in neighbours if square > 0 else ():
         correlation = min(product / square, 0.999)
-        if correlation > CHANCE / math.sqrt(max(pairs, 1)):
-            found *= 1 + 2 * float(np.power(correlation, np.arange(1, MAX_CORRELATED + 1) ** 2).sum())
+        # Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480
+        # pixels of the grid share pixels of the picture, and 0.05 is none.
+        if correlation > 3.0 / math.sqrt(max(pairs, 1)):
+            # Noise of pixels farther apart than this is independent [grid pixels].
+            found *= 1 + 2 * float(np.power(correlation, np.arange(1, 12 + 1) ** 2).sum())
     return found
 
 

@@ -31,8 +31,6 @@ MAX_WAY, MAX_AGE = 5.0, 10
 adds goes to and fro with the camera."""
 MAX_LOG_ODDS = 5.0
 """Largest change of the logarithm of the odds by one frame."""
-STANDS = 0.25
-"""A tool that hovered has come to a stand where it moves by less than this share of its speed until then."""
 CERTAIN = 0.9
 """Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
 HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
@@ -47,8 +45,6 @@ TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
-SPREAD = 0.35
-"""A tip moves as one where half of its points are within this share of their common motion, or within 1 px."""
 
 
 class ContactEvidence:
@@ -139,7 +135,8 @@ class ContactEvidence:
         tips = [] if before is None else observed_motion(before[0], shown)
         self._age += 1
         way = max((tip.tool for tip in tips), key=np.linalg.norm, default=np.full(2, math.nan))
-        stands = hovered and bool(np.linalg.norm(way - self._way) < STANDS * self._speed)
+        # A tool that hovered has come to a stand where it moves by less than this share of its speed until then.
+        stands = hovered and bool(np.linalg.norm(way - self._way) < 0.25 * self._speed)
         # Tissue that doesn't move says nothing next to a tool that doesn't move either.
         ratio = 0.0 if stands else float(np.clip(_ratio_of_tips(tips), -MAX_LOG_ODDS, MAX_LOG_ODDS))
         if stands or (hovered and not tips):
@@ -226,6 +223,7 @@ def _tool_motion(moved: np.ndarray) -> tuple[np.ndarray, float] | None:
         off = np.linalg.norm(moved - middle, axis=1)
         middle = np.median(moved[off <= max(2 * np.median(off), LEAST_NOISE)], axis=0)
     spread = float(np.median(np.linalg.norm(moved - middle, axis=1)))
-    if spread > max(SPREAD * np.linalg.norm(middle), 1.0):
+    # A tip moves as one where half of its points are within this share of their common motion, or within 1 px.
+    if spread > max(0.35 * np.linalg.norm(middle), 1.0):
         return None
     return middle, spread / MEDIAN_LENGTH

@@ -28,25 +28,17 @@ WIDTH = 1.0
 SHADOW, SHADOWS = 1.5, 8
 """What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
 last so many frames in which one moved."""
-OWN = 1.2
-"""What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out."""
 DARKER, CLEAR = 0.04, 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
 FIRST, FEWEST_REST = 6, 3
 """So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
-FAINT = 2.0
-"""A dent begins where it is darker than at rest by so many standard deviations, if it is clearly so a frame later."""
 EARLIEST, HIDDEN_FOR = 3, 8
 """Frames by which a press begins before its dent shows next to the instrument, at most, if the instrument has come to
 the tissue by then; and at most where the instrument hides the dent's middle."""
 BARED, HELD = 2, 20
 """Successive frames that show a dent where an instrument was, and how many frames wait at most for it to go."""
-LEFT = 0.35
-"""A press has ended where less than this share of the darkness is left, or the instrument has gone."""
-RECOVERY_SECONDS = 1.0
-"""After this time what is left of a dent counts as the tissue at rest [s]."""
 UNCHANGED = "The tissue at the instrument is as bright as at rest, so nothing presses on it."
 NO_DENT = "What is darker next to the instrument is its shadow or tissue that moves along, so nothing presses on it."
 LET_GO = "The instrument has let go of the tissue, whose light returns to that at rest."
@@ -164,7 +156,9 @@ class LightContacts:
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
         arrived = at_tissue.index(False) if False in at_tissue else len(at_tissue)
-        arrived += bool(before) and before[0].shows(self._place, FAINT)
+        # A dent begins where it is darker than at rest by so many standard deviations, if it is clearly so a frame
+        # later.
+        arrived += bool(before) and before[0].shows(self._place, 2.0)
         decided = self._at_rest(len(before) - arrived)
         self._pressing, self._deepest = True, None
         for one in self._waiting:
@@ -216,7 +210,8 @@ class LightContacts:
         change = change_of_light(lit.light, self._rest.median())
         if change is None:
             return
-        change[cv2.dilate((change < -OWN).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = np.nan
+        # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.
+        change[cv2.dilate((change < -1.2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = np.nan
         known = np.isfinite(change).astype(np.float32)
         weights, sums = (
             cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))
@@ -266,14 +261,16 @@ class LightContacts:
         darkness, away = darkness_of(change), lit.away[FINE * place[0], FINE * place[1]]
         # What the instrument hides now doesn't count: its mask changes while it stands.
         seen = None if change is None or self._deepest is None else np.where(np.isfinite(change), self._deepest, np.nan)
-        if self._pressing and away <= REACH and not darkness < LEFT * darkness_of(seen):
+        # A press has ended where less than this share of the darkness is left, or the instrument has gone.
+        if self._pressing and away <= REACH and not darkness < 0.35 * darkness_of(seen):
             self._press(lit, place)
             return
         self._pressing = False
         _out_of_contact(lit.prepared, LET_GO)
         if darkness < 0.03:
             self._place = None
-        elif lit.prepared.frame.time_s - self._pressed_s > RECOVERY_SECONDS:
+        # After this time what is left of a dent counts as the tissue at rest [s].
+        elif lit.prepared.frame.time_s - self._pressed_s > 1.0:
             # Something else has darkened the tissue: what it is like at rest isn't known any more.
             self._forget()
 

@@ -22,9 +22,6 @@ STILL = 1.5
 """An instrument stands that moves less from frame to frame [grid pixels]."""
 ARRIVED = 4.0
 """What an instrument may have hidden lies so near to its free end [grid pixels]."""
-BRIGHTER = 0.5
-"""A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled along
-shows its texture elsewhere, and does both."""
 
 
 @dataclass(eq=False)
@@ -155,7 +152,9 @@ def darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], flo
     found = np.where(where & np.isfinite(change), change, 0.0)
     row, column = divmod(int(np.argmin(found)), found.shape[1])
     darkness = -float(found[row, column])
-    return (row, column), darkness, float(found.max()) < BRIGHTER * darkness
+    # A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled
+    # along shows its texture elsewhere, and does both.
+    return (row, column), darkness, float(found.max()) < 0.5 * darkness
 
 
 def centre(dents: Sequence[tuple[np.ndarray | None, tuple[int, int] | None]]) -> tuple[int, int]:

@@ -13,8 +13,6 @@ FRAY = 2
 """Outlines are uncertain by this much [grid pixels]."""
 OUTLINE_REACH = 4
 """The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
-CLEARLY = 3.0
-"""A depth lies clearly behind others from this many standard deviations of its noise."""
 
 
 def near(mask: np.ndarray, reach: int = FRAY) -> np.ndarray:
@@ -43,7 +41,8 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     tissue = np.where(labels == TISSUE, depth, 0).astype(np.float32)
     around = cv2.dilate(tissue, np.ones((2 * FRAY + 1,) * 2, np.uint8))
     outline = (labels == TOOL) & (around > 0) & (depth > 0)
-    behind = outline & (depth > around + CLEARLY * noise)
+    # A depth lies clearly behind others from this many standard deviations of its noise.
+    behind = outline & (depth > around + 3.0 * noise)
     # A larger share of the tool's outline isn't the bottom of a dent.
     if behind.sum() > 0.25 * outline.sum():
         return labels

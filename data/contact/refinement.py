@@ -14,12 +14,6 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 REFINE_REACH = 3
 """The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
 the masks touch [grid pixels]."""
-REFINE_SIGMA = 3.5
-"""Its mean change must exceed this many standard deviations."""
-IN_FRONT = 5.0
-"""Depth so many standard deviations nearer than the tissue at rest is the tool's."""
-SAME_SIGMAS = 2.0
-"""Mean changes whose difference is below this many of its standard deviations count as the same."""
 SAME_SHARE = 0.25
 """So do those that differ by less than this share: the tip of the tool that presses goes about as deep as the dent."""
 REFINE_FRAMES = 5
@@ -68,7 +62,8 @@ def pressed_pixel(
     share = (bare.sum(axis=0) + (onset.labels[tuple(mesh.pixels[chosen].T)] == TISSUE)) / (len(later) + 1)
     needed = (sigmas + ~close[chosen]) * noise
     # What lies clearly in front of the tissue at rest is the tool.
-    pressed = _largest(np.where(changes > -IN_FRONT * noise, changes, np.nan), needed, share, noise)
+    # Depth so many standard deviations nearer than the tissue at rest is the tool's.
+    pressed = _largest(np.where(changes > -5.0 * noise, changes, np.nan), needed, share, noise)
     pulled = np.where(close[chosen], -changes, np.nan)
     found = pressed if pressed is not None else _largest(pulled, needed, share, noise)
     if found is None:
@@ -116,7 +111,8 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     # Dents grow: only frames that show both vertices compare them.
     behind = changes[:, np.argmax(np.where(clear, mean, -np.inf))][:, None] - changes
     common = np.isfinite(behind).sum(axis=0)
-    least = SAME_SIGMAS * noise * np.sqrt(2 * common) + SAME_SHARE * common * np.nanmax(mean[clear])
+    # Mean changes whose difference is below this many of its standard deviations count as the same.
+    least = 2.0 * noise * np.sqrt(2 * common) + SAME_SHARE * common * np.nanmax(mean[clear])
     equal = clear & (np.nansum(behind, axis=0) <= least) & (common > 0)
     equal &= share == share[equal].max()
     return int(np.argmax(np.where(equal, mean, -np.inf)))
@@ -142,7 +138,8 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Lift, tracker: Tiss
         return
     shape, contact = run.onset.depth.shape, picture_pixel(run.onset, size)
     places = [(prepared, picture_to_grid(pixel, shape, size), float(drift[2])) for prepared, pixel, drift in young]
-    yielded = pressed_pixel(run.onset, places, REFINE_SIGMA)
+    # Its mean change must exceed this many standard deviations.
+    yielded = pressed_pixel(run.onset, places, 3.5)
     if yielded is None or yielded == run.onset.contact.pixel:
         return
     run.onset.geometry = move_contact(run.onset.contact, yielded)

@@ -7,9 +7,6 @@ have lengths and directions of noise. At rest tissue is smooth, so a plane fitte
 import cv2
 import numpy as np
 
-LEAST_SHARE = 0.1
-"""Share of a fit's weights that must lie on tissue for it to be continued where tissue is hidden."""
-
 
 def smooth_surface(
     depth: np.ndarray, tissue: np.ndarray, smoothing: float, hidden: np.ndarray | None = None
@@ -65,5 +62,6 @@ def smooth_surface(
     left[tissue] = z[tissue] - fitted[own]
     fitted = fitted + fit(left)
     smooth = depth.astype(np.float32, copy=True)
-    smooth[shown] = np.where(own | (share > LEAST_SHARE), fitted, 0)
+    # Share of a fit's weights that must lie on tissue for it to be continued where tissue is hidden.
+    smooth[shown] = np.where(own | (share > 0.1), fitted, 0)
     return smooth, float(np.sqrt(np.mean(np.square(left[tissue]))))

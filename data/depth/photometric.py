@@ -15,10 +15,6 @@ from palpate.data.depth.sources import DepthSource, check_map, positive
 from palpate.data.picture_network import resized
 from palpate.data.source.frames import Frame
 
-LONGER = 428
-"""Longer side of the picture whose brightness is read [px]."""
-FIELD_OF_VIEW_DEG = 60.0
-"""Horizontal field of view that is assumed [degrees]."""
 DARKEST = 0.005
 """Least linear brightness (white = 1) of a valid pixel, 15 of 255 in sRGB; sensor noise dominates in darker ones."""
 
@@ -45,7 +41,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     )
     smooth = total / np.maximum(weight, 1e-6) * usable
     height, width = smooth.shape
-    pitch = 2 * math.tan(math.radians(FIELD_OF_VIEW_DEG) / 2) / width
+    # Horizontal field of view that is assumed [degrees].
+    pitch = 2 * math.tan(math.radians(60.0) / 2) / width
     across, down = ((np.arange(side) - (side - 1) / 2) * pitch for side in (width, height))
     cosine = 1 / np.sqrt(down[:, None] ** 2 + across**2 + 1)
     return np.where(smooth > DARKEST, cosine**1.5 / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(np.float32)
@@ -60,7 +57,8 @@ class PhotometricDepth(DepthSource):
     def observe(self, frame: Frame) -> RawDepth:
         """The frame's relative depth, checked."""
         height, width = frame.picture.shape[:2]
-        rows, columns = (max(2, 2 * round(side * LONGER / max(height, width) / 2)) for side in (height, width))
+        # Longer side of the picture whose brightness is read [px].
+        rows, columns = (max(2, 2 * round(side * 428 / max(height, width) / 2)) for side in (height, width))
         picture = resized(frame.picture.astype(np.float32), rows, columns) / np.float32(255)
         found = cv2.resize(photometric_depth(picture), (width, height), interpolation=cv2.INTER_LINEAR)
         check_map(found, f"The brightness of frame {frame.number}", signed=False)

@@ -16,16 +16,10 @@ EDGE = 6
 """Width of what is left out at the border of tissue, where shadows and other colours lie [grid px]."""
 FEWEST = 200
 """With fewer pixels than that, those at the border count as well."""
-ORGAN = 0.4
-"""Standard deviation of the Gaussian that keeps an organ's curvature, as a share of the grid's width."""
-PLANE_TILT = 0.35
-"""Standard deviation of a plane's tangents before anything is known of it."""
 LARGEST_TANGENT = 3.0
 """Of the plane's tilt along either axis."""
 GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
-TOUGH = 5.0
-"""Scale of Cauchy's weights, in standard deviations of what the plane leaves."""
 
 
 def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.ndarray:
@@ -57,7 +51,8 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     facing = np.maximum(rays @ normal, GRAZING)
     left = brightness - 3 * np.log(facing)
     left = np.where(kept, np.clip(left - np.median(left[kept]), -1, 1), 0.0)
-    total, weight = (_gaussian_sum(part.astype(np.float32), ORGAN * depth.shape[1]) for part in (left, kept))
+    # Standard deviation of the Gaussian that keeps an organ's curvature, as a share of the grid's width.
+    total, weight = (_gaussian_sum(part.astype(np.float32), 0.4 * depth.shape[1]) for part in (left, kept))
     shape = rays[..., 2] / facing * np.exp(-0.5 * total / np.maximum(weight, 1e-3))
     return np.where(lit, shape * np.median(depth[valid] / shape[valid]), 0).astype(np.float32)
 
@@ -78,8 +73,10 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         left -= np.median(left)
         spread = median_sd(left) + 1e-6
         # Texture goes together over wide areas: a picture holds 50 independent observations of what is no plane.
-        prior = spread**2 / (50 * PLANE_TILT**2)
-        weights = 1 / (1 + (left / (TOUGH * spread)) ** 2)
+        # Standard deviation of a plane's tangents before anything is known of it.
+        prior = spread**2 / (50 * 0.35**2)
+        # Scale of Cauchy's weights, in standard deviations of what the plane leaves.
+        weights = 1 / (1 + (left / (5.0 * spread)) ** 2)
         slopes = 3 * (rays[:, :2] / facing[:, None] - tangents / squared)
         slopes -= weights @ slopes / weights.sum()
         information = (slopes * weights[:, None]).T @ slopes / len(rays) + prior * np.eye(2)

@@ -19,8 +19,6 @@ from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, right_beside
 
-WORKING_WIDTH = 400
-"""Wider pictures are made smaller by a whole number until they are at most so wide, before they are matched [px]."""
 BLOCK, LEFT_RIGHT, UNIQUE, SPECKLE, APART = 7, 1, 5, 100, 2
 """Side of the blocks that are compared [px], most by which the disparities of left to right and of right to left differ
 [px], least margin of a match over the next best [%], size of islands that are removed [px], and by how much disparity
@@ -96,7 +94,9 @@ class SemiGlobal:
     """
 
     def __init__(self, size: tuple[int, int], span: tuple[float, float] | None = None) -> None:
-        parts = math.ceil(size[0] / WORKING_WIDTH)
+        # Wider pictures are made smaller by a whole number until they are at most so wide, before they are matched
+        # [px].
+        parts = math.ceil(size[0] / 400)
         self._size = size[0] // parts, size[1] // parts
         low, high = np.multiply(span or (1, size[0] / 2), self._size[0] / size[0])
         least = max(1, int(low))

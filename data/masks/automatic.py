@@ -25,14 +25,8 @@ NEW_SHARE = 0.7
 """Weight of a frame's own probability; the rest is that of the frame before."""
 LEAST_SHARE = 0.004
 """Smallest part of an instrument, as a share of the picture."""
-RIM = 0.04
-"""A part that reaches less far into the view is its rim, as a share of the picture's longer side."""
 HIDDEN = 0.3
 """How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest."""
-FAINT = 0.3
-"""A part has been there before if the frame before has so much probability in it, moved along the flow."""
-LEAST = 0.1
-"""Pixels with a larger probability may be an instrument; it is one above one half."""
 
 
 class AutomaticMasks:
@@ -65,7 +59,8 @@ class AutomaticMasks:
         view = picture_field(cv2.resize(lit.astype(np.uint8), probability.shape[::-1]) > 0)
         kept = np.where(instrument_parts(probability, view, before), probability, np.minimum(probability, 0.4))
         kept = cv2.resize(kept, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        other = np.where(kept > LEAST, np.uint8(UNSURE), lit * np.uint8(TISSUE))
+        # Pixels with a larger probability may be an instrument; it is one above one half.
+        other = np.where(kept > 0.1, np.uint8(UNSURE), lit * np.uint8(TISSUE))
         return np.where(kept > 0.5, np.uint8(TOOL), other)
 
     def probability(self, image: np.ndarray) -> np.ndarray:
@@ -120,6 +115,8 @@ def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarr
         box = np.s_[top : top + height, left : left + width]
         part = numbers[box] == index
         depth = within[box][part]
-        enters = depth.min() - 2 <= HIDDEN * np.hypot(width, height) and depth.max() >= RIM * max(mask.shape)
-        kept[index] = index > 0 and enters and before[box][part].max() >= FAINT
+        # A part that reaches less far into the view is its rim, as a share of the picture's longer side.
+        enters = depth.min() - 2 <= HIDDEN * np.hypot(width, height) and depth.max() >= 0.04 * max(mask.shape)
+        # A part has been there before if the frame before has so much probability in it, moved along the flow.
+        kept[index] = index > 0 and enters and before[box][part].max() >= 0.3
     return kept[numbers]

@@ -3,9 +3,6 @@
 import cv2
 import numpy as np
 
-DARKEST_LIT = 18
-"""Pixels whose brightest channel is below this are unlit or clipped [8-bit value]."""
-
 
 def lit_picture(image: np.ndarray) -> np.ndarray:
     """Lit pixels of the endoscope's picture, bool [H, W], from RGB uint8 [H, W, 3].
@@ -13,7 +10,8 @@ def lit_picture(image: np.ndarray) -> np.ndarray:
     They are the largest connected region that is not black: the dark surround and clipped black pixels are left out.
     """
     first, second, third = cv2.split(cv2.blur(image, (5, 5)))
-    bright = cv2.max(cv2.max(first, second), third) > DARKEST_LIT
+    # Pixels whose brightest channel is below this are unlit or clipped [8-bit value].
+    bright = cv2.max(cv2.max(first, second), third) > 18
     count, regions = cv2.connectedComponents(bright.astype(np.uint8))
     if count <= 2:
         return bright

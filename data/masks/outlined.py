@@ -22,8 +22,6 @@ from palpate.data.source.layout import InputError, read_mapping
 
 VERSION = 1
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
-ENTERS = 0.012
-"""Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side."""
 BEYOND = 2.0
 """How far beyond the edge a shaft goes on, in longer sides of the picture."""
 MOST_OUTLINES = 50
@@ -128,7 +126,8 @@ def _beyond_edge(outline: np.ndarray, edge: np.ndarray) -> np.ndarray:
         edge: distance from the picture's edge, in shares of its longer side, shape [H, W].
     """
     columns, rows = np.clip(np.rint(outline).astype(int), 0, np.array(edge.shape[::-1]) - 1).T
-    at_edge = edge[rows, columns] < ENTERS
+    # Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side.
+    at_edge = edge[rows, columns] < 0.012
     sides = [
         outline[here] - outline[there]
         for here in np.flatnonzero(at_edge)

@@ -17,10 +17,6 @@ MOST_POINTS, SPACING, TEXTURE = 200, 4, 0.005
 """Followed points of an instrument, their least distance [px] and their least contrast, as a share of the best."""
 FEWEST, LEAST_SHARE = 6, 0.4
 """Fewer points, or a smaller share of those that were found again, that agree on a motion tell none."""
-AGREE = 1.5
-"""Points agree with a motion that takes them so near to where they are [px]."""
-LEAVING = 0.25
-"""An instrument that isn't found has left the picture if less than this share of what showed of it at most did last."""
 
 
 class RigidInstrument:
@@ -62,7 +58,9 @@ class RigidInstrument:
             self._motion, self._last = motion, gray
             self.outline = cv2.transform(self._drawn[:, None], motion)[:, 0]
             self._largest = max(self._largest, self._visible().sum())
-        elif self._visible().sum() < LEAVING * self._largest:
+        # An instrument that isn't found has left the picture if less than this share of what showed of it at most did
+        # last.
+        elif self._visible().sum() < 0.25 * self._largest:
             self.outline = self.outline[:0]
         return motion is not None or not len(self.outline)
 
@@ -75,8 +73,9 @@ class RigidInstrument:
         if known.sum() < FEWEST:
             return None
         there = (self._points + step).astype(np.float32)
+        # Points agree with a motion that takes them so near to where they are [px].
         found, agree = cv2.estimateAffinePartial2D(
-            self._points[known], there[known], method=cv2.RANSAC, ransacReprojThreshold=AGREE
+            self._points[known], there[known], method=cv2.RANSAC, ransacReprojThreshold=1.5
         )
         if found is None or agree.sum() < max(FEWEST, LEAST_SHARE * known.sum()):
             return None

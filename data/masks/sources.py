@@ -35,8 +35,6 @@ SOURCES = Registry(
     },
 )
 """Classes or functions that open the masks of one clip, and take a `MaskRequest`."""
-LEAST_OF_CLASS = 0.5
-"""Least share of what a mask shows that is a class, where nothing is tool or tissue: other colours are another code."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +263,8 @@ def read_class_mask(path: Path, size: tuple[int, int], classes: MaskClasses) -> 
         for name in names:
             labels[_drawn_as(name, mask, classes.tolerance)] = label
     drawn = 0 if labels.any() else mask.reshape(*size, -1).any(axis=2).sum()
-    if drawn and np.sum([_drawn_as(name, mask, classes.tolerance) for name in CLASSES]) < LEAST_OF_CLASS * drawn:
+    # Least share of what a mask shows that is a class, where nothing is tool or tissue: other colours are another code.
+    if drawn and np.sum([_drawn_as(name, mask, classes.tolerance) for name in CLASSES]) < 0.5 * drawn:
         raise MaskError(f"{path} holds hardly a class of CholecSeg8k; for other masks give a layout with label_mask.")
     return labels
 

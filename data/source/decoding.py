@@ -31,20 +31,12 @@ Kind = TypeVar("Kind")
 
 LARGEST_FPS = 1000.0
 """Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
-LOOKED_AT = 32
-"""First frames that are decoded for the frame rate, and for interlacing."""
 PLACES, LOOKED_AT_EACH = 7, 12
 """Places later in the video, and frames of each, that are searched for motion where the first frames show none."""
 NEIGHBOURS, BESIDE = 7, 2
 """Gaps before and after one of which the median is the step; those that make up for one late time stamp."""
-LATE = 0.6
-"""Share of a step by which a time stamp may be late without a frame missing before it."""
 LOST = 2.5
 """Steps by which a video may end early without a word."""
-STATED = 0.02
-"""Relative difference from the measured frame rate up to which a stated one counts."""
-SQUARE = 0.005
-"""Relative difference of a pixel's sides that is left as it is."""
 INTERLACED_HEIGHTS = frozenset({480, 486, 576, 1080})
 """Heights of the pictures of interlaced television [px]."""
 NO_PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
@@ -172,7 +164,8 @@ def _jump(times: list[float], index: int) -> tuple[int, float]:
     first, last = max(index - 1 - BESIDE, 0), min(index + BESIDE, len(times) - 1)
     without_others = times[last] - times[first] - (last - first - 1) * step
     gap = min(times[index] - times[index - 1], without_others)
-    return max(1, math.floor(gap / step + 1 - LATE)), step
+    # Share of a step by which a time stamp may be late without a frame missing before it.
+    return max(1, math.floor(gap / step + 1 - 0.6)), step
 
 
 class VideoTrack:
@@ -215,7 +208,8 @@ class VideoTrack:
     def _look(self, container: InputContainer, track: VideoStream) -> None:
         """Find out frame rate, length, size and what is to be done to the pictures."""
         offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
-        for frame in islice(self._stored(container, track), LOOKED_AT):
+        # First frames that are decoded for the frame rate, and for interlacing.
+        for frame in islice(self._stored(container, track), 32):
             offset.push(frame)
             stamps.add(_time(frame))
             flagged, hdr = flagged or frame.interlaced_frame, HDR.get(frame.color_trc, hdr)
@@ -247,7 +241,8 @@ class VideoTrack:
         if len(stamps) > 1:
             *_, last = numbered(((stamp, None) for stamp in stamps), 1 / self.fps)
             measured = min(last.number / last.time_s, LARGEST_FPS)
-            self.fps = self.fps if abs(self.fps / measured - 1) < STATED else measured
+            # Relative difference from the measured frame rate up to which a stated one counts.
+            self.fps = self.fps if abs(self.fps / measured - 1) < 0.02 else measured
 
     def _look_elsewhere(self, container: InputContainer, track: VideoStream, offset: FieldOffset) -> None:
         """Search later places for motion that shows whether the video is interlaced."""
@@ -278,7 +273,8 @@ class VideoTrack:
 
     def _square(self, width: int, height: int) -> tuple[int, int]:
         """Size of a picture with square pixels, enlarged on one side [px]."""
-        if abs(self._aspect - 1) <= SQUARE:
+        # Relative difference of a pixel's sides that is left as it is.
+        if abs(self._aspect - 1) <= 0.005:
             return width, height
         return round(width * max(self._aspect, 1)), round(height / min(self._aspect, 1))
 

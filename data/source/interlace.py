@@ -22,10 +22,6 @@ from av.video.reformatter import VideoReformatter
 
 LARGEST_OFFSET = 0.25
 """Largest absolute offset of progressive video, where it is below 0.01; it is 0.65 to 0.79 of interlaced video."""
-LEAST_CORRELATION = 0.25
-"""Least correlation of dI and dO at which the offset is known: 0 of still scenes with noise, above 0.6 with motion."""
-COLUMNS_AVERAGED = 4
-"""Neighbouring columns that are averaged [px]; more reduces noise and detail."""
 
 
 class _Rows(NamedTuple):
@@ -47,7 +43,8 @@ class FieldOffset:
     def push(self, frame: av.VideoFrame) -> None:
         """Add the next frame."""
         luma = self._reformatter.reformat(frame, format="gray", threads=1).to_ndarray()
-        luma = cv2.resize(luma, (max(frame.width // COLUMNS_AVERAGED, 1), frame.height), interpolation=cv2.INTER_AREA)
+        # Neighbouring columns that are averaged [px]; more reduces noise and detail.
+        luma = cv2.resize(luma, (max(frame.width // 4, 1), frame.height), interpolation=cv2.INTER_AREA)
         luma = luma[: (len(luma) - 1) // 2 * 2 + 1].astype(np.float32)
         rows = _Rows((luma[:-2:2] + luma[2::2]) / 2, luma[1::2])
         if self._recent and rows.odd.shape != self._recent[-1].odd.shape:
@@ -67,7 +64,9 @@ class FieldOffset:
     def value(self) -> float | None:
         """Offset in frame intervals, positive where even rows come first; None where too little moves."""
         misfit, common, odd, even = self._sums
-        known = common > LEAST_CORRELATION * np.sqrt(odd * even)
+        # Least correlation of dI and dO at which the offset is known: 0 of still scenes with noise, above 0.6 with
+        # motion.
+        known = common > 0.25 * np.sqrt(odd * even)
         return float(misfit / common) if known else None
 
 

@@ -35,8 +35,6 @@ SIDE = re.compile(r"(?<![^\W\d_])(left|right|[lr])(?![^\W\d_])", re.IGNORECASE)
 """Word in the names of a stereo pair's pictures."""
 FRAME_RATES = (1e-6, 1e4)
 """Lowest and highest frame rate of a clip [1/s]."""
-LARGEST_OPENING_PX = 1001
-"""Largest `mask_opening_px` [px]."""
 MOST_JSON_BYTES, MOST_YAML_BYTES = 2**24, 2**17
 """Largest JSON file (the time stamps of hours) and largest YAML file (read in seconds) [bytes]."""
 
@@ -61,7 +59,8 @@ class ClipLayout(Checked, group="layout."):
     """Values of `label_mask` that mean tool."""
     tissue_values: tuple[int, ...] = ()
     """Values of `label_mask` that mean tissue."""
-    mask_opening_px: Annotated[int, 0, LARGEST_OPENING_PX] = 0
+    # Largest `mask_opening_px` [px].
+    mask_opening_px: Annotated[int, 0, 1001] = 0
     """Diameter of the opening that removes false tool blobs from `label_mask` [px]; 0 leaves the mask as it is."""
     depth: str | None = "frame_{number}_endo_depth.png"
     """Stored depth: 8- or 16-bit PNG (divided by its type's largest value), .npy or .npz."""

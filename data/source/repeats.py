@@ -17,13 +17,9 @@ MOST_GAPS = 5
 """Frames in a row that measure nothing and are bridged; after more of them nobody knows what went on."""
 STANDS_S = 0.1
 """Pictures without noise that stand still for longer are taken for a still scene, as a tool that presses stands [s]."""
-NOISE = 1.0
-"""Median difference of pictures from which noise alone tells repeats, which are exact there [levels]."""
 STILL = 0.25
 """Largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25 where tissue
 moved visibly, and other pictures stayed above 0.39."""
-RESIDUE = 5.0
-"""Compression leaves smaller differences than this between equal pictures [levels]."""
 HISTORY, LEAST_HISTORY = 5, 3
 """Most and fewest changes by which the next one is judged."""
 CELL = 8
@@ -67,8 +63,10 @@ def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[t
         if len(past) >= LEAST_HISTORY:
             usual = _Change(*np.median(past, axis=0))
             certain = change.largest < STILL * usual.median
-            still = change.largest < min(RESIDUE, STILL * past[-1].largest, STILL * usual.largest)
-            still &= look_ahead and usual.median < NOISE
+            # Compression leaves smaller differences than this between equal pictures [levels].
+            still = change.largest < min(5.0, STILL * past[-1].largest, STILL * usual.largest)
+            # Median difference of pictures from which noise alone tells repeats, which are exact there [levels].
+            still &= look_ahead and usual.median < 1.0
         last = green
         if certain and not waiting:
             yield frame, True

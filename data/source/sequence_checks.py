@@ -9,8 +9,6 @@ from palpate.data.source.sequence import Sequence
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
-THINNEST = 5e-5
-"""A smaller grip has another unit [m]."""
 LOOKED_AT, THINNED = 150, 3000
 """Frames, and points of each, by which frames of coordinates are compared."""
 NEAR = 0.01
@@ -44,7 +42,8 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
         said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
     radius = sequence.grip_radius
-    if not THINNEST < radius < size:
+    # A smaller grip has another unit [m].
+    if not 5e-5 < radius < size:
         raise InputError(f"{printable(sequence.path)}: grip_radius can't be the tissue's; check `unit`.")
 
 

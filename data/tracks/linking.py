@@ -21,8 +21,6 @@ LOCAL = 15
 WINDOW, ALONE = 9, 15
 """Width of Lucas and Kanade's windows for places whose motion is roughly known, and for those that are followed each
 for itself [px]. A window of 9 px costs less than one of 7."""
-RETURNED = 1.0
-"""Largest distance to where following backwards takes such a place [px]."""
 MAX_STEP = 3.0
 """Steps that lead farther by axis are not believed [px]."""
 SMOOTH = 1.0
@@ -274,7 +272,8 @@ def followed(
     guess = start if near is None else near.astype(np.float32)
     there, found = _lucas_kanade(one, other, start, guess, window, UNKNOWN)
     back, returned = _lucas_kanade(other, one, there, there + start - guess, window, UNKNOWN)
-    return (there - start).astype(np.float64), found & returned & (_length(back - start) < RETURNED)
+    # Largest distance to where following backwards takes such a place [px].
+    return (there - start).astype(np.float64), found & returned & (_length(back - start) < 1.0)
 
 
 def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -19,15 +19,13 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.observation import Observation
 
-LONGEST_WINDOW = 256
-"""Largest window [frames]: ten seconds at 25 frames a second."""
-
 
 @dataclass(frozen=True)
 class SampleSettings(Checked, group="samples."):
     """Which frames become samples, and with which part of their motion the simulation is compared."""
 
-    window: Annotated[int, 1, LONGEST_WINDOW] = 1
+    # Largest window [frames]: ten seconds at 25 frames a second.
+    window: Annotated[int, 1, 256] = 1
     """Frames in the network's input, K; 1 is the paper's."""
     observation: Literal["final", "trajectory"] = "final"
     """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: all

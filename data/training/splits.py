@@ -19,8 +19,6 @@ FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
 LEAST_VIDEOS = 3
 """Least number of videos of a data set that is split by video; others are split in time."""
-LARGEST_BATCH = 2**16
-"""Largest number of samples of a batch."""
 
 Item = TypeVar("Item")
 Place = tuple[int, int]
@@ -78,7 +76,8 @@ class NamedVideos:
 class LoadingSettings(Checked):
     """How samples are divided among the splits and joined into batches."""
 
-    batch_size: Annotated[int, 1, LARGEST_BATCH] = 2
+    # Largest number of samples of a batch.
+    batch_size: Annotated[int, 1, (2**16)] = 2
     """Number of samples in a batch of one process."""
     num_workers: Annotated[int, 0, MOST_THREADS] = 0
     """Processes that load samples; 0 loads in the training process."""

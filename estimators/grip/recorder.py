@@ -17,14 +17,8 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.grip_estimate import GripEstimate, force_error
 from palpate.estimators.grip.lattice import LEAST_GRIPPED, LEAST_MOTION, GripFrame, fit_sheets
 
-PULL_FORCE = 0.32
-"""Standard deviation of the relative force over `force_error`: on 21 synthetic pulls (docs/reports/real.md). How many
-of their intervals hold by it is told by `python -m benchmarks.recovery --suite retraction foundation regions --split
-validation --clips 7 --seed 61001 --output OUT`."""
 DRIVEN = 24.0
 """Points that began nearer to the tool move with it [px]."""
-ELSEWHERE = 100.0
-"""Tissue that began farther from the tool may be taken as another grip, to compare [px]."""
 LEAST_FRAMES = 3
 """Least number of moving frames to fit, and to judge."""
 MOST_KEPT = 32
@@ -101,7 +95,10 @@ class GripRecorder:
         fit = fit_sheets(points, self._follower.spacing, gripped, moved, background)
         force, spread = fit.relative_force()
         found = fit.skill(half)
-        force_sd = np.hypot(spread, PULL_FORCE * force_error(force, found))
+        # Standard deviation of the relative force over `force_error`: on 21 synthetic pulls (docs/reports/real.md). How
+        # many of their intervals hold by it is told by `python -m benchmarks.recovery --suite retraction foundation
+        # regions --split validation --clips 7 --seed 61001 --output OUT`.
+        force_sd = np.hypot(spread, 0.32 * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
         rival = self._rival_skill(seen, int(gripped.sum()), own)
         return GripEstimate(found, rival, times, force, force_sd)
@@ -115,7 +112,8 @@ class GripRecorder:
             own: displacement less the background's, shape [T, N, 2] [px].
         """
         points, distance = self._follower.points.astype(np.float64), self._follower.distance
-        far = seen & (distance > ELSEWHERE)
+        # Tissue that began farther from the tool may be taken as another grip, to compare [px].
+        far = seen & (distance > 100.0)
         if not far.any():
             return -math.inf
         most = np.argmax(np.where(far, np.linalg.norm(own[-1], axis=1), -1.0))

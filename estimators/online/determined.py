@@ -40,8 +40,6 @@ BENDINGS = (0.02, 0.3, 1.0)
 tried."""
 Answer = Callable[[np.ndarray], np.ndarray]
 """From values of the particles to values of points."""
-ROUGHNESS = 0.55
-"""Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -143,8 +141,6 @@ CHANGE = 0.01
 """Of log stiffness, for finite differences."""
 ROUNDS = 4
 """Of finding the likeliest values and, with them, the noise."""
-NOISE = 0.3
-"""Followed points err by as much at least, by axis [px]."""
 
 
 class Determined:
@@ -268,7 +264,8 @@ class Determined:
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        # Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed.
+        stray = 0.55 * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
@@ -286,7 +283,8 @@ class Determined:
             left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
             together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
-            weight = 1 / (together * (left / (self._axes * points) + NOISE**2))
+            # Followed points err by as much at least, by axis [px].
+            weight = 1 / (together * (left / (self._axes * points) + 0.3**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
         return np.linalg.inv(precision), likeliest

@@ -20,8 +20,6 @@ from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, Material
 from palpate.physics.identifiability import LIMIT
 
-KNOWN = 0.025
-"""A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05."""
 NOTHING = "nothing determined"
 """The verdict where not even E is."""
 BEGUN = 0.03
@@ -72,7 +70,8 @@ class MaterialFit:
         """Whether ν is `determined` too, `young` alone, or `NOTHING`: E's interval spans a factor e, or more."""
         if not self.young_sd < LIMIT:
             return NOTHING
-        return "determined" if self.poisson_sd < KNOWN else "young"
+        # A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05.
+        return "determined" if self.poisson_sd < 0.025 else "young"
 
 
 def fit_material(

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.skin import Match
 
-KEPT = 0.7
-"""Share of the pairs, those closest, that align."""
 MOST_ALIGNED = 2000
 """Points that a pose needs at most."""
 SHOWN = 1e-3
@@ -51,7 +49,8 @@ def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: fl
     for _ in range(50):
         seen = moved(points, found)
         match = Match.of(seen, *surface)
-        near = match.apart <= np.quantile(match.apart, KEPT)
+        # Share of the pairs, those closest, that align.
+        near = match.apart <= np.quantile(match.apart, 0.7)
         centre = seen[near].mean(axis=0)
         # Turned about the middle, and in units of the cloud's size, the six unknowns weigh equally.
         jacobian = np.hstack([np.cross((seen[near] - centre) / size, match.normal[near]), match.normal[near]])

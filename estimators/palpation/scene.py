@@ -22,8 +22,6 @@ from palpate.physics.fem.meshing import around
 
 MOST_BYTES = 2**26
 """Of a surface's file."""
-MOST_CELLS = 24
-"""Along the longest side; unknowns grow with their cube."""
 FORCES = 1e-6, 1e4
 """Of what a hand or an instrument presses with [N]."""
 FEWEST = 12
@@ -49,7 +47,8 @@ class SceneFile(Checked):
     """Each with the fields of `PalpationFile`."""
     surface: str
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
-    cells: Annotated[int, 2, MOST_CELLS] = 8
+    # Along the longest side; unknowns grow with their cube.
+    cells: Annotated[int, 2, 24] = 8
     """Of the mesh along the surface's longest side."""
 
     def __post_init__(self) -> None:

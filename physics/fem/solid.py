@@ -14,8 +14,6 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners between which nodes 4 … 9 of a quadratic tetrahedron lie."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 """Corners of a tetrahedron's faces, anticlockwise seen from outside."""
-_FLAT = 1e-9
-"""Six volumes over the longest edge's cube, below which an element counts as flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,8 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
     """
     nodes, tetrahedra = np.asarray(nodes, np.float64), np.asarray(tetrahedra, np.int64)
     quality = qualities(nodes, tetrahedra)
-    bad = np.flatnonzero(quality < _FLAT)
+    # Six volumes over the longest edge's cube, below which an element counts as flat.
+    bad = np.flatnonzero(quality < 1e-9)
     if len(bad):
         raise ValueError(
             f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first; mesh anew."

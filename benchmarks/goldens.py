@@ -44,8 +44,6 @@ from palpate.data.synthetic.__main__ import main as draw
 
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
-TOLERANCE = 1e-4
-"""Relative difference that rounding makes between machines and numbers of threads."""
 QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
 COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
 """Columns of interactions.csv."""
@@ -163,7 +161,8 @@ def differences(values: Values, goldens: Values) -> list[str]:
 
     def same(value: Any, golden: Any) -> bool:
         if isinstance(value, float) and isinstance(golden, float):
-            return math.isclose(value, golden, rel_tol=TOLERANCE)
+            # Relative difference that rounding makes between machines and numbers of threads.
+            return math.isclose(value, golden, rel_tol=1e-4)
         return value == golden
 
     names = dict.fromkeys(itertools.chain(goldens, values))

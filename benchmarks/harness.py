@@ -33,8 +33,6 @@ from palpate.results.store import OutputError, make_output, writing
 RESULTS, RECORD = "results.jsonl", "run.json"
 MOST_BYTES = 2**27
 """Of a file of results; tens of thousands are smaller."""
-TABLE_WIDTH = 150
-"""Width of a printed table where there is no terminal: a pipe has none of its own, and 80 columns would cut names."""
 REFUSED = (InputError, ModelFileError, OutputError, WorkerLost)
 """What ends any experiment with a sentence."""
 OK = "ok"
@@ -240,7 +238,8 @@ def show(frame: pd.DataFrame) -> None:
     table = Table(*map(str, frame.columns))
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(plain(to_cell(cell, ".3g"))) for cell in row))
-    Console(width=None if console.is_terminal else TABLE_WIDTH).print(table)
+    # Width of a printed table where there is no terminal: a pipe has none of its own, and 80 columns would cut names.
+    Console(width=None if console.is_terminal else 150).print(table)
 
 
 def attempted(work: Callable[[], Row]) -> Row:

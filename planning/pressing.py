@@ -21,8 +21,6 @@ RADIUS = 0.01
 """Of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
-STEP = 0.25
-"""Of places along an edge, over the radius."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
 SHAPE_SD, WORK_SD = 0.45, 0.56
@@ -87,7 +85,8 @@ class PressingCosts:
 
     def along(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first, [K]."""
-        counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (STEP * self.radius)).astype(int) + 2
+        # Distance of places along an edge, over the radius.
+        counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (0.25 * self.radius)).astype(int) + 2
         begin = np.cumsum(counts) - counts
         line = np.repeat(np.arange(len(starts)), counts)
         share = (np.arange(len(line)) - begin[line]) / (counts[line] - 1)

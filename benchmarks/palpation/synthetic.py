@@ -18,8 +18,6 @@ POSE_SHIFT, POSE_TURN = 0.002, 0.01
 """By how much the tool's pose is off, standard deviations [m, rad]."""
 TOOL = 0.015
 """Radius of the tool [m]."""
-HELD = 0.12
-"""Of the height, below which a ball is held; a slab is by its base."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,8 @@ class Body:
         """
         vertices, triangles = self.surface(spacing)
         if self.shape == "ball":
-            floor = 2, HELD * self.height
+            # Share of the height below which a ball is held; a slab is held by its base.
+            floor = 2, 0.12 * self.height
             meshed = mesh_surface(vertices, triangles, cells=cells, floor=floor, longest=longest)
             nodes, tetrahedra = meshed.nodes, meshed.tetrahedra
         else:

@@ -44,7 +44,8 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     # Of what lies so many rows and columns away, as far as the sequence shows that.
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
     recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
-    problem = SequenceProblem(recentred, MECHANICS, within, kind=_kind(motion))
+    kind = PressMotion if motion.shape == PressShape() else PatchMotion
+    problem = SequenceProblem(recentred, MECHANICS, within, kind=kind)
     problem.look(_all(problem, logs, motion))
     return _of_tissue(problem, logs, motion)
 
@@ -70,11 +71,6 @@ def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[I
     delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
     logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
     return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, sequence=None), logs, within
-
-
-def _kind(motion: PressedMotion) -> type[PressMotion]:
-    """What is unknown of a press."""
-    return PressMotion if motion.shape == PressShape() else PatchMotion
 
 
 def _all(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:

@@ -7,10 +7,6 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.flow import FlowCarrier
 
-LEAST = 8
-"""Parts of a mask with fewer pixels are no instrument [grid pixels²]."""
-SAME = 0.3
-"""A part is, or holds, an instrument that shares so much of the smaller of the two with it."""
 MISSED = 12
 """So many frames in a row an instrument that isn't seen keeps its number and its place."""
 
@@ -34,7 +30,8 @@ class InstrumentNumbers:
         numbers = np.zeros_like(tool)
         count, parts, stats, middles = cv2.connectedComponentsWithStats(tool)
         for index in sorted(range(1, count), key=lambda part: middles[part][0]):
-            if stats[index, cv2.CC_STAT_AREA] >= LEAST:
+            # Parts of a mask with fewer pixels are no instrument [grid pixels²].
+            if stats[index, cv2.CC_STAT_AREA] >= 8:
                 part = parts == index
                 numbers[part] = self._of(part, before)
         missed = {each: 0 if (numbers == each).any() else count + 1 for each, count in self._missed.items()}
@@ -48,7 +45,8 @@ class InstrumentNumbers:
         shared, sizes = (np.bincount(values, minlength=256) for values in (before[part], before.ravel()))
         share = shared / np.maximum(np.minimum(sizes, part.sum()), 1)
         share[0] = 0
-        found = np.flatnonzero(share > SAME)
+        # A part is, or holds, an instrument that shares so much of the smaller of the two with it.
+        found = np.flatnonzero(share > 0.3)
         if len(found) > 1:  # they cross: every pixel belongs to the one it is nearest to
             away = [cv2.distanceTransform((before != each).astype(np.uint8), cv2.DIST_L2, 3)[part] for each in found]
             return found[np.argmin(away, axis=0)]

@@ -23,8 +23,6 @@ from palpate.data.shading.registration import Registration, View
 from palpate.data.shading.sequence import RestingLight, change_of_light
 from palpate.data.source.camera import Camera
 
-WIDTH = 1.0
-"""Standard deviation of the weights with which changes are averaged [grid pixels]."""
 SHADOW, SHADOWS = 1.5, 8
 """What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
 last so many frames in which one moved."""
@@ -213,8 +211,9 @@ class LightContacts:
         # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.
         change[cv2.dilate((change < -1.2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = np.nan
         known = np.isfinite(change).astype(np.float32)
+        # Standard deviation of the weights with which changes are averaged [grid pixels].
         weights, sums = (
-            cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * WIDTH) for part in (known, np.nan_to_num(change))
+            cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * 1.0) for part in (known, np.nan_to_num(change))
         )
         # This share of the weights must lie on tissue.
         mean = np.where(weights >= 0.3, sums / np.maximum(weights, 1e-6), np.nan)

@@ -14,8 +14,6 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 REFINE_REACH = 3
 """The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
 the masks touch [grid pixels]."""
-SAME_SHARE = 0.25
-"""So do those that differ by less than this share: the tip of the tool that presses goes about as deep as the dent."""
 REFINE_FRAMES = 5
 """Frames after the onset that decide where the contact is."""
 
@@ -112,7 +110,8 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     behind = changes[:, np.argmax(np.where(clear, mean, -np.inf))][:, None] - changes
     common = np.isfinite(behind).sum(axis=0)
     # Mean changes whose difference is below this many of its standard deviations count as the same.
-    least = 2.0 * noise * np.sqrt(2 * common) + SAME_SHARE * common * np.nanmax(mean[clear])
+    # So do those that differ by less than this share: the tip of the tool that presses goes about as deep as the dent.
+    least = 2.0 * noise * np.sqrt(2 * common) + 0.25 * common * np.nanmax(mean[clear])
     equal = clear & (np.nansum(behind, axis=0) <= least) & (common > 0)
     equal &= share == share[equal].max()
     return int(np.argmax(np.where(equal, mean, -np.inf)))

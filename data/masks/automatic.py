@@ -23,10 +23,6 @@ WEIGHTS = ROOT / MASKS
 """The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
 NEW_SHARE = 0.7
 """Weight of a frame's own probability; the rest is that of the frame before."""
-LEAST_SHARE = 0.004
-"""Smallest part of an instrument, as a share of the picture."""
-HIDDEN = 0.3
-"""How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest."""
 
 
 class AutomaticMasks:
@@ -110,13 +106,15 @@ def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarr
     within = cv2.distanceTransform(np.pad(view.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     count, numbers, boxes, _ = cv2.connectedComponentsWithStats(mask)
     kept = np.zeros(count, bool)
-    for index in np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= LEAST_SHARE * mask.size):
+    # Smallest part of an instrument, as a share of the picture.
+    for index in np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= 0.004 * mask.size):
         left, top, width, height, _ = boxes[index]
         box = np.s_[top : top + height, left : left + width]
         part = numbers[box] == index
         depth = within[box][part]
         # A part that reaches less far into the view is its rim, as a share of the picture's longer side.
-        enters = depth.min() - 2 <= HIDDEN * np.hypot(width, height) and depth.max() >= 0.04 * max(mask.shape)
+        # How far from the view's end a part may begin, as a multiple of its length: tissue or a shadow hides the rest.
+        enters = depth.min() - 2 <= 0.3 * np.hypot(width, height) and depth.max() >= 0.04 * max(mask.shape)
         # A part has been there before if the frame before has so much probability in it, moved along the flow.
         kept[index] = index > 0 and enters and before[box][part].max() >= 0.3
     return kept[numbers]

@@ -22,8 +22,6 @@ from palpate.data.source.layout import InputError, read_mapping
 
 VERSION = 1
 """Version of the method, part of the masks' identity; it must rise when the result changes."""
-BEYOND = 2.0
-"""How far beyond the edge a shaft goes on, in longer sides of the picture."""
 MOST_OUTLINES = 50
 """Most instruments of a frame."""
 
@@ -137,5 +135,6 @@ def _beyond_edge(outline: np.ndarray, edge: np.ndarray) -> np.ndarray:
     if not sides:
         return outline
     way = np.sum([side / max(np.linalg.norm(side), 1e-9) for side in sides], axis=0)
-    way *= BEYOND * max(edge.shape) / max(np.linalg.norm(way), 1e-9)
+    # How far beyond the edge a shaft goes on, in longer sides of the picture.
+    way *= 2.0 * max(edge.shape) / max(np.linalg.norm(way), 1e-9)
     return np.where(at_edge[:, None], outline + way, outline)

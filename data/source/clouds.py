@@ -13,11 +13,6 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.table import reason
 
-MOST_BYTES = 2**28
-"""Largest file of a cloud; a million points with normals and colours are smaller [bytes]."""
-MOST_HEAD = 2**14
-"""Of a file, in which it says what follows [bytes]."""
-
 
 def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
     """Points of a file, by its ending: .ply, or .npz with `points`.
@@ -33,7 +28,8 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
         InputError: it can't be read, or holds points of another shape, or followed points of which none is finite.
     """
     try:
-        points = np.asarray(_READERS[path.suffix.lower()](read_file(path, MOST_BYTES)), np.float64)
+        # Largest file of a cloud; a million points with normals and colours are smaller [bytes].
+        points = np.asarray(_READERS[path.suffix.lower()](read_file(path, (2**28))), np.float64)
         if points.shape[1:] != shape or (len(shape) > 1 and not np.isfinite(points).any()):
             raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
@@ -46,7 +42,8 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
 def _ply(content: bytes) -> np.ndarray:
     from trimesh.exchange.ply import load_ply  # takes a second
 
-    empty = re.search(rb"\nelement vertex 0\s", content[:MOST_HEAD])  # of which load_ply reads no vertices
+    # Part of a file in which it says what follows [bytes].
+    empty = re.search(rb"\nelement vertex 0\s", content[: (2**14)])  # of which load_ply reads no vertices
     return np.empty((0, 3)) if empty else load_ply(io.BytesIO(content))["vertices"]
 
 

@@ -55,7 +55,9 @@ class Renderer:
             z, shape [H, W], float32 [scene units].
         """
         view = deformed_view(self.scene, self.motion, index, self.rest)
-        labels, light, depth = labels_in(view, self.rest_labels), self.rest_light.copy(), view.depth.copy()
+        how = cv2.INTER_NEAREST, None, cv2.BORDER_REPLICATE
+        labels = cv2.remap(self.rest_labels, view.rest_u, view.rest_v, *how)
+        light, depth = self.rest_light.copy(), view.depth.copy()
         if view.region[0].stop > 0:
             light[view.region] = self._tissue_light(view, view.region)
         if self.scene.settings.occlusion > 0:
@@ -151,11 +153,6 @@ def rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     labels[x * math.cos(angle) + y * math.sin(angle) + wave > 0.36] = GREY["abdominal wall"]
     labels[scene.outline.level(columns, rows) > 0] = GREY["gallbladder"]
     return labels
-
-
-def labels_in(view: SheetView, labels: np.ndarray) -> np.ndarray:
-    """Class codes of the sheet in a view, from those of the sheet at rest, shape [H, W] each."""
-    return cv2.remap(labels, view.rest_u, view.rest_v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
 
 
 def reflectance(scene: Scene, labels: np.ndarray, generator: np.random.Generator) -> np.ndarray:

@@ -15,8 +15,6 @@ from palpate.data.synthetic.truth import TrueMotion
 
 HALF_PATCH = 0.49
 """Half-width of a vertex's patch as a share of a grid cell."""
-SMALLEST_DRAWN = 1e-5
-"""Smallest displacement that is drawn [scene units]."""
 EDGE_TOLERANCE = 1e-6
 """Tolerance of barycentric coordinates: pixels on a common edge belong to both triangles."""
 
@@ -47,7 +45,8 @@ def deformed_view(scene: Scene, motion: TrueMotion, frame: int, rest: SheetView)
     """The sheet in a frame: the rest view with the moving region drawn anew."""
     displacement = np.zeros((*scene.mesh.grid_shape, 3))
     displacement[tuple(scene.mesh.pixels[motion.moving].T)] = motion.field[frame]
-    moved = np.abs(displacement).max(axis=2) > SMALLEST_DRAWN
+    # Smallest displacement that is drawn [scene units].
+    moved = np.abs(displacement).max(axis=2) > 1e-5
     if not moved.any():
         return rest
     (top, left), (bottom, right) = _moved_range(scene, displacement, moved)

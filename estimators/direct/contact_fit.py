@@ -92,10 +92,6 @@ def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
-TAIL = 3.0
-"""Half of the first draws are spread so many times as far as the optima say, as far as the box allows (a defensive
-mixture, Hesterberg 1995). Only inertia tells the common scale of k_s, k_d and F, and the less the larger that is:
-towards firm tissue the posterior has a long tail. Draws as narrow as an optimum miss it, and don't know that."""
 LEAST_EXCESS, REFUTES = 1.1, 5.0
 """A step on a vertex is refuted by a larger misfit than the first, if its square lies more standard deviations above 1
 than the second: 16 patches of validation clips gave 23 and more, with misfits from 1.2 on."""
@@ -259,7 +255,10 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
     # Every optimum gets at least this share of the first draws, relative to the likeliest.
     shares = np.maximum(evidence_shares(optima, prior), 0.02)
     # The first draws are this much wider than the optima, in variance.
-    widths = [1.2 * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, TAIL) for o in optima]
+    # Half of the first draws are spread so many times as far as the optima say, as far as the box allows (a defensive
+    # mixture, Hesterberg 1995). Only inertia tells the common scale of k_s, k_d and F, and the less the larger that is:
+    # towards firm tissue the posterior has a long tail. Draws as narrow as an optimum miss it, and don't know that.
+    widths = [1.2 * np.linalg.inv(o.information / (scale * wide**2) + prior) for wide in (1.0, 3.0) for o in optima]
     places = np.array([optimum.logs for optimum in optima])
     return Mixture(np.tile(0.5 * shares / shares.sum(), 2), np.tile(places, (2, 1)), np.array(widths))
 

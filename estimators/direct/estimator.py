@@ -31,9 +31,6 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
 from palpate.physics.msd.simulation import simulate
 
-LEAST_SIGMA = 3e-5
-"""A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
-which would be taken for motion of the tissue."""
 LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue around the contact is visible."""
 
@@ -51,7 +48,9 @@ class DirectSettings(PressSettings):
     tissue's light changes (default where depth is guessed)"""
     smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
     """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
-    noise: Annotated[float, LEAST_SIGMA, LARGEST] | None = option(None, metavar="X")
+    # A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
+    # which would be taken for motion of the tissue.
+    noise: Annotated[float, 3e-5, LARGEST] | None = option(None, metavar="X")
     """noise of the depth [scene units] (default: as measured)"""
 
     def build(self) -> "DirectEstimator":

@@ -139,8 +139,6 @@ STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
-ROUNDS = 4
-"""Of finding the likeliest values and, with them, the noise."""
 
 
 class Determined:
@@ -278,7 +276,8 @@ class Determined:
         precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
         some = self._points > 0
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]
-        for _ in range(ROUNDS if some.any() else 0):
+        # Rounds of finding the likeliest values and, with them, the noise.
+        for _ in range(4 if some.any() else 0):
             way = np.append(1.0, -likeliest)
             left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.

@@ -20,8 +20,6 @@ from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import around
 
-MOST_BYTES = 2**26
-"""Of a surface's file."""
 FORCES = 1e-6, 1e4
 """Of what a hand or an instrument presses with [N]."""
 FEWEST = 12
@@ -161,7 +159,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh  # takes a second
 
     try:
-        content = io.BytesIO(read_file(path, MOST_BYTES).removeprefix(codecs.BOM_UTF8))
+        # Largest file of a surface [bytes].
+        content = io.BytesIO(read_file(path, (2**26)).removeprefix(codecs.BOM_UTF8))
         how = {"process": False, "maintain_order": True, "skip_materials": True}
         mesh = trimesh.load_mesh(content, file_type="obj", **how)
     except Exception as error:  # the library's on broken content have nothing in common

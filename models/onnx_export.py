@@ -40,7 +40,6 @@ from palpate.models.onnx_session import (
 )
 from palpate.models.posterior import ContactPosterior
 
-OPSET = 18
 PARITY_BATCHES = (1, 2, 7)
 PARITY_TOLERANCE = 1e-5
 UNITS = {
@@ -190,7 +189,7 @@ def to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[str
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        how: dict[str, Any] = {"dynamo": True, "opset_version": OPSET, "external_data": False, "verbose": False}
+        how: dict[str, Any] = {"dynamo": True, "opset_version": 18, "external_data": False, "verbose": False}
         names: dict[str, Any] = {"input_names": list(inputs), "output_names": list(outputs)}
         shapes = tuple({0: torch.export.Dim("batch")} for _ in inputs)
         program = torch.onnx.export(network, tuple(inputs.values()), dynamic_shapes=shapes, **names, **how)

@@ -15,8 +15,6 @@ from palpate.data.source.layout import InputError
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SIZES = (2e-3, 2.0)
 """Longest side of a body [m]."""
-NO_WAY = -1e3
-"""Distance of places that no instrument gets to [m]."""
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
@@ -26,7 +24,7 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     don't count, and the way that triangles face only where it is thinner than a few steps. Close to the surface
     distances are those from the nearest triangle's plane, of second order in the step. What lies behind openings
     narrower than four steps counts as body. An instrument pushes tissue before it and doesn't pierce it: in the middle
-    between two sides that face away from each other, and half a radius around, distances are `NO_WAY`.
+    between two sides that face away from each other, and half a radius around, distances are -1000 m.
 
     Args:
         path: of the surface, whose lengths are in `unit`.
@@ -94,5 +92,5 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     # Slope of the distance below which the nearest place of the surface leaps to another side of the body.
     through = (signed < step) & (np.linalg.norm(np.gradient(signed, step), axis=0) < 0.6)
     if through.any():
-        signed[step * ndimage.distance_transform_edt(~through) < radius / 2] = NO_WAY
+        signed[step * ndimage.distance_transform_edt(~through) < radius / 2] = -1e3
     return {"low": low, "step": step, "values": signed.astype(np.float32)}

@@ -194,8 +194,8 @@ def _correlated(products: np.ndarray, pairs: int) -> float:
         # Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480
         # pixels of the grid share pixels of the picture, and 0.05 is none.
         if correlation > 3.0 / math.sqrt(max(pairs, 1)):
-            # Noise of pixels farther apart than this is independent [grid pixels].
-            found *= 1 + 2 * float(np.power(correlation, np.arange(1, 12 + 1) ** 2).sum())
+            # Noise of pixels that are farther apart than 12 grid pixels is independent.
+            found *= 1 + 2 * float(np.power(correlation, np.arange(1, 13) ** 2).sum())
     return found
 
 

@@ -24,8 +24,6 @@ COARSE_POINTS = 1000
 """Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""
 LEAST_NOISE = 3e-4
 """Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
-LEAST_MOTION = 1e-4
-"""Shorter observed motions have no direction [scene units]."""
 
 
 class GeometryStatus(Exception):
@@ -259,7 +257,7 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
 
     `normal`: d = n, so that F < 0 presses into the tissue (Bini 2026, section 3.3). `displacement`: d is the axis of
     the observed motion, oriented so that d·n ≥ 0; F < 0 still presses and F > 0 pulls, so traction is representable
-    once `bounds.force` allows F > 0. Motions shorter than LEAST_MOTION have no axis and fall back to the normal.
+    once `bounds.force` allows F > 0. Motions shorter than 1e-4 scene units have no axis and fall back to the normal.
 
     Args:
         normal: n, shape [3], towards the camera.
@@ -269,7 +267,7 @@ def force_direction(normal: np.ndarray, displacement: np.ndarray | None, setting
         Shape [3], float32.
     """
     length = 0.0 if displacement is None else float(np.linalg.norm(displacement))
-    if settings.force_direction == "normal" or displacement is None or not length > LEAST_MOTION:
+    if settings.force_direction == "normal" or displacement is None or not length > 1e-4:
         return np.asarray(normal, np.float32)
     axis = np.asarray(displacement, np.float64) / length
     return (axis if axis @ normal >= 0 else -axis).astype(np.float32)

@@ -137,7 +137,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Lift, tracker: Tiss
         return
     shape, contact = run.onset.depth.shape, picture_pixel(run.onset, size)
     places = [(prepared, picture_to_grid(pixel, shape, size), float(drift[2])) for prepared, pixel, drift in young]
-    # Its mean change must exceed this many standard deviations.
+    # A pixel's mean change must exceed this many standard deviations.
     yielded = pressed_pixel(run.onset, places, 3.5)
     if yielded is None or yielded == run.onset.contact.pixel:
         return

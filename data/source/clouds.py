@@ -43,7 +43,7 @@ def _ply(content: bytes) -> np.ndarray:
     from trimesh.exchange.ply import load_ply  # takes a second
 
     # Part of a file in which it says what follows [bytes].
-    empty = re.search(rb"\nelement vertex 0\s", content[: (2**14)])  # of which load_ply reads no vertices
+    empty = re.search(rb"\nelement vertex 0\s", content[: 2**14])  # of which load_ply reads no vertices
     return np.empty((0, 3)) if empty else load_ply(io.BytesIO(content))["vertices"]
 
 

@@ -15,8 +15,6 @@ from palpate.data.source.frames import Frame
 
 MOST_GAPS = 5
 """Frames in a row that measure nothing and are bridged; after more of them nobody knows what went on."""
-STANDS_S = 0.1
-"""Pictures without noise that stand still for longer are taken for a still scene, as a tool that presses stands [s]."""
 STILL = 0.25
 """Largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25 where tissue
 moved visibly, and other pictures stayed above 0.39."""
@@ -46,7 +44,7 @@ def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[t
 
     Args:
         frames: of a clip, in order.
-        look_ahead: whether a frame may wait for later ones, for up to `STANDS_S`; else only noise tells a repeat.
+        look_ahead: whether a frame may wait for later ones, for up to 0.1 s; else only noise tells a repeat.
     """
     past: deque[_Change] = deque(maxlen=HISTORY)
     waiting: list[tuple[Frame, _Change, bool]] = []
@@ -73,7 +71,8 @@ def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[t
             continue
         repeats = not still and all(each.largest < STILL * change.largest for _, each, _ in waiting)
         waiting.append((frame, change, certain))
-        if (certain or still) and frame.time_s - waiting[0][0].time_s < STANDS_S:
+        # Pictures without noise that stand still for longer are taken for a still scene, as a tool that presses stands.
+        if (certain or still) and frame.time_s - waiting[0][0].time_s < 0.1:
             continue
         for each, other, sure in waiting:
             repeat = sure or (repeats and each is not frame)

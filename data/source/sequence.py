@@ -25,8 +25,6 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 POSES = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
 ROUNDED = 1e-3
 """Tables of poses reach farther by this, since their times are rounded [s]."""
-GRIPPED = 6e-3
-"""What a gripper holds around its tip, where nobody says [m]."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class SequenceFile(Checked):
     tip: Place = (0.0, 0.0, 0.0)
     """Where the tool touches tissue, in its own frame."""
     grip_radius: Positive | None = None
-    """Tissue around the tip that moves with it; none = GRIPPED."""
+    """Tissue around the tip that moves with it; none = 6 mm."""
     gripped_s: tuple[float, float] | None = None
     """From when to when the tool holds tissue [s]; none = throughout."""
     pins: tuple[dict[str, Place], ...] = ()
@@ -224,7 +222,7 @@ def open_sequence(path: Path) -> Sequence:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
     pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
     camera = None if given.camera is None else load_camera(folder / given.camera, stated=True)
-    radius = GRIPPED if given.grip_radius is None else scale * given.grip_radius
+    radius = 6e-3 if given.grip_radius is None else scale * given.grip_radius
     table = read_series(folder / given.poses, POSES, "table of poses", 2)
     if not table[:, 4:].any(axis=1).all():
         raise InputError(f"{printable(folder / given.poses)} holds a quaternion of length 0; correct that row.")

@@ -77,7 +77,7 @@ class LoadingSettings(Checked):
     """How samples are divided among the splits and joined into batches."""
 
     # Largest number of samples of a batch.
-    batch_size: Annotated[int, 1, (2**16)] = 2
+    batch_size: Annotated[int, 1, 2**16] = 2
     """Number of samples in a batch of one process."""
     num_workers: Annotated[int, 0, MOST_THREADS] = 0
     """Processes that load samples; 0 loads in the training process."""

@@ -23,7 +23,6 @@ DELAYS = np.linspace(-1, 1, 17)
 APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
 TOLERANCE = 1e-6
-MOST_EVALUATIONS = 60
 
 
 class ContactProblem(Likelihood):
@@ -123,7 +122,7 @@ class Optimum(NamedTuple):
 
 
 def find_optimum(
-    problem: LeastSquares, start: np.ndarray, box: np.ndarray, evaluations: int | None = None, fall: float = 0.0
+    problem: LeastSquares, start: np.ndarray, box: np.ndarray, evaluations: int = 60, fall: float = 0.0
 ) -> Optimum:
     """The optimum that a fit from φ = `start` [3] within the box [2, 3] ends in, or how far it comes.
 
@@ -131,14 +130,14 @@ def find_optimum(
         problem: what is fitted.
         start: of all parameters, shape [D].
         box: lower and upper ends of all parameters, shape [2, D].
-        evaluations: after which it stops; None = MOST_EVALUATIONS.
+        evaluations: after which it stops.
         fall: of χ²/2 in a step, below which it stops as well.
     """
     value = 0.5 * float(np.square(problem.residual(start)).sum()) if fall else 1.0
     end = least_squares(
         problem.residual, start, problem.jacobian, tuple(box), method="trf", x_scale="jac",
         ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
-        max_nfev=evaluations or MOST_EVALUATIONS,
+        max_nfev=evaluations,
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

@@ -23,9 +23,6 @@ ENOUGH = 100.0
 """Effective draws after which no further round is made: a mean is then within a tenth of a standard deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
-GUIDES = 40.0
-"""Effective draws that a mixture is moved by: where fewer count, a flattened posterior is followed. Bounded errors cut
-jagged pieces out of a posterior, and a mixture that jumps to the first piece found misses the others."""
 KEPT = 0.1
 """Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
 
@@ -136,9 +133,13 @@ def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np
 
 
 def _flattened(weights: np.ndarray) -> np.ndarray:
-    """Weights [N] to the largest power up to 1 that makes GUIDES of them count, or to the smallest one tried."""
+    """Weights [N] to the largest power up to 1 that makes 40 of them count, or to the smallest one tried.
+
+    Where fewer count, a flattened posterior guides the mixture. Bounded errors cut jagged pieces out of a posterior,
+    and a mixture that jumps to the first piece found misses the others.
+    """
     for power in 0.75 ** np.arange(12):
         flat = weights**power / (weights**power).sum()
-        if 1 / np.square(flat).sum() >= GUIDES:
+        if 1 / np.square(flat).sum() >= 40.0:
             break
     return flat

@@ -51,7 +51,6 @@ LAW_ERROR, SCALE_ERROR = (0.19, 0.3), 0.25
 which inertia alone tells. Twelve synthetic clips are 0.21 and 0.29 off and, in the one that determines k_s, 0.13 there:
 `python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
 `python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
-FEWEST_FRAMES = 3
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
 Start = TypeVar("Start")
@@ -78,7 +77,7 @@ def fit_shading(
         NoEstimate: too few frames show the light around the contact, or no press in it shows there.
     """
     sequence = contact.shading
-    if sequence is None or len(sequence.times) < FEWEST_FRAMES:
+    if sequence is None or len(sequence.times) < 3:
         raise NoEstimate("Too few frames after the onset show how bright the tissue around the contact is.")
     mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     # Frames with which starts are chosen.

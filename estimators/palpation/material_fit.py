@@ -22,8 +22,6 @@ from palpate.physics.identifiability import LIMIT
 
 NOTHING = "nothing determined"
 """The verdict where not even E is."""
-BEGUN = 0.03
-"""Of the body's size: displacement by the linear law at which points are matched first."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +113,9 @@ def fit_material(
 
 
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
-    """By how much E is too high for bodies by the linear law to move by BEGUN of their size."""
+    """By how much E is too high for bodies by the linear law to move by 3 % of their size.
+
+    With that displacement points are matched first.
+    """
     farthest = max(float(np.abs(rest.displacement).max()) for rest in rests)
-    return BEGUN * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)
+    return 0.03 * float(np.ptp(bench.skin.vertices, axis=0).max()) / max(farthest, 1e-300)

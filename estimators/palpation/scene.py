@@ -45,7 +45,7 @@ class SceneFile(Checked):
     """Each with the fields of `PalpationFile`."""
     surface: str
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
-    # Along the longest side; unknowns grow with their cube.
+    # Cells along the longest side; unknowns grow with their cube.
     cells: Annotated[int, 2, 24] = 8
     """Of the mesh along the surface's longest side."""
 

@@ -26,7 +26,7 @@ def rollout(
     """Displacement of a few vertices after each step, differentiable in θ.
 
     Args:
-        theta: k_s, k_d and signed F, shape [B, 3] [normalised]; computed in its precision, float32 at least.
+        theta: k_s, k_d and signed F on the CPU, shape [B, 3] [normalised]; computed in its precision, float32 at least.
         meshes: B meshes at rest.
         loads: what acts on each; their number of steps T is the rollout's.
         mechanics: constants.
@@ -36,7 +36,7 @@ def rollout(
         Shape [B, T, M, 3], or [B, T, 3] without `watch` [scene units]; index i is the time (i+1)·Δt.
 
     Raises:
-        ValueError: what doesn't belong together, or a θ that isn't on the CPU, where it is computed.
+        ValueError: a load or a watched vertex that its mesh doesn't have.
     """
     theta, watched = _prepared(theta, loads, watch)
     sensitive = torch.is_grad_enabled() and theta.requires_grad

@@ -64,7 +64,7 @@ def test_pages_are_short_and_so_are_sentences(page: Path) -> None:
 @pytest.mark.parametrize("page", [*GUIDE, DOCS / "internals.md", *(DOCS / "reports").glob("*.md")], ids=name)
 def test_options_of_commands_exist(page: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr("sys.argv", [])
-    code = "\n".join(CODE.findall(page.read_text("utf-8")))
+    code = "\n".join(CODE.findall(page.read_text("utf-8"))).replace("\\\n", "")
     for line in re.findall(r"^(?:.*[|&] )?palpate (\w+.*)$", code, re.MULTILINE):
         command, *words = shlex.split(line, comments=True)
         if command in ("train", "export"):

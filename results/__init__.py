@@ -1,6 +1,7 @@
 """What infer.py writes for a clip.
 
 run       a batch of clips: finding them, going on after a failure; outcome: how they went, the closing table
+options   what a user chooses, beside preparation and the estimator's options
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 columns   the columns of all tables, whose texts are columns.yaml, and their rows
 calibrated  a clip in newtons (--force-scale)

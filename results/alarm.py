@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from palpate.estimators.estimate import NINETY, Estimate
-from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.records import FrameEstimate
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
@@ -84,11 +83,6 @@ class ForceAlarm:
             f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "
             "medical device"
         )
-
-
-def known_seconds(estimator: NetworkEstimator) -> float:
-    """Time after the onset of contact up to which an estimate by depth constrains the force [s]."""
-    return min(estimator.press_seconds[1], estimator.mechanics.seconds)
 
 
 def upper_force(found: Estimate) -> float | None:

@@ -8,8 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from importlib.util import find_spec
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,8 @@ from rich.progress import Progress
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain, program
-from palpate.common.files import digest_of, file_sha256, read_beside
+from palpate.common.files import digest_of, file_sha256
+from palpate.common.options import filled, flag_of
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES, ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
@@ -32,25 +32,22 @@ from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
 from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.contract import ClipInfo, Output
+from palpate.estimators.contract import ClipInfo, Output, Preparation
 from palpate.estimators.force_scale import ClipLength
-from palpate.estimators.network.estimator import NetworkEstimator
-from palpate.estimators.online.estimator import OnlineEstimator
-from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
+from palpate.estimators.open import ESTIMATORS, preparation
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.alarm import ForceAlarm, known_seconds
+from palpate.results.alarm import ForceAlarm
 from palpate.results.bag import write_bag
 from palpate.results.calibrated import NEWTONS, ClipCalibration
 from palpate.results.columns import UNITS
-from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, counts_of, in_options, plural, wording
+from palpate.results.options import require_able
+from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, counts_of, plural, wording
 from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.sequence import PARTICLES, causes_of, write_sequence
 from palpate.results.writer import ClipResults
 
-REFUSED: dict[str, str] = read_beside(__file__)
-"""What is said of options that don't belong together."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 
@@ -73,24 +70,14 @@ class Batch:
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
-        names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
-        given = {name: getattr(options, name) for name in names}
-        self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
-        name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
-        wrong = {
-            "scale of online": name == "online" and known is not None,
-            "limit without network": limited and name != "network",
-            "export of gan": options.export and name == "gan",
-            "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
-            "workers twice": options.scheduler is not None and options.jobs > 1,
-        }
-        refused = next((what for what, is_so in wrong.items() if is_so), None)
-        if refused is not None:
-            raise ValueError(REFUSED[refused].format(estimator=name))
-        chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
-        self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
+        values = vars(options)
+        self.estimator = filled(ESTIMATORS[options.estimator], values).build()
+        require_able(self.estimator, values)
+        if options.scheduler is not None and options.jobs > 1:
+            raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
+        self.settings = preparation(self.estimator, filled(Preparation, values))
         self.store = store.ResultStore(options.output)
-        self.fields = self.estimator.name == "online"
+        self.fields = self.estimator.tells_field
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
@@ -115,8 +102,8 @@ class Batch:
             options["waits"] = self.estimator.name in ("direct", "network")
             if self.options.bag is not None:
                 options["bag"] = functools.partial(write_bag, self.options.bag, source)
-            if isinstance(self.estimator, NetworkEstimator):
-                options["seconds"] = known_seconds(self.estimator)
+            if self.estimator.force_seconds is not None:
+                options["seconds"] = self.estimator.force_seconds
                 if self.options.force_limit is not None:
                     unit = UNITS["force"] if self.calibration is None else NEWTONS
                     options["alarm"] = ForceAlarm(self.options.force_limit, unit, options["seconds"])
@@ -157,12 +144,13 @@ class Batch:
 
     def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
         """The same of a sequence beside a robot."""
-        if not isinstance(self.estimator, OnlineEstimator):
+        if not self.estimator.tells_field:
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        of_video = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
-        for name in (name for name in of_video if getattr(self.options, name) is not None):
-            said = f"is for videos, and {printable(path)} is a sequence; leave it out"
-            raise ValueError(f"--{name.replace('_', '-')} {said}.")
+        chosen = filled(Preparation, vars(self.options))
+        for field in fields(chosen):
+            if getattr(chosen, field.name) not in (None, field.default) and field.name not in ("threads", "device"):
+                said = f"is for videos, and {printable(path)} is a sequence; leave it out"
+                raise ValueError(f"{flag_of(field.name)} {said}.")
         name, sequence = name_of(path), open_sequence(path)
         require_fit(sequence)
         folder = self.folders.get(path) or self.store.folder(name, path)
@@ -300,7 +288,7 @@ def _write(results: ClipResults, frames: deque[PreparedFrame], item: Output) -> 
     if isinstance(item, FrameEstimate):
         results.write(frames.popleft(), item)
     else:
-        results.add(replace(item, detail=in_options(item.detail)))
+        results.add(item)
 
 
 def run(options: argparse.Namespace) -> int:

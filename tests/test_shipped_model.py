@@ -11,7 +11,7 @@ from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import NetworkEstimator
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import open_estimator
 from palpate.models.onnx_session import SHIPPED
 from tests.tables import read_rows
 
@@ -22,7 +22,7 @@ LARGEST = 3.5e6
 def test_it_is_small_and_says_what_it_is() -> None:
     assert SHIPPED.stat().st_size < LARGEST
     assert SHIPPED.with_suffix(".md").is_file()
-    network = open_estimator(EstimatorOptions())
+    network = open_estimator()
     assert isinstance(network, NetworkEstimator)
     assert network.model.path == SHIPPED
     assert network.model.metadata["observation"] == "trajectory"
@@ -74,7 +74,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     assert record["estimator"] == {
         "name": "network",
         "onset": "between",
-        "observation": "auto",
+        "observation": None,
         "horizon": None,
         "rate": "full",
     }

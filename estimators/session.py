@@ -21,7 +21,7 @@ def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[
         for output in outputs:
             if isinstance(output, FrameEstimate):
                 for gap in waiting.popleft().skipped:
-                    yield FrameEstimate(gap.frame.number, gap.frame.time_s, gap.status, gap.detail)
+                    yield FrameEstimate(gap.frame.number, gap.frame.time_s, status=gap.status, detail=gap.detail)
             yield output
 
     for frame in frames:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table
@@ -12,8 +12,13 @@ from rich.text import Text
 from palpate.common.command_line import say
 from palpate.common.doors import plain
 from palpate.common.files import read_beside
+from palpate.estimators.estimate import SYMBOLS
+from palpate.estimators.result import ENDS
+from palpate.results.artefacts.forces import RELATIVE
+from palpate.results.page.gather import contacts_of, newtons_of
 from palpate.results.page.render import write_pages
-from palpate.results.store import OutputError
+from palpate.results.store import INTERACTIONS, OutputError, read_record
+from palpate.results.verdicts import digits
 
 WORDS: dict[str, str] = read_beside(__file__)
 """Settings and the options that they are on the command line."""
@@ -30,6 +35,13 @@ class Outcome:
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
+    contacts: list[tuple[str, ...]] = field(default_factory=list)
+    """Of every contact: number, first frame, what was estimated, verdict."""
+
+    @classmethod
+    def of(cls, name: str, state: str, folder: Path) -> Self:
+        """Outcome of a clip with results in a folder."""
+        return cls(name, state, str(folder), counts_of(read_record(folder)), _contacts(folder))
 
 
 def wording(error: Exception) -> str:
@@ -59,6 +71,49 @@ def plural(count: int, noun: str) -> str:
     return noun if count == 1 else f"{noun}s"
 
 
+def _estimated(contact: Mapping[str, Any], newtons: Mapping[str, str]) -> str:
+    """What is determined of a contact, with half its 90 % interval and its unit."""
+    verdict, forces = contact["name"], contact["forces"]
+    if verdict == "relative_force" and forces["mean"] is not None:
+        half, unit = abs(forces["mean_high"] - forces["mean_low"]) / 2, forces["unit"].partition(",")[0]
+        return (
+            f"mean force {digits(forces['mean'], 2)} ± {digits(half, 2)} {'of its peak' if unit == RELATIVE else unit}"
+        )
+    if newtons.get("determined"):
+        units = {name: newtons[f"{name}_unit"].partition(",")[0] for name in newtons["determined"].split(";")}
+        ends = {name: [float(newtons[f"{name}{end}"]) for end in ENDS] for name in units if newtons[f"{name}_low"]}
+        said = (
+            f"{SYMBOLS[name]} {digits(value, 3)} ± {digits((high - low) / 2, 2)} {units[name]}"
+            for name, (value, low, high) in ends.items()
+        )
+        return ", ".join(said)
+    sure = [pair for pair in contact["numbers"] if "±" in pair[1]]
+    return ", ".join(f"{name} {text} {'s' if name == 'k_d/k_s' else 'units'}" for name, text in sure) or "—"
+
+
+def _contacts(folder: Path) -> list[tuple[str, ...]]:
+    """Lines of the table of estimates: number, first frame, estimate and verdict of every contact."""
+    if not (folder / INTERACTIONS).is_file():
+        return []
+    newtons = {row["onset_frame"]: row for row in newtons_of(folder)}
+    return [
+        (str(number), row["onset_frame"], _estimated(contact, newtons.get(row["onset_frame"], {})), contact["words"])
+        for number, contact in enumerate(contacts_of(folder), start=1)
+        for row in [contact["row"]]
+    ]
+
+
+def _estimates(outcomes: list[Outcome]) -> Table:
+    """What was estimated, a line a contact."""
+    table = Table(title="Estimates (± is half the 90 % interval; units: scene units)", title_justify="left")
+    for name in ("clip", "contact", "frame", "estimate", "verdict"):
+        table.add_column(name, no_wrap=name != "estimate", max_width=24 if name == "clip" else None)
+    for outcome in outcomes:
+        for line in outcome.contacts:
+            table.add_row(*(Text(plain(cell)) for cell in (outcome.name, *line)))
+    return table
+
+
 def _table(outcomes: list[Outcome]) -> Table:
     """Clips with what was counted in them, and where the results lie."""
     table = Table(title="Clips", title_justify="left")
@@ -75,6 +130,8 @@ def _table(outcomes: list[Outcome]) -> Table:
 
 def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Print the closing table, write the batch's page and its clips', and say where, or why not."""
+    if any(outcome.contacts for outcome in outcomes):
+        Console().print(_estimates(outcomes), soft_wrap=True)
     Console().print(_table(outcomes), soft_wrap=True)
     failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:

@@ -23,9 +23,9 @@ from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
 from palpate.estimators.records import FrameEstimate
+from palpate.estimators.result import UNITS
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
-from palpate.results import columns
-from palpate.results.store import INTERACTIONS, PAGES, PROGRAM, SCENE, TABLE, WRITTEN, own_files
+from palpate.results.store import PAGES, PROGRAM, own_files
 from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
@@ -113,25 +113,21 @@ def build_record(
         "model": model and {"path": str(model.path.resolve()), "sha256": causes["model"], "metadata": model.metadata},
         "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
         "estimator": causes["estimator"],
-        "units": columns.UNITS | {"length": results.length.record["says"]},
-        "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
+        "units": UNITS | {"length": results.length.record["says"]},
+        "columns": {item.name: item.columns for item in results.artefacts if item.columns is not None},
         "warnings": [
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources),
             *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
             *([WARNINGS["coded"].format(lag=results.lag)] if results.lag else []),
-            *([_unexported(results)] if results.unexported else []),
+            *(warning for artefact in results.artefacts for warning in artefact.warnings()),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
         "versions": versions(),
     }
-
-
-def _unexported(results: ClipResults) -> str:
-    return WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
 
 
 def warnings_of(
@@ -181,11 +177,12 @@ def sha256_of(path: Path) -> str:
     if path.is_file():
         state = path.stat()
         return _file_sha256(path, state.st_size, state.st_mtime_ns)
-    digest = hashlib.sha256()
+    digest, written = hashlib.sha256(), dict[Path, set[str]]()
     for file in all_below(path):
         relative = file.relative_to(path)
-        written = file.name in WRITTEN or SCENE.fullmatch(file.name)
-        own = (written and file.name in own_files(file.parent)) or (file.name in PAGES and is_own(file))
+        if file.parent not in written:
+            written[file.parent] = {*own_files(file.parent)}
+        own = file.name in written[file.parent] or (file.name in PAGES and is_own(file))
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
             state = file.stat()
             content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)

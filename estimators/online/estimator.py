@@ -7,7 +7,6 @@ them.
 """
 
 import dataclasses
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,18 +21,12 @@ from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import Chosen, ClipInfo, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
-from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
+from palpate.estimators.online.particle_field import FieldResult, ParticleField
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
-
-NUMBERS = (
-    *("skill", "field_known", "shape_known"),
-    *(f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")),
-)
-"""Of `ParticleField.numbers`: what is drawn over a run's frames."""
 
 
 class OnlineEstimator:
@@ -44,6 +37,7 @@ class OnlineEstimator:
     """
 
     name = "online"
+    maps_stiffness = True
 
     def __init__(self, settings: OnlineSettings) -> None:
         self.settings = settings
@@ -79,7 +73,6 @@ class _Followed:
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._times = [first.frame.time_s]
-        self._numbers: dict[str, list[float]] = {name: [] for name in NUMBERS}
 
     def step(self, frame: PreparedFrame) -> None:
         """Follow the tissue into a frame, and take it in."""
@@ -107,21 +100,12 @@ class _Followed:
             f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
         )
 
-    def estimate(self) -> FieldEstimate:
+    def estimate(self) -> FieldResult:
         """What the run tells by now."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
-        numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         skills = driven.skills() if len(times) > 2 else {}
-        return FieldEstimate(self.field(), times, course, numbers, bool(stretched), driven, skills)
-
-    def frame_field(self) -> ParticleField:
-        """As it is in the frame that was taken in last; called once for each."""
-        found = self.field()
-        numbers = found.numbers()
-        for name, course in self._numbers.items():
-            course.append(numbers.get(name, math.nan))
-        return found
+        return FieldResult(self.field(), times, course, bool(driven.stretched.any()), driven, skills)
 
     def field(self) -> ParticleField:
         """As it is now."""
@@ -171,7 +155,7 @@ class OnlineSession(RunSession):
             self._driven.step(frame)
         else:
             return None
-        return None if self._driven is None else self._driven.frame_field()
+        return None if self._driven is None else self._driven.field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         """What was observed of a run, and what its field comes to in a sentence."""

@@ -6,9 +6,42 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
+from palpate.estimators.result import LEAST_SKILL, UNITS, Quantity, column
+
+
+def _spread(against: str, unit: str) -> dict[str, str]:
+    """Texts of the columns of a stiffness: quantiles over the tissue where it is determined."""
+    texts = {"": f"against {against}, the median over tissue where it is determined, {unit}; all of it in fields.npz"}
+    texts |= {
+        f"_{end}": f"its {share} % quantile over that tissue, not an interval"
+        for end, share in (("low", 10), ("high", 90))
+    }
+    spread = "standard deviation of the log of stiffness over its mean, the median over that tissue"
+    return texts | {"_log_sd": spread}
+
+
+@dataclass(frozen=True)
+class FieldNumbers:
+    """Columns of a field in a frame: quantiles over what is known, and how much and how well that is."""
+
+    distance_stiffness: dict[str, float] | None = column(_spread("stretch", UNITS["distance_stiffness"]), None)
+    shape_stiffness: dict[str, float] | None = column(_spread("bending", UNITS["shape_stiffness"]), None)
+    field_known: float = column(
+        "share of the particles whose stiffness against stretch is determined: surer than before anything was "
+        "observed, the tissue there has stretched, and the fit explains the motion",
+        0.0,
+    )
+    shape_known: float = column("the same of stiffness against bending", 0.0)
+    skill: float = column(
+        "1 - error / motion so far of the tissue simulated under the instrument alone; below "
+        f"{LEAST_SKILL:g} the fit does not explain the motion, and nothing is determined",
+        math.nan,
+    )
+    gap: float | None = column(
+        "norm of the deformation by which the simulated particles missed what the frame shows, scene units", None
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,24 +81,31 @@ class ParticleField:
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
 
-    def numbers(self) -> dict[str, float]:
-        """Columns of a frame: quantiles over what is known, and how much and how well that is."""
-        found = {
-            "field_known": float(self.known.mean()),
-            "shape_known": float(self.shape_known.mean()),
-            "skill": self.skill,
+    @property
+    def stiffness(self) -> dict[str, tuple[Quantity, np.ndarray]]:
+        """Both stiffnesses of all particles and where they are known, by the beginning of their columns."""
+        distance = Quantity(self.distance, self.distance_log_sd), self.known
+        return {
+            "distance_stiffness": distance,
+            "shape_stiffness": (Quantity(self.shape, self.shape_log_sd), self.shape_known),
         }
-        if self.gap is not None:
-            found["gap"] = self.gap
-        for name, values, log_sd, known in (
-            ("distance_stiffness", self.distance, self.distance_log_sd, self.known),
-            ("shape_stiffness", self.shape, self.shape_log_sd, self.shape_known),
-        ):
+
+    @property
+    def numbers(self) -> FieldNumbers:
+        """Columns of a frame."""
+        found = {}
+        for name, (values, known) in self.stiffness.items():
             if known.any():
-                low, middle, high = np.quantile(values[known], (0.1, 0.5, 0.9)).tolist()
-                found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
-                found[f"{name}_log_sd"] = float(np.median(log_sd[known]))
-        return found
+                low, middle, high = np.quantile(values.value[known], (0.1, 0.5, 0.9)).tolist()
+                found[name] = {"_low": low, "": middle, "_high": high}
+                found[name]["_log_sd"] = float(np.median(values.log_sd[known]))
+        return FieldNumbers(
+            **found,
+            field_known=float(self.known.mean()),
+            shape_known=float(self.shape_known.mean()),
+            skill=self.skill,
+            gap=self.gap,
+        )
 
     @property
     def explained(self) -> bool:
@@ -79,7 +119,7 @@ class ParticleField:
 
 
 @dataclass(frozen=True, eq=False)
-class FieldEstimate:
+class FieldResult:
     """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
 
     last: ParticleField
@@ -88,8 +128,6 @@ class FieldEstimate:
     """Since the run's first frame, shape [T] [s]."""
     course: np.ndarray
     """Root mean squares over the points of what is observed, predicted, and the difference, shape [T, 3] [px]."""
-    numbers: dict[str, np.ndarray]
-    """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
     stretched: bool
     """Whether tissue has anywhere stretched by as much as settings ask for."""
     driven: DrivenTissue

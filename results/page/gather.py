@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.common.files import read_beside
 from palpate.results import store
-from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
+from palpate.results.verdicts import NOTES, in_words, numbers
 
-TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 
@@ -28,7 +26,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     """
     record = store.read_record(folder)
     given, contacts = record["input"], record["contacts"]
-    order = [*COLORS, *contacts]
+    order = [*NOTES, *contacts]
     return {
         "name": folder.name,
         "page": store.TABLE if record.get("kind") == "sequence" else store.PAGES[1],
@@ -58,23 +56,33 @@ def clip_of(folder: Path) -> dict[str, Any]:
 def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """Curves, contacts and forces of a video."""
     columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
-    frames, runs = _table(folder / store.TABLE, columns), _table(folder / store.INTERACTIONS)
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
+    frames, contacts = _table(folder / store.TABLE, columns), contacts_of(folder)
     return {
         "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
+        "calibrated": newtons_of(folder),
         "curves": _curves(record, frames, contacts),
     }
 
 
+def contacts_of(folder: Path) -> list[dict[str, Any]]:
+    """What is shown of a video's contacts."""
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
+    runs = zip(_table(folder / store.INTERACTIONS), report["contacts"], strict=True)
+    return [_contact(run, forces) for run, forces in runs]
+
+
+def newtons_of(folder: Path) -> list[dict[str, str]]:
+    """Rows of calibrated.csv, a row a contact; none where there is no table."""
+    return _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else []
+
+
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
     """A verdict or a status in words, what it means, and what to do about it."""
-    said = TEXTS["statuses"].get(name) or {"means": MEANINGS.get(name, ""), "do": TEXTS["verdicts"].get(name, "")}
-    return {"name": name, "words": in_words(name), "count": count} | said
+    note = NOTES.get(name, NOTES["doubtful"])
+    return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
 def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:

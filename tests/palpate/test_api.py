@@ -31,7 +31,7 @@ def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path
     assert [run.verdict for run in found] == [row["verdict"] for row in rows]
     for run, row in zip(found, rows, strict=True):
         kinds = type(run), type(run.interaction), type(run.estimate)
-        assert kinds == (palpate.InteractionEstimate, palpate.Interaction, palpate.Estimate)
+        assert kinds == (palpate.InteractionEstimate, palpate.Interaction, palpate.PressResult)
         written = [float(row[column]) for column in ("stiffness", "damping", "force")]
         np.testing.assert_allclose(np.abs(run.estimate.theta), written, rtol=1e-5)
 

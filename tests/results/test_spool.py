@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.results.spool import FrameSpool, Waiting
-from tests.estimators.estimates import frame_in_contact
-
-ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True)
+from palpate.results.spool import FrameSpool, Shown
+from tests.results.fields import FIELD_SEEN
 
 
 def picture(index: int) -> np.ndarray:
@@ -18,15 +16,15 @@ def picture(index: int) -> np.ndarray:
 def test_frames_come_back_in_order(tmp_path: Path) -> None:
     spool, labels = FrameSpool(tmp_path), np.arange(12, dtype=np.uint8).reshape(3, 4) % 3
     for index in range(3):
-        spool.add(Waiting(picture(9 * index), labels, ESTIMATE))
-    spool.add(Waiting(None, None, ESTIMATE))
+        spool.add(Shown(picture(9 * index), labels, FIELD_SEEN))
+    spool.add(Shown(None, None, None))
     assert len(spool) == 4
     found = list(spool.drain())
     assert len(spool) == 0
     for index, frame in enumerate(found[:3]):
         assert np.abs(frame.image.astype(int) - picture(9 * index)).max() <= 12
         np.testing.assert_array_equal(frame.labels, labels)
-        assert frame.estimate is ESTIMATE
+        np.testing.assert_array_equal(frame.field.distance, FIELD_SEEN.distance)
     assert found[3].image is None
     assert found[3].labels is None
 
@@ -34,7 +32,7 @@ def test_frames_come_back_in_order(tmp_path: Path) -> None:
 def test_a_drained_spool_takes_frames_again_and_its_file_has_no_name(tmp_path: Path) -> None:
     spool = FrameSpool(tmp_path)
     for index in (0, 20):
-        spool.add(Waiting(picture(index), None, ESTIMATE))
+        spool.add(Shown(picture(index), None, None))
         (frame,) = spool.drain()
         assert np.abs(frame.image.astype(int) - picture(index)).max() <= 12
     assert list(tmp_path.iterdir()) == []

@@ -10,11 +10,11 @@ from scipy.stats import spearmanr
 from benchmarks.online.sequences import SIDE
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import open_sequence
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import OnlineSettings
+from palpate.physics.identifiability import NINETY
 from tests.sequences import SHIFT, TURN, pull, write_sequence
 
 NEWTON = Method(optimizer="gauss-newton")

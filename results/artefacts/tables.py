@@ -1,0 +1,71 @@
+"""Tables of a clip: parameters.csv, interactions.csv, calibrated.csv."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Any
+
+from palpate.estimators.records import CONTACTS, FRAMES
+from palpate.estimators.result import Table
+from palpate.results import store
+from palpate.results.artefacts.base import Artefact
+from palpate.results.calibrated import CALIBRATED
+
+if TYPE_CHECKING:
+    from palpate.results.writer import ClipResults
+
+
+class TableFile(Artefact):
+    """CSV file of a table, row by row."""
+
+    table: Table
+
+    def __init__(self, clip: ClipResults) -> None:
+        super().__init__(clip)
+        self._file = self.path.open("w", encoding="utf-8", errors="replace", newline="")
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(self.table.columns)
+
+    def write(self, *row: Any) -> None:
+        """Append a row of these objects."""
+        self._rows.writerow(self.table.row(*row))
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class FrameTable(TableFile):
+    """parameters.csv: a row a frame."""
+
+    name = store.TABLE
+
+    def __init__(self, clip: ClipResults) -> None:
+        self.table = FRAMES if clip.alarm is not None else FRAMES.without("alarm")
+        self.columns = self.table.columns
+        super().__init__(clip)
+
+    def frame(self, estimate, image, labels) -> None:
+        self.write(estimate)
+
+
+class ContactTable(TableFile):
+    """interactions.csv: a row a contact."""
+
+    name, table, columns = store.INTERACTIONS, CONTACTS, CONTACTS.columns
+
+    def contact(self, run) -> None:
+        self.write(*run.rows)
+
+
+class CalibratedTable(TableFile):
+    """calibrated.csv: a contact in newtons."""
+
+    name, table = store.CALIBRATED, CALIBRATED
+
+    @classmethod
+    def wanted(cls, options, estimator) -> bool:
+        return options.force_scale is not None
+
+    def finish(self) -> None:
+        for row in self.clip.calibration.rows if self.clip.calibration else ():
+            self.write(row)

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from palpate.estimators.result import Quantity, column, quantity
+from palpate.estimators.result import Quantity, column
 from palpate.physics.identifiability import LIMIT, bounds, combination_bounds, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
@@ -26,34 +26,31 @@ SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F
 BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
 
-def _bound(symbol: str) -> Any:
-    return column(f"Cramér–Rao bound on the sd of log {symbol} (0.1: 10 %), were the onset known", None)
-
-
 @dataclass(frozen=True)
 class PressNumbers:
     """Columns of a press."""
 
-    stiffness: Quantity | None = quantity("k_s")
-    damping: Quantity | None = quantity("k_d")
-    force: Quantity | None = quantity("|F|")
-    damping_over_stiffness: Quantity | None = quantity("k_d/k_s")
-    force_over_stiffness: Quantity | None = quantity("|F|/k_s")
-    stiffness_bound: float | None = _bound("k_s")
-    damping_bound: float | None = _bound("k_d")
-    force_bound: float | None = _bound("|F|")
+    stiffness: Quantity | None = column("k_s", None)
+    damping: Quantity | None = column("k_d", None)
+    force: Quantity | None = column("|F|", None)
+    damping_over_stiffness: Quantity | None = column("k_d/k_s", None)
+    force_over_stiffness: Quantity | None = column("|F|/k_s", None)
+    stiffness_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log k_s (0.1: 10 %), were the onset known"""
+    damping_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log k_d (0.1: 10 %), were the onset known"""
+    force_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log |F| (0.1: 10 %), were the onset known"""
 
 
 @dataclass(frozen=True)
 class PressCourse:
     """How and when the instrument pressed, as far as that was fitted."""
 
-    delay_s: float | None = column(
-        "s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate", None
-    )
-    release_delay_s: float | None = column(
-        "s from the first frame after contact to the end of the press; empty: the same, or not observed", None
-    )
+    delay_s: float | None = column("", None)
+    """s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate"""
+    release_delay_s: float | None = column("", None)
+    """s from the first frame after contact to the end of the press; empty: the same, or not observed"""
     at_end: bool = False
     """Whether a delay lies at its range's end."""
     shape: PressShape | None = None

@@ -25,23 +25,30 @@ DETERMINED = "which parameters and ratios are determined, joined by ; (in fit.pn
 class Touch:
     """Where and how an instrument touches in a frame; what does not exist is None, never 0."""
 
-    contact_probability: float | None = column(
-        "that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge",
-        None,
-    )
+    contact_probability: float | None = column("", None)
+    """that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge"""
     contact_distance: float | None = column("scene units", None)
     """Distance between the nearest tool and tissue points."""
     contact_u: float | None = column("px of the source frame, column", None)
     contact_v: float | None = column("px of the source frame, row", None)
-    instrument: int | None = column(
-        "which instrument touches: numbered from left to right as first seen; empty: none", None
-    )
+    instrument: int | None = column("", None)
+    """which instrument touches: numbered from left to right as first seen; empty: none"""
     simulated_displacement: float | None = column("scene units", None)
     """Length of the simulated displacement of the contact vertex."""
     observed_displacement: float | None = column("scene units", None)
     """Length of the observed displacement of the contact point."""
     arrow: np.ndarray | None = None
     """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]."""
+
+
+@dataclass(frozen=True)
+class RelativeForce:
+    """Force of a pull in a frame."""
+
+    relative_force: float = column()
+    """of a pull: force at the grip over its peak in this contact; empty: not known, or no pull"""
+    relative_force_low: float = column("lower end of its 90 % interval")
+    relative_force_high: float = column("upper end of its 90 % interval")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +73,11 @@ class FrameEstimate:
     ok, and from an estimator of whole runs only."""
     determined: str | None = column(DETERMINED, None, kw_only=True)
     """As the estimate has it, or what the end of the contact leaves of that."""
-    relative_force: dict[str, float] | None = column(
-        {
-            "": "of a pull: force at the grip over its peak in this contact; empty: not known, or no pull",
-            "_low": "lower end of its 90 % interval",
-            "_high": "upper end of its 90 % interval",
-        },
-        None,
-        kw_only=True,
-    )
+    pull: RelativeForce | None = group(RelativeForce, kw_only=True)
     detail: str = column("sentences about the status, or about what can't be trusted", "")
-    alarm: str | None = column(
-        "of the force limit: above where the upper end of the force's 90 % interval has reached it, else below; "
-        "unknown where the force is not determined, or contact not decided: neither safe nor unsafe; empty: no contact",
-        None,
-        kw_only=True,
-    )
-    """None without a limit (`results.alarm`)."""
+    alarm: str | None = column("", None, kw_only=True)
+    """of the force limit: above where the upper end of the force's 90 % interval has reached it, else below; unknown
+    where the force is not determined, or contact not decided: neither safe nor unsafe; empty: no contact"""
 
     def __post_init__(self) -> None:
         if self.determined is None and self.estimate is not None:
@@ -103,25 +98,24 @@ class Followed:
 
     instrument: int | None = column("which instrument touches: numbered from left to right as first seen")
     frames: int = column("frames after the onset in which its tissue was followed")
-    load_s: float | None = column("s from the onset to the release; empty: the onset or the release was not observed")
+    load_s: float | None = column()
+    """s from the onset to the release; empty: the onset or the release was not observed"""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Columns of what was concluded of a contact."""
 
-    skill: float = column(
-        "1 - error / motion, root mean squares: 0 as if the tissue kept still, 1 exact; of a pull, in frames that were "
-        "not fitted; of a press in those that were fitted, of the contact's motion along the force, by light of the "
-        "tissue's light; of --estimator online as in parameters.csv, of all frames"
-    )
+    skill: float = column()
+    """1 - error / motion, root mean squares: 0 as if the tissue kept still, 1 exact; of a pull, in frames that were not
+    fitted; of a press in those that were fitted, of the contact's motion along the force, by light of the tissue's
+    light; of --estimator online as in parameters.csv, of all frames"""
     verdict: str = column(VERDICT)
     determined: str = column(DETERMINED)
     explanation: str = column("why nothing is determined, or by what besides measured depth something is")
     noise: float | None = column("standard deviation of every observed coordinate, scene units")
-    misfit: float | None = column(
-        "root mean square of observed minus simulated displacement along the force over the noise; 1: it fits"
-    )
+    misfit: float | None = column()
+    """root mean square of observed minus simulated displacement along the force over the noise; 1: it fits"""
     at_bound: str = column("parameters that lie at the end of their admissible range")
     status: str = column("ok or no_estimate")
     detail: str = column("sentence about the status, or about an estimate that can't be trusted")

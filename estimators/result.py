@@ -7,10 +7,12 @@ that class, with this text in run.json.
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from functools import cached_property
+from typing import Any, Protocol, Self, get_type_hints
 
 import numpy as np
 
+from palpate.common.options import field_texts
 from palpate.common.tables import to_cell
 from palpate.physics.identifiability import NINETY
 
@@ -81,31 +83,15 @@ class Result(Protocol):
         """What verdict and numbers alone don't say, a sentence."""
 
 
-def column(text: str | Mapping[str, str], default: Any = dataclasses.MISSING, **options: Any) -> Any:
-    """Field of a dataclass that is a column of its tables.
+def column(text: str = "", default: Any = dataclasses.MISSING, **options: Any) -> Any:
+    """Field of a dataclass that is a column of its tables; it may hold a `Quantity`, which has a column for each part.
 
     Args:
-        text: unit and meaning; of several columns that share a beginning, by their endings.
+        text: unit and meaning, as run.json has them; by default the documentation of the field.
         default: of the field; without one it must be given.
         options: of `dataclasses.field`.
     """
-    columns = {"": text} if isinstance(text, str) else dict(text)
-    return dataclasses.field(default=default, metadata={"columns": columns}, **options)
-
-
-def quantity(symbol: str, text: str = "", **more: str) -> Any:
-    """Field that holds a `Quantity`, or None: columns of value, standard deviation and 90 % interval.
-
-    Args:
-        symbol: of the quantity.
-        text: what the value is; by default the symbol.
-        more: further columns, by their endings.
-    """
-    ends = {
-        end: f"{name} end of the 90 % interval of {symbol}" for end, name in (("_low", "lower"), ("_high", "upper"))
-    }
-    texts = {"": text or symbol, "_sd": f"standard deviation of {symbol}; empty: the estimator gives none"}
-    return column(texts | ends | {f"_{end}": said for end, said in more.items()}, None)
+    return dataclasses.field(default=default, metadata={"column": text}, **options)
 
 
 def group(kind: type[Any], default: Any = None, **options: Any) -> Any:
@@ -115,11 +101,17 @@ def group(kind: type[Any], default: Any = None, **options: Any) -> Any:
 
 def columns_of(kind: type[Any]) -> dict[str, str]:
     """Columns of a dataclass, in order, each with what it is."""
-    found: dict[str, str] = {}
+    found, texts, kinds = dict[str, str](), field_texts(kind), get_type_hints(kind)
     for item in dataclasses.fields(kind):
         if "group" in item.metadata:
             found |= columns_of(item.metadata["group"])
-        found |= {f"{item.name}{end}": text for end, text in item.metadata.get("columns", {}).items()}
+        elif "column" in item.metadata:
+            text = found[item.name] = item.metadata["column"] or texts[item.name]
+            if kinds[item.name] == Quantity | None:
+                symbol = text.partition(" ")[0]
+                found[f"{item.name}_sd"] = f"standard deviation of {symbol}; empty: the estimator gives none"
+                for end, name in (("low", "lower"), ("high", "upper")):
+                    found[f"{item.name}_{end}"] = f"{name} end of the 90 % interval of {symbol}"
     return found
 
 
@@ -132,27 +124,34 @@ def values_of(row: Any) -> dict[str, Any]:
             continue
         if "group" in item.metadata:
             found |= values_of(getattr(value, "numbers", value))
-        elif "columns" in item.metadata:
-            parts = value.parts if isinstance(value, Quantity) else value if isinstance(value, dict) else {"": value}
+        elif "column" in item.metadata:
+            parts = value.parts if isinstance(value, Quantity) else {"": value}
             found |= {f"{item.name}{end}": part for end, part in parts.items()}
     return found
 
 
 @dataclass(frozen=True)
 class Table:
-    """Table of rows of some kinds."""
+    """Table whose rows are an object of each of some dataclasses."""
 
-    columns: Mapping[str, str]
-    """Columns in order, each with its unit and what it is."""
+    kinds: tuple[type[Any], ...]
+    left_out: tuple[str, ...] = ()
+    """Columns that it does not have."""
 
     @classmethod
     def of(cls, *kinds: type[Any]) -> Self:
-        """Table whose rows are an object of each of these dataclasses."""
-        return cls({name: text for kind in kinds for name, text in columns_of(kind).items()})
+        """Table of all columns of these dataclasses."""
+        return cls(kinds)
+
+    @cached_property
+    def columns(self) -> dict[str, str]:
+        """Columns in order, each with its unit and what it is."""
+        found = {name: text for kind in self.kinds for name, text in columns_of(kind).items()}
+        return {name: text for name, text in found.items() if name not in self.left_out}
 
     def without(self, *names: str) -> Self:
         """Table without some columns."""
-        return type(self)({name: text for name, text in self.columns.items() if name not in names})
+        return dataclasses.replace(self, left_out=names)
 
     def known(self, *rows: Any) -> dict[str, Any]:
         """Values of a row, dataclasses or mappings, by column, without those that are missing."""

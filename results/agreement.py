@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
-from palpate.estimators.result import ENDS
+from palpate.estimators.records import FrameEstimate, InteractionEstimate, RelativeForce
 from palpate.results.alarm import BELOW, UNKNOWN
 
 LESS = "The whole contact determines less than its frames until here did: see interactions.csv."
@@ -23,7 +22,7 @@ def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float
     found, main, verdict = frame.estimate, run.main_estimate, run.verdict or "undetermined"
     known = ";".join(() if main is None else main.determined)
     if main is not None and main is run.grip:
-        return replace(frame, verdict=verdict, determined=known, relative_force=dict(zip(ENDS, force, strict=True)))
+        return replace(frame, verdict=verdict, determined=known, pull=RelativeForce(*force))
     if found is None and main is not None and main is run.estimate and run.estimate.light is not None:
         return replace(frame, estimate=run.estimate, verdict=verdict, determined=known)
     if frame.verdict in ("", "undetermined", "onset_in_view"):

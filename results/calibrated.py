@@ -11,7 +11,7 @@ from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
 from palpate.estimators.known_force import predict_force
 from palpate.estimators.records import InteractionEstimate, Onset
-from palpate.estimators.result import ENDS, Quantity, Table, column, quantity
+from palpate.estimators.result import ENDS, Quantity, Table, column
 from palpate.physics.identifiability import NINETY, covariance
 from palpate.physics.mechanics import PARAMETERS
 
@@ -22,9 +22,12 @@ NEWTONS, UNIT = "N", "unit, and what it was calibrated by"
 class Newtons:
     """Columns of a contact in newtons."""
 
-    stiffness: Quantity | None = quantity("k_s", "k_s in stiffness_unit", unit=UNIT)
-    damping: Quantity | None = quantity("k_d", "k_d in damping_unit", unit=UNIT)
-    force: Quantity | None = quantity("|F|", "|F| in force_unit", unit=UNIT)
+    stiffness: Quantity | None = column("k_s in stiffness_unit", None)
+    stiffness_unit: str = column(UNIT, "")
+    damping: Quantity | None = column("k_d in damping_unit", None)
+    damping_unit: str = column(UNIT, "")
+    force: Quantity | None = column("|F| in force_unit", None)
+    force_unit: str = column(UNIT, "")
     determined: str = column("which of them are determined, joined by ;", "")
     detail: str = column("why there are no numbers", "")
 

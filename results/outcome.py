@@ -15,10 +15,10 @@ from palpate.common.files import read_beside
 from palpate.estimators.estimate import SYMBOLS
 from palpate.estimators.result import ENDS
 from palpate.results.artefacts.forces import RELATIVE
-from palpate.results.page.gather import contacts_of, newtons_of
+from palpate.results.page.gather import contacts_of, number
 from palpate.results.page.render import write_pages
 from palpate.results.store import INTERACTIONS, OutputError, read_record
-from palpate.results.verdicts import digits
+from palpate.results.verdicts import digits, numbers
 
 WORDS: dict[str, str] = read_beside(__file__)
 """Settings and the options that they are on the command line."""
@@ -71,36 +71,28 @@ def plural(count: int, noun: str) -> str:
     return noun if count == 1 else f"{noun}s"
 
 
-def _estimated(contact: Mapping[str, Any], newtons: Mapping[str, str]) -> str:
+def _estimated(contact: Mapping[str, Any]) -> str:
     """What is determined of a contact, with half its 90 % interval and its unit."""
-    verdict, forces = contact["name"], contact["forces"]
-    if verdict == "relative_force" and forces["mean"] is not None:
-        half, unit = abs(forces["mean_high"] - forces["mean_low"]) / 2, forces["unit"].partition(",")[0]
-        return (
-            f"mean force {digits(forces['mean'], 2)} ± {digits(half, 2)} {'of its peak' if unit == RELATIVE else unit}"
-        )
+    forces, newtons, shown = contact["forces"], contact["newtons"], contact["numbers"]
+    if contact["name"] == "relative_force" and forces["mean"] is not None:
+        unit = "of its peak" if forces["unit"] == RELATIVE else forces["unit"].partition(",")[0]
+        half = abs(forces["mean_high"] - forces["mean_low"]) / 2
+        return f"mean force {digits(forces['mean'], 2)} ± {digits(half, 2)} {unit}"
+    units = {"k_d/k_s": "s"}
     if newtons.get("determined"):
-        units = {name: newtons[f"{name}_unit"].partition(",")[0] for name in newtons["determined"].split(";")}
-        ends = {name: [float(newtons[f"{name}{end}"]) for end in ENDS] for name in units if newtons[f"{name}_low"]}
-        said = (
-            f"{SYMBOLS[name]} {digits(value, 3)} ± {digits((high - low) / 2, 2)} {units[name]}"
-            for name, (value, low, high) in ends.items()
-        )
-        return ", ".join(said)
-    sure = [pair for pair in contact["numbers"] if "±" in pair[1]]
-    return ", ".join(f"{name} {text} {'s' if name == 'k_d/k_s' else 'units'}" for name, text in sure) or "—"
+        names = newtons["determined"].split(";")
+        shown = numbers("determined", {f"{x}{end}": number(newtons[f"{x}{end}"]) for x in names for end in ENDS})
+        units = {SYMBOLS[name]: newtons[f"{name}_unit"].partition(",")[0] for name in names}
+    sure = [f"{symbol} {text} {units.get(symbol, 'units')}" for symbol, text in shown if "±" in text]
+    return ", ".join(sure) or "—"
 
 
 def _contacts(folder: Path) -> list[tuple[str, ...]]:
     """Lines of the table of estimates: number, first frame, estimate and verdict of every contact."""
     if not (folder / INTERACTIONS).is_file():
-        return []
-    newtons = {row["onset_frame"]: row for row in newtons_of(folder)}
-    return [
-        (str(number), row["onset_frame"], _estimated(contact, newtons.get(row["onset_frame"], {})), contact["words"])
-        for number, contact in enumerate(contacts_of(folder), start=1)
-        for row in [contact["row"]]
-    ]
+        return []  # a sequence
+    found = enumerate(contacts_of(folder), start=1)
+    return [(str(at), one["row"]["onset_frame"], _estimated(one), one["words"]) for at, one in found]
 
 
 def _estimates(outcomes: list[Outcome]) -> Table:
@@ -117,9 +109,8 @@ def _estimates(outcomes: list[Outcome]) -> Table:
 def _table(outcomes: list[Outcome]) -> Table:
     """Clips with what was counted in them, and where the results lie."""
     table = Table(title="Clips", title_justify="left")
-    table.add_column("clip", no_wrap=True, max_width=24)
-    table.add_column("result", no_wrap=True)
-    table.add_column("found", no_wrap=True)
+    for name in ("clip", "result", "found"):
+        table.add_column(name, no_wrap=True, max_width=24 if name == "clip" else None)
     table.add_column("results in, or why not", overflow="fold")
     for outcome in outcomes:
         # A line a status: a column each would leave no room for the rest on a narrow terminal.

@@ -8,40 +8,40 @@ import numpy as np
 
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
-from palpate.estimators.result import LEAST_SKILL, UNITS, Quantity, column
-
-
-def _spread(against: str, unit: str) -> dict[str, str]:
-    """Texts of the columns of a stiffness: quantiles over the tissue where it is determined."""
-    texts = {"": f"against {against}, the median over tissue where it is determined, {unit}; all of it in fields.npz"}
-    texts |= {
-        f"_{end}": f"its {share} % quantile over that tissue, not an interval"
-        for end, share in (("low", 10), ("high", 90))
-    }
-    spread = "standard deviation of the log of stiffness over its mean, the median over that tissue"
-    return texts | {"_log_sd": spread}
+from palpate.estimators.result import LEAST_SKILL, Quantity, column
 
 
 @dataclass(frozen=True)
 class FieldNumbers:
     """Columns of a field in a frame: quantiles over what is known, and how much and how well that is."""
 
-    distance_stiffness: dict[str, float] | None = column(_spread("stretch", UNITS["distance_stiffness"]), None)
-    shape_stiffness: dict[str, float] | None = column(_spread("bending", UNITS["shape_stiffness"]), None)
-    field_known: float = column(
-        "share of the particles whose stiffness against stretch is determined: surer than before anything was "
-        "observed, the tissue there has stretched, and the fit explains the motion",
-        0.0,
-    )
+    distance_stiffness: float | None = column("", None)
+    """against stretch, the median over tissue where it is determined, relative: a particle's mass over the square of a
+    frame's time, not N/m; compares places within a run of contact, not clips; all of it in fields.npz"""
+    distance_stiffness_low: float | None = column("", None)
+    """its 10 % quantile over that tissue, not an interval"""
+    distance_stiffness_high: float | None = column("", None)
+    """its 90 % quantile over that tissue, not an interval"""
+    distance_stiffness_log_sd: float | None = column("", None)
+    """standard deviation of the log of stiffness over its mean, the median over that tissue"""
+    shape_stiffness: float | None = column("", None)
+    """against bending, the median over tissue where it is determined, likewise, not comparable with
+    distance_stiffness; all of it in fields.npz"""
+    shape_stiffness_low: float | None = column("", None)
+    """its 10 % quantile over that tissue, not an interval"""
+    shape_stiffness_high: float | None = column("", None)
+    """its 90 % quantile over that tissue, not an interval"""
+    shape_stiffness_log_sd: float | None = column("", None)
+    """standard deviation of the log of stiffness over its mean, the median over that tissue"""
+    field_known: float = column("", 0.0)
+    """share of the particles whose stiffness against stretch is determined: surer than before anything was observed,
+    the tissue there has stretched, and the fit explains the motion"""
     shape_known: float = column("the same of stiffness against bending", 0.0)
-    skill: float = column(
-        "1 - error / motion so far of the tissue simulated under the instrument alone; below "
-        f"{LEAST_SKILL:g} the fit does not explain the motion, and nothing is determined",
-        math.nan,
-    )
-    gap: float | None = column(
-        "norm of the deformation by which the simulated particles missed what the frame shows, scene units", None
-    )
+    skill: float = column("", math.nan)
+    """1 - error / motion so far of the tissue simulated under the instrument alone; below 0.35 the fit does not explain
+    the motion, and nothing is determined"""
+    gap: float | None = column("", None)
+    """norm of the deformation by which the simulated particles missed what the frame shows, scene units"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,19 +93,15 @@ class ParticleField:
     @property
     def numbers(self) -> FieldNumbers:
         """Columns of a frame."""
-        found = {}
+        found = {"field_known": float(self.known.mean()), "shape_known": float(self.shape_known.mean())}
         for name, (values, known) in self.stiffness.items():
             if known.any():
-                low, middle, high = np.quantile(values.value[known], (0.1, 0.5, 0.9)).tolist()
-                found[name] = {"_low": low, "": middle, "_high": high}
-                found[name]["_log_sd"] = float(np.median(values.log_sd[known]))
-        return FieldNumbers(
-            **found,
-            field_known=float(self.known.mean()),
-            shape_known=float(self.shape_known.mean()),
-            skill=self.skill,
-            gap=self.gap,
-        )
+                ends = zip(
+                    ("_low", "", "_high"), np.quantile(values.value[known], (0.1, 0.5, 0.9)).tolist(), strict=True
+                )
+                found |= {f"{name}{end}": value for end, value in ends}
+                found[f"{name}_log_sd"] = float(np.median(values.log_sd[known]))
+        return FieldNumbers(**found, skill=self.skill, gap=self.gap)
 
     @property
     def explained(self) -> bool:

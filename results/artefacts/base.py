@@ -42,11 +42,15 @@ class Artefact:
 
     def __init__(self, clip: ClipResults) -> None:
         self.clip, self.path = clip, clip.partial / self.name
+        self.open()
 
     @classmethod
     def wanted(cls, options: argparse.Namespace, estimator: Estimator) -> bool:
         """Whether the options of the program and the estimator ask for it."""
         return True
+
+    def open(self) -> None:
+        """Open the file."""
 
     def frame(self, estimate: FrameEstimate, image: np.ndarray | None, labels: np.ndarray | None) -> None:
         """Take the next frame, in order, once its contact has ended.

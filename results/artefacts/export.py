@@ -10,7 +10,7 @@ import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -25,15 +25,11 @@ from palpate.physics.mechanics import PARAMETERS, Mechanics
 from palpate.physics.msd.simulation import simulate
 from palpate.results.artefacts.base import Artefact
 
-if TYPE_CHECKING:
-    from palpate.results.writer import ClipResults
-
 
 class Export(Artefact):
     """scene_N_K.vtu of every contact N and its frames K."""
 
-    def __init__(self, clip: ClipResults) -> None:
-        super().__init__(clip)
+    def open(self) -> None:
         self._missing = 0
 
     @classmethod

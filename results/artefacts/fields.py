@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import zipfile
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from palpate.results import store
 from palpate.results.artefacts.base import Artefact
-
-if TYPE_CHECKING:
-    from palpate.results.writer import ClipResults
 
 
 class FieldFile(Artefact):
@@ -24,8 +20,7 @@ class FieldFile(Artefact):
 
     name = store.FIELDS
 
-    def __init__(self, clip: ClipResults) -> None:
-        super().__init__(clip)
+    def open(self) -> None:
         self._file = zipfile.ZipFile(self.path, "w", zipfile.ZIP_DEFLATED)
         self._run: int | None = None
 

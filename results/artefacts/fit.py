@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from palpate.results.writer import ClipResults
 
 MOST_PANELS = 12
 """Number of contacts that are drawn."""
@@ -39,8 +38,7 @@ class FitPicture(Artefact):
 
     name = store.FIT
 
-    def __init__(self, clip: ClipResults) -> None:
-        super().__init__(clip)
+    def open(self) -> None:
         self.drawn: list[InteractionEstimate] = []
         # What `finish` needs is loaded meanwhile: it takes most of a second.
         Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()

@@ -5,15 +5,11 @@ from __future__ import annotations
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 from palpate.data.source.video import Video
 from palpate.results import store
 from palpate.results.artefacts.base import Artefact
 from palpate.results.overlay import canvas_size, draw_overlay
-
-if TYPE_CHECKING:
-    from palpate.results.writer import ClipResults
 
 
 class Overlay(Artefact):
@@ -21,9 +17,8 @@ class Overlay(Artefact):
 
     name, pictures = store.OVERLAY, True
 
-    def __init__(self, clip: ClipResults) -> None:
-        super().__init__(clip)
-        self._video = Video(self.path, canvas_size(clip.size), clip.fps)
+    def open(self) -> None:
+        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps)
         self._drawer = ThreadPoolExecutor(1, "overlay")
         self._drawing: deque[Future[None]] = deque()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from palpate.estimators.records import CONTACTS, FRAMES
 from palpate.estimators.result import Table
@@ -11,20 +11,19 @@ from palpate.results import store
 from palpate.results.artefacts.base import Artefact
 from palpate.results.calibrated import CALIBRATED
 
-if TYPE_CHECKING:
-    from palpate.results.writer import ClipResults
-
 
 class TableFile(Artefact):
     """CSV file of a table, row by row."""
 
     table: Table
+    described = False
+    """Whether run.json describes the columns."""
 
-    def __init__(self, clip: ClipResults) -> None:
-        super().__init__(clip)
+    def open(self) -> None:
         self._file = self.path.open("w", encoding="utf-8", errors="replace", newline="")
         self._rows = csv.writer(self._file)
         self._rows.writerow(self.table.columns)
+        self.columns = self.table.columns if self.described else None
 
     def write(self, *row: Any) -> None:
         """Append a row of these objects."""
@@ -37,12 +36,11 @@ class TableFile(Artefact):
 class FrameTable(TableFile):
     """parameters.csv: a row a frame."""
 
-    name = store.TABLE
+    name, described = store.TABLE, True
 
-    def __init__(self, clip: ClipResults) -> None:
-        self.table = FRAMES if clip.alarm is not None else FRAMES.without("alarm")
-        self.columns = self.table.columns
-        super().__init__(clip)
+    def open(self) -> None:
+        self.table = FRAMES if self.clip.alarm is not None else FRAMES.without("alarm")
+        super().open()
 
     def frame(self, estimate, image, labels) -> None:
         self.write(estimate)
@@ -51,7 +49,7 @@ class FrameTable(TableFile):
 class ContactTable(TableFile):
     """interactions.csv: a row a contact."""
 
-    name, table, columns = store.INTERACTIONS, CONTACTS, CONTACTS.columns
+    name, table, described = store.INTERACTIONS, CONTACTS, True
 
     def contact(self, run) -> None:
         self.write(*run.rows)

@@ -62,21 +62,16 @@ def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         "found": contacts,
         "length": record["units"].get("length", ""),
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "calibrated": newtons_of(folder),
         "curves": _curves(record, frames, contacts),
     }
 
 
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
     """What is shown of a video's contacts."""
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    runs = zip(_table(folder / store.INTERACTIONS), report["contacts"], strict=True)
-    return [_contact(run, forces) for run, forces in runs]
-
-
-def newtons_of(folder: Path) -> list[dict[str, str]]:
-    """Rows of calibrated.csv, a row a contact; none where there is no table."""
-    return _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else []
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))["contacts"]
+    runs, newtons = _table(folder / store.INTERACTIONS), folder / store.CALIBRATED
+    physical = _table(newtons) if newtons.is_file() else [{}] * len(runs)
+    return [_contact(*one) for one in zip(runs, report, physical, strict=True)]
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
@@ -85,26 +80,28 @@ def _explained(name: str, count: int = 0) -> dict[str, Any]:
     return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
-def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:
+def _contact(run: Mapping[str, str], forces: Mapping[str, Any], newtons: Mapping[str, str]) -> dict[str, Any]:
     """A run of contact: its rows of both tables, and its verdict in words, with no number surer than that."""
-    verdict, values = run["verdict"], {name: _number(cell) for name, cell in run.items()}
+    verdict, values = run["verdict"], {name: number(cell) for name, cell in run.items()}
     doubtful = verdict == "determined" and run["detail"]
     shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
-    return {"row": run, "known": values, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
+    return {"row": run, "known": values, "forces": forces, "newtons": newtons, "numbers": shown} | _explained(
+        verdict or "no_estimate"
+    )
 
 
 def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
     """What the page's script draws, by frame and by run of contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
-        found[name] = [_number(row[name]) for row in frames]
+        found[name] = [number(row[name]) for row in frames]
     found["sure"] = [_is_sure(row) for row in frames]
     found["state"] = _coded([row["verdict"] or row["status"] for row in frames])
     found["detail"] = _coded([row["detail"] for row in frames])
     if record["force_limit"]:
         found["alarm"] = _coded([row["alarm"] for row in frames])
     for contact in contacts:
-        values = {name: _number(contact["row"][name]) for name in CURVES}
+        values = {name: number(contact["row"][name]) for name in CURVES}
         values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
         names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
         found["contacts"].append(values | {name: contact["forces"][name] for name in names})
@@ -122,7 +119,8 @@ def _coded(texts: Sequence[str]) -> dict[str, Any]:
     return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 
 
-def _number(cell: str) -> float | None:
+def number(cell: str) -> float | None:
+    """A cell of a table; None where it is no number."""
     try:
         return float(cell)
     except ValueError:

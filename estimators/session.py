@@ -15,14 +15,25 @@ def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[
         session: started for this clip.
         frames: all of the clip's, prepared as the session's estimator wants them.
     """
+    return (output for output, _ in estimates_with_frames(session, frames))
+
+
+def estimates_with_frames(
+    session: Session, frames: Iterable[PreparedFrame]
+) -> Iterator[tuple[Output, PreparedFrame | None]]:
+    """The same, each with its frame; None for runs of contact."""
     waiting: deque[PreparedFrame] = deque()
 
-    def with_gaps(outputs: Iterable[Output]) -> Iterator[Output]:
+    def with_gaps(outputs: Iterable[Output]) -> Iterator[tuple[Output, PreparedFrame | None]]:
         for output in outputs:
-            if isinstance(output, FrameEstimate):
-                for gap in waiting.popleft().skipped:
-                    yield FrameEstimate(gap.frame.number, gap.frame.time_s, status=gap.status, detail=gap.detail)
-            yield output
+            if not isinstance(output, FrameEstimate):
+                yield output, None
+                continue
+            frame = waiting.popleft()
+            for gap in frame.skipped:
+                at = gap.frame
+                yield FrameEstimate(at.number, at.time_s, status=gap.status, detail=gap.detail), gap
+            yield output, frame
 
     for frame in frames:
         waiting.append(frame)

@@ -34,7 +34,6 @@ from palpate.results.video import VideoClip
 
 REFUSED: dict[str, str] = read_beside(__file__)
 """What is said of options that don't belong together."""
-Clip = VideoClip | SequenceClip
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 
@@ -77,10 +76,8 @@ class Batch:
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Estimate a clip and write its results; arguments as of `attempt`."""
-        if is_sequence(path):
-            clip: Clip = SequenceClip(path, self.options, self.estimator)
-        else:
-            clip = VideoClip(path, self.options, self.estimator, self.settings, self.calibration)
+        kind: Any = SequenceClip if is_sequence(path) else VideoClip
+        clip = kind(path, self)
         folder = self.folders.get(path) or self.store.folder(clip.name, path)
         if store.is_up_to_date(folder, digest_of(clip.causes), clip.files, overwrite=self.options.overwrite):
             say(self.console, f"{clip.name}: up to date in {folder}; --overwrite computes it again")
@@ -90,6 +87,8 @@ class Batch:
             record = clip.write(folder, lambda: progress.advance(task))
         finally:
             progress.remove_task(task)
+            with suppress(store.OutputError):
+                store.settle(folder)
         for sentence in (*record["warnings"], *clip.remarks):
             say(self.console, f"{clip.name}: {sentence}")
         return Outcome.of(clip.name, DONE, folder)

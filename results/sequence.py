@@ -4,31 +4,32 @@
 line a frame. What isn't known is not a number there.
 """
 
-import argparse
+from __future__ import annotations
+
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.common.files import digest_of
 from palpate.common.provenance import __version__, code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.frames import name_of
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import Sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from palpate.estimators.contract import Estimator
 from palpate.estimators.online.estimator import OnlineEstimator
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.records import FRAMES
 from palpate.estimators.result import ENDS, Quantity, values_of
 from palpate.results import store
-from palpate.results.record import FORMAT_VERSION, sha256_of, versions
+from palpate.results.record import FORMAT_VERSION, head_of, sha256_of
+
+if TYPE_CHECKING:
+    from palpate.results.run import Batch
 
 PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
@@ -53,8 +54,7 @@ class SequenceClip:
 
     Args:
         path: of the sequence.
-        options: of the program.
-        estimator: opened.
+        batch: with the options and the estimator.
 
     Raises:
         ValueError: the sequence can't be used, or not with these options.
@@ -63,7 +63,8 @@ class SequenceClip:
     files = (store.TABLE, PARTICLES, store.RECORD)
     length, remarks = 0, ()
 
-    def __init__(self, path: Path, options: argparse.Namespace, estimator: Estimator) -> None:
+    def __init__(self, path: Path, batch: Batch) -> None:
+        options, estimator = batch.options, batch.estimator
         if not isinstance(estimator, OnlineEstimator):
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
         of_video = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
@@ -86,13 +87,6 @@ class SequenceClip:
             InputError: the sequence can't be used.
             OutputError: the folder can't be written, or holds a user's file by one of the names.
         """
-        try:
-            return self._write(folder, done)
-        finally:
-            with suppress(store.OutputError):
-                store.settle(folder)
-
-    def _write(self, folder: Path, done: Callable[[], None]) -> dict[str, Any]:
         from meshio import Mesh  # takes a quarter of a second
 
         rows, columns, verdict, started = [], {}, "", time.perf_counter()
@@ -102,9 +96,8 @@ class SequenceClip:
             partial = store.partial_folder(folder)
             for frame, field in tissue.fields():
                 number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
-                rows.append(
-                    {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | _numbers(field)
-                )
+                said = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
+                rows.append(said | _numbers(field))
                 cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
                 inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
                 Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
@@ -114,21 +107,23 @@ class SequenceClip:
             for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
                 text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
                 (partial / name).write_text(text, encoding="utf-8", newline="")
-            verdicts, names = (
-                Counter(row["verdict"] for row in rows),
-                dict.fromkeys(name for row in rows for name in row),
-            )
-            given = {"path": str(sequence.path.resolve()), "frames": len(rows)}
-            counts = {"statuses": {"ok": len(rows)}, "verdicts": verdicts, "contacts": {verdict: 1}}
-            texts = {name: FRAMES.columns.get(name, "").replace("scene units", "m") for name in names}
-            fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
-            record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
             empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
-            record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": [empty] * (tissue.unseen > 0)}
-            record["notice"] = "Research software, not a medical device."
-            record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
-            record |= {"units": {"length": "m", "time": "s"}, "columns": {store.TABLE: texts}}
-            record |= {"timings_s": {"total": seconds}, "versions": versions()}
+            texts = {name: FRAMES.columns.get(name, "").replace("scene units", "m") for row in rows for name in row}
+            record = head_of("sequence", causes) | {
+                "input": {
+                    "path": str(sequence.path.resolve()),
+                    "sha256": causes["sequence"],
+                    "frames": len(rows),
+                    "fps": 1 / float(np.median(np.diff(sequence.times))),
+                },
+                "statuses": {"ok": len(rows)},
+                "verdicts": Counter(row["verdict"] for row in rows),
+                "contacts": {verdict: 1},
+                "units": {"length": "m", "time": "s"},
+                "columns": {store.TABLE: texts},
+                "warnings": [empty] * (tissue.unseen > 0),
+                "timings_s": {"total": round(time.perf_counter() - started, 4)},
+            }
             store.write_record(partial, record)
             store.publish(partial, folder)
         return record

@@ -1,25 +1,22 @@
 """A video in a batch: what its results depend on, and its estimates given to whatever is written."""
 
-import argparse
+from __future__ import annotations
+
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpate.common.files import file_sha256
 from palpate.data.clip import ClipStream
 from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
-from palpate.data.prepared import PreparedFrame
-from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
-from palpate.estimators.calibration_file import Calibration
-from palpate.estimators.contract import ClipInfo, Estimator
+from palpate.estimators.contract import ClipInfo
 from palpate.estimators.force_scale import ClipLength
-from palpate.estimators.records import FrameEstimate
+from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.result import UNITS
-from palpate.estimators.session import estimates_of
+from palpate.estimators.session import estimates_with_frames
 from palpate.results.alarm import ForceAlarm, known_seconds
 from palpate.results.artefacts.base import artefacts
 from palpate.results.calibrated import NEWTONS, ClipCalibration
@@ -28,29 +25,23 @@ from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.store import RECORD
 from palpate.results.writer import ClipResults
 
+if TYPE_CHECKING:
+    from palpate.results.run import Batch
+
 
 class VideoClip:
     """A video that is to be estimated.
 
     Args:
         path: of the clip.
-        options: of the program.
-        estimator: opened.
-        settings: how its frames are prepared.
-        calibration: what is known in newtons.
+        batch: with the options, the estimator, the preparation, and what is known in newtons.
 
     Raises:
         ValueError: the clip, or what is known of its forces, can't be read.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        options: argparse.Namespace,
-        estimator: Estimator,
-        settings: PrepareSettings,
-        calibration: Calibration | None,
-    ) -> None:
+    def __init__(self, path: Path, batch: Batch) -> None:
+        options, estimator, settings = batch.options, batch.estimator, batch.settings
         self._options, self._estimator, self._settings = options, estimator, settings
         self._source = open_source(path, settings.layout)
         self.name, self.length = self._source.name, self._source.length
@@ -59,8 +50,8 @@ class VideoClip:
         chosen = {name: getattr(options, name) for name in ("force_limit", "shaft_diameter", "export")}
         self.causes |= {name: value for name, value in chosen.items() if value is not None}
         self._calibration = None
-        if calibration is not None:
-            given = calibration.of_clip(path, settings.layout.topic)
+        if batch.calibration is not None:
+            given = batch.calibration.of_clip(path, settings.layout.topic)
             self.causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
             self._calibration = ClipCalibration(given)
         self._kinds = artefacts(options, estimator)
@@ -77,11 +68,9 @@ class VideoClip:
             done: called after every frame.
         """
         options, newtons, seconds = self._options, self._calibration, known_seconds(self._estimator)
-        alarm = None
-        if options.force_limit is not None:
-            alarm = ForceAlarm(options.force_limit, UNITS["force"] if newtons is None else NEWTONS, seconds)
-        given: dict[str, Any] = {"calibration": newtons, "alarm": alarm, "seconds": seconds}
-        with ClipResults(folder, self._source, self._kinds, **given) as results:
+        limit, unit = options.force_limit, UNITS["force"] if newtons is None else NEWTONS
+        alarm = None if limit is None else ForceAlarm(limit, unit, seconds)
+        with ClipResults(folder, self._source, self._kinds, newtons, alarm, seconds) as results:
             clip, started = ClipStream(self._source, self._settings), time.perf_counter()
             length = ClipLength.of(clip)
             if newtons is not None:
@@ -93,14 +82,14 @@ class VideoClip:
             told = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
             force = None if newtons is None else newtons.calibration.measured
             session = self._estimator.start(replace(ClipInfo.of(clip), force=force, metres=told))
-            frames: deque[PreparedFrame] = deque()
             stream = iter(clip) if options.threads == 1 else clip.overlapped()
             stream = ruler.watched(stream) if ruler else stream
-            for item in estimates_of(session, _kept(stream, frames, done)):
-                if isinstance(item, FrameEstimate):
-                    results.write(frames.popleft(), item)
-                else:
+            for item, frame in estimates_with_frames(session, stream):
+                if isinstance(item, InteractionEstimate):
                     results.add(replace(item, detail=in_options(item.detail)))
+                elif frame is not None:
+                    results.write(frame, item)
+                    done()
             if ruler is not None:
                 metres, log_sd = ruler.metres() or (None, 0.0)
                 by = NOT_SEEN if metres is None else f"a shaft of {diameter:g} mm"
@@ -114,13 +103,3 @@ class VideoClip:
         for reason, count in results.unexplained.most_common(3):
             self.remarks.append(f"no estimate of {count} of {total} {plural(total, 'contact')}: {reason}")
         return record
-
-
-def _kept(
-    stream: Iterable[PreparedFrame], frames: deque[PreparedFrame], done: Callable[[], None]
-) -> Iterator[PreparedFrame]:
-    """A clip's frames, each of which is kept until its estimate is written."""
-    for frame in stream:
-        frames.extend((*frame.skipped, frame))
-        yield frame
-        done()

@@ -48,7 +48,6 @@ class ClipResults:
         folder: Path,
         source: FrameSource,
         kinds: Sequence[type[Artefact]],
-        *,
         calibration: ClipCalibration | None = None,
         alarm: ForceAlarm | None = None,
         seconds: float = math.inf,

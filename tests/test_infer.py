@@ -217,7 +217,7 @@ def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, mon
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("palpate.results.run.open_source", fail)
+    monkeypatch.setattr("palpate.results.video.open_source", fail)
     assert call(inputs, tmp_path, clips="clips/drawn.mp4") == 1
     said = capsys.readouterr().err.strip()
     assert said.startswith("failed: ")

@@ -62,7 +62,7 @@ class Artefact:
         """
 
     def contact(self, run: InteractionEstimate) -> None:
-        """Take a contact that has ended, before its frames."""
+        """Take a contact that has ended, after its frames."""
 
     def warnings(self) -> Iterator[str]:
         """Yield sentences for run.json, after the last contact."""

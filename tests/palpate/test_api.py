@@ -66,7 +66,7 @@ def test_help_shows_the_public_functions_and_no_module_takes_their_place() -> No
     shown = pydoc.plain(pydoc.render_doc(palpate))
     assert all(f"\n    {name}(" in shown for name in ("estimate", "calibrate", "plan", "simulate"))
     assert re.search(r"\nVERSION\n    \d+\.\d+", shown)
-    assert set(dir(palpate)) >= {"estimate", "calibrate", "plan", "Estimate", "__version__"}
+    assert set(dir(palpate)) >= {"estimate", "calibrate", "plan", "PressResult", "__version__"}
     with pytest.raises(ModuleNotFoundError):
         importlib.import_module("palpate.calibrate")
     assert callable(palpate.calibrate)

@@ -145,7 +145,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource,
 
 @pytest.mark.parametrize(
     ("calibration", "told"),
-    [(Calibration(), [recording.WARNINGS["uncalibrated"]]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])],
+    [(Calibration(), [recording.UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, source, tmp_path) -> None:
     document = metadata() | {"calibration": asdict(calibration)}

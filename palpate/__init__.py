@@ -4,7 +4,7 @@
     for run in palpate.estimate("clip.mp4"):
         print(run.onset_frame, run.verdict, run.estimate)
 
-api        what a script calls: estimate, open_clip, open_estimator, calibrate, plan
+api        what a script calls: estimate, open_clip, open_estimator, calibrate, plan; outline_page: OutlinePage
 command    what a user types; __main__: the command `palpate`
 common     files, settings, terminals; knows nothing of the field
 physics    simulators and their derivatives: simulate (numpy), rollout (torch), Mechanics
@@ -21,6 +21,7 @@ from palpate.common.lazy import exported
 __getattr__, __dir__, __all__ = exported(
     {
         "palpate.common.provenance": ("__version__",),
+        "palpate.outline_page": ("OutlinePage",),
         "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
         "palpate.data.contact.interaction": ("Interaction",),
         "palpate.estimators.estimate": ("PressResult",),

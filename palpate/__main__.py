@@ -1,6 +1,6 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | page | synthetic …
+    palpate infer | live | train | export | calibrate | plan | page | outline | synthetic …
 
 `palpate COMMAND --help` lists a command's options. Not a medical device.
 """
@@ -14,7 +14,7 @@ import sys
 
 from palpate.common.provenance import __version__
 
-OWN = ("infer", "live", "train", "calibrate", "plan", "page")
+OWN = ("infer", "live", "train", "calibrate", "plan", "page", "outline")
 """Commands that are modules of `palpate.command`."""
 COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
     "export": "palpate.command.train",

@@ -3,6 +3,8 @@
 sources      the common interface MaskSource, annotation masks, and the choice between the kinds
 onnx         any segmentation network as an ONNX file
 outlined     instruments that a person has outlined in a frame, followed from there
+cut          an instrument cut out by strokes
+outlining    a session in which a person outlines instruments
 rigid        an instrument followed from an outline on
 automatic    raw video: instruments by the network that ships, other lit pixels as tissue
 lit          what of a picture is lit: the endoscope's view

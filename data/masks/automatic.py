@@ -68,22 +68,32 @@ class AutomaticMasks:
         other = np.where(kept > LEAST, np.uint8(UNSURE), lit * np.uint8(TISSUE))
         return np.where(kept > 0.5, np.uint8(TOOL), other)
 
+    def probability(self, image: np.ndarray) -> np.ndarray:
+        """Probability of an instrument in one picture [H, W, 3], at half of the network's size, float32 [h, w]."""
+        return self._seen(self._small(image))
+
+    def _small(self, image: np.ndarray) -> np.ndarray:
+        height, width = self.network.fixed_size("NCHW")
+        assert height is not None and width is not None  # noqa: PT018  the file fixes them
+        return resized(image, height, width)
+
+    def _seen(self, small: np.ndarray) -> np.ndarray:
+        return expit(self.network.run(small.transpose(2, 0, 1)[None] * np.float32(1 / 255))[0][0, 0])
+
     def _averaged(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Probability of an instrument at half of the network's size, and that before, moved; float32 [h, w] each.
 
         The first frame of a clip is its own frame before.
         """
-        height, width = self.network.fixed_size("NCHW")
-        assert height is not None and width is not None  # noqa: PT018  the file fixes them
-        small = resized(image, height, width)
+        small = self._small(image)
+        height, width = small.shape[:2]
         gray = cv2.cvtColor(resized(small, height // 2, width // 2), cv2.COLOR_RGB2GRAY)
         before = None
         if self._gray is not None:
             before = self._carrier.carried(self._probability, self._gray, gray, cv2.INTER_LINEAR)
         now = before
         if now is None or self._since % self._every == 0:
-            found = self.network.run(small.transpose(2, 0, 1)[None] * np.float32(1 / 255))[0]
-            own = expit(found[0, 0])
+            own = self._seen(small)
             now = own if before is None else NEW_SHARE * own + (1 - NEW_SHARE) * before
         self._since += 1
         self._gray, self._probability = gray, now

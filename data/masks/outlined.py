@@ -49,8 +49,15 @@ class OutlinedMasks:
     def reset(self) -> None:
         """Forget the frames of the clip so far."""
         self._instruments: list[RigidInstrument] = []
+        self._share = 1.0
+        """Size in which instruments are followed over the picture's."""
         self._drawn = -1
         """Number of the frame whose outlines are followed."""
+
+    @property
+    def outlines(self) -> list[np.ndarray]:
+        """Corners [K, 2] (column, row) [px] of the instruments in the last frame; none of one that has left it."""
+        return [instrument.outline / self._share for instrument in self._instruments]
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map uint8 [H, W] of a frame.
@@ -59,7 +66,7 @@ class OutlinedMasks:
             MaskError: no outline comes before the frame, or an instrument couldn't be followed into it.
         """
         picture = frame.picture
-        share = WORKING_SIZE / max(picture.shape[:2])
+        share = self._share = WORKING_SIZE / max(picture.shape[:2])
         size = max(round(picture.shape[1] * share), 16), max(round(picture.shape[0] * share), 16)
         gray = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
         lit = lit_picture(picture)
@@ -81,8 +88,8 @@ class OutlinedMasks:
                     f"An instrument outlined in frame {drawn} can't be followed here; outline it again in {self._name}."
                 )
         labels = lit.astype(np.uint8) * np.uint8(TISSUE)
-        for instrument in self._instruments:
-            filled(labels, instrument.outline / share, TOOL)
+        for outline in self.outlines:
+            filled(labels, outline, TOOL)
         return labels
 
 

@@ -7,5 +7,6 @@ train_masks  trains the network that outlines instruments
 tracking     the MLflow run of a training
 calibrate    measured forces → material constants
 page         results → pages for a browser
+outline      strokes on instruments → outlines that `--masks` reads
 plan         an instrument's path past tissue that gives way
 """

@@ -23,12 +23,12 @@ from palpate.results.page.render import write_pages
 from palpate.results.record import PERSISTENT
 from palpate.results.store import OutputError
 from palpate.results.verdicts import NOTES
+from tests.chromium import CHROMIUM
 from tests.tables import read_rows
 from tests.test_infer import SCENE
 
 ODD = "a & 'b' #1 50%"
 BROKEN = "<img src=x onerror=alert(1)>.mp4"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @pytest.fixture(scope="module")

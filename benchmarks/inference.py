@@ -30,11 +30,10 @@ import torch
 
 from benchmarks.harness import show
 from palpate.command.infer import main as infer
-from palpate.common.command_line import described_parser
+from palpate.common.options import parse
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.network.estimator import RATES
 from palpate.models.generator import Generator
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import open_model
@@ -51,6 +50,8 @@ NETWORKS: dict[str, dict[str, Any]] = {
 HEIGHTS = {854: 480, 1280: 720}
 """Of pictures by their width [px]."""
 VIDEO_FRAMES, VIDEO_SEED = 250, 55
+RATES = ("full", "fast")
+"""Values of --rate."""
 
 
 def exported(name: str, folder: Path) -> Path:
@@ -93,7 +94,7 @@ def plain_video(width: int, folder: Path) -> list[float]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; returns the exit status."""
-    described_parser("python -m benchmarks.inference", __doc__, "0 done; 1 failed; 2 wrong usage").parse_args(arguments)
+    parse((), arguments, "benchmarks.inference", __doc__)
     with TemporaryDirectory() as folder:
         _measure(Path(folder))
     return 0

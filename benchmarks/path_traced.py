@@ -29,7 +29,7 @@ from palpate.api import open_clip
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, REPORTED
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.physics.identifiability import NINETY
@@ -40,9 +40,9 @@ TRUTH = ".truth.json"
 """Ending of the files of truth."""
 
 
-def measured(clip: Path, truth: Mapping[str, Any], options: EstimatorOptions) -> Row:
+def measured(clip: Path, truth: Mapping[str, Any], name: str) -> Row:
     """Frames of contact that are found, and errors of the first press that is."""
-    estimator = open_estimator(options)
+    estimator = open_estimator(name)
     stream = open_clip(clip, estimator)
     found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
@@ -105,12 +105,12 @@ class PathTraced(Measurements):
         Raises:
             InputError: there are none.
         """
-        options, found = EstimatorOptions(self.estimator), {}
+        found = {}
         for file in sorted(self.data.glob(f"*{TRUTH}")):
             name = file.name.removesuffix(TRUTH)
             clip = self.data / (name if self.given == "depth" else f"{name}.mp4")
             if clip.exists():
-                found[name] = functools.partial(measured, clip, read_mapping(file, "a truth"), options)
+                found[name] = functools.partial(measured, clip, read_mapping(file, "a truth"), self.estimator)
         if not found:
             raise InputError(f"{self.data} holds no NAME{TRUTH} beside its clip; give a folder of path-traced clips.")
         return found

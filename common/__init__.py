@@ -1,7 +1,7 @@
 """Files, settings and terminals, as every program needs them; knows nothing of the field.
 
-doors         how programs begin and end; command_line: types of options, sentences, progress bars
-options       a dataclass filled in from the command line
+doors         how programs begin and end; command_line: sentences and progress bars
+options       command lines from dataclasses; registry: components by name, also those of other packages
 files         whole files or none, reading that ends, YAML of our own; output: which files this program may replace
 settings      values of settings that come from files; tables: rows as CSV
 lazy          public names of packages, loaded when asked for; provenance: digest of the code

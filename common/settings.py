@@ -1,11 +1,10 @@
 """Values of settings that come from files: whether they are what a field's annotation asks for, and that in words."""
 
+import functools
 import itertools
-import math
 import reprlib
 import types
-from collections.abc import Collection
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 WORDS: dict[Any, str] = {
     str: "text",
@@ -90,36 +89,48 @@ def described(kind: Any) -> str:
     return WORDS.get(kind, "a mapping of names to values")
 
 
-def require_choices(settings: Any, group: str = "") -> None:
-    """Raise a ValueError where a field of a dataclass that may be one of a few holds something else.
+Positive = Annotated[float, 1e-15, LARGEST]
+"""A number above 0."""
+NotNegative = Annotated[float, 0, LARGEST]
+"""A number of 0 or more."""
+
+
+class Checked:
+    """Base of dataclasses whose values must be as their annotations say.
+
+    `Literal` is a choice, `Annotated[float, 0, 1]` a number from 0 to 1, or a range within; None is always allowed.
 
     Args:
-        group: of the settings, for the sentence.
+        group: of the settings, in front of their names in messages.
     """
-    for name, kind in get_type_hints(type(settings)).items():
-        if get_origin(kind) is Literal and not fits(getattr(settings, name), kind):
-            raise ValueError(f"{group}{name} is {getattr(settings, name)!r}; give {described(kind)}.")
+
+    _group = ""
+
+    def __init_subclass__(cls, group: str = "") -> None:
+        cls._group = group or cls._group
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where a field holds something else."""
+        for name, kind, ends in _constraints(type(self)):
+            value = getattr(self, name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            least, most = ends or (0, 0)
+            if value is None or (fits(value, kind) if ends is None else least <= numbers[0] <= numbers[-1] <= most):
+                continue
+            wanted = described(kind)
+            if ends is not None:
+                start, end = ("a positive number", "up to") if least == 1e-15 else (f"{least:g}", "to")
+                wanted = f"{start} {end} {most:g}" if most < LARGEST else f"{start}{' or more' * (end == 'to')}"
+            raise ValueError(f"{self._group}{name} is {value!r}; give {wanted}.")
 
 
-def require_numbers(
-    settings: Any, *, positive: Collection[str] = (), not_negative: Collection[str] = (), group: str = ""
-) -> None:
-    """Raise a ValueError where a field, by its name, is not finite or too small; None is no number, and passes.
-
-    Args:
-        positive: fields that are above 0.
-        not_negative: fields that are 0 or more.
-        group: of the settings, for the sentence.
-    """
-    for name in (*positive, *not_negative):
-        value, least = getattr(settings, name), "0 or more" if name in not_negative else "a positive number"
-        if value is not None and not (math.isfinite(value) and (value > 0 or (value == 0 and name in not_negative))):
-            raise ValueError(f"{group}{name} is {value}; give {least}.")
-
-
-def require_between(settings: Any, group: str = "", /, **ranges: tuple[float, float]) -> None:
-    """Raise a ValueError where a field lies outside its range, ends included; None is no number, and passes."""
-    for name, (least, most) in ranges.items():
-        value = getattr(settings, name)
-        if value is not None and not least <= value <= most:
-            raise ValueError(f"{group}{name} is {value}; give {least} to {most}.")
+@functools.cache
+def _constraints(kind: type[Any]) -> list[tuple[str, Any, Any]]:
+    """Names of a class's fields that are choices or limited numbers, their kinds, and ends of the latter."""
+    plain, found = get_type_hints(kind), []
+    for name, each in get_type_hints(kind, include_extras=True).items():
+        parts = each, *get_args(each)
+        ends = next((part.__metadata__ for part in parts if get_origin(part) is Annotated), None)
+        if ends is not None or any(get_origin(part) is Literal for part in parts):
+            found.append((name, plain[name], ends))
+    return found

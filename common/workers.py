@@ -56,7 +56,7 @@ def run_tasks(
             yield future.result()
         pool.shutdown()
     except BrokenProcessPool as error:
-        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.") from error
+        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer workers or jobs.") from error
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - others:

@@ -1,8 +1,9 @@
 """Everything that decides how a clip's frames are prepared."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import LARGEST, Checked, NotNegative
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.masks.sources import MaskClasses
@@ -13,7 +14,7 @@ PREPROCESSING_VERSION = 3
 
 
 @dataclass(frozen=True)
-class PrepareSettings:
+class PrepareSettings(Checked):
     """Everything that decides how a clip's frames are prepared."""
 
     depth: DepthSettings = field(default_factory=DepthSettings)
@@ -27,18 +28,13 @@ class PrepareSettings:
     """Which annotated classes are tool and tissue."""
     layout: ClipLayout = field(default_factory=ClipLayout)
     """How the clip's files are named."""
-    bridge_frames: int = 2
+    bridge_frames: Annotated[int, 0, LARGEST] = 2
     """Largest number of frames in a row without contact that count as flicker and don't end a run of contact."""
-    track_seconds: float = 1.0
+    track_seconds: NotNegative = 1.0
     """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
-    every: int = 1
+    every: Annotated[int, 1, LARGEST] = 1
     """In one of so many frames automatic masks and guessed depth are found anew; in between depth is what it was, and
     instruments move along with the picture."""
-
-    def __post_init__(self) -> None:
-        require_numbers(self, not_negative=NUMBERS)
-        if self.every < 1:
-            raise ValueError(f"every is {self.every}; give 1 or more.")
 
 
 NUMBERS = ("bridge_frames", "track_seconds")

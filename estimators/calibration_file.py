@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.bags import read_wrenches
 from palpate.data.source.images import printable
 from palpate.data.source.layout import from_mapping, read_mapping
@@ -35,29 +35,29 @@ REFERENCES = ("force_N", "stiffness", "palpation")
 
 
 @dataclass(frozen=True)
-class CalibrationFile:
+class CalibrationFile(Checked):
     """Fields of the file.
 
     Raises:
         ValueError: fields that don't belong together, or numbers that can't be.
     """
 
-    force_N: float | None = None
+    force_N: Positive | None = None
     """A known force, its magnitude [N]."""
-    force_sd_N: float = 0.0
+    force_sd_N: NotNegative = 0.0
     """Its standard deviation [N]."""
     force_time_s: float | None = None
     """When it acted: in the run of contact under way then, in the clip's time [s]."""
-    stiffness: float | None = None
+    stiffness: Positive | None = None
     """Stiffness k_s of the tissue's sheet of springs, at all contacts [N/m]."""
-    stiffness_sd: float = 0.0
+    stiffness_sd: NotNegative = 0.0
     """Its standard deviation [N/m]."""
     palpation: str | None = None
     """calibration.json of `palpate calibrate`, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
-    thickness_m: float | None = None
+    thickness_m: Positive | None = None
     """Of the sheet that the tissue's surface is [m]."""
-    thickness_sd_m: float = 0.0
+    thickness_sd_m: NotNegative = 0.0
     """Its standard deviation [m]."""
 
     def __post_init__(self) -> None:
@@ -70,8 +70,7 @@ class CalibrationFile:
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):
             raise ValueError("palpation and thickness_m belong together; give both.")
-        values, deviations = ("force_N", "stiffness", "thickness_m"), ("force_sd_N", "stiffness_sd", "thickness_sd_m")
-        require_numbers(self, positive=values, not_negative=deviations)
+        super().__post_init__()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,16 +1,21 @@
 """What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Protocol, Self
 
+from palpate.common.onnx_devices import AUTO, DEVICES
+from palpate.common.options import option
 from palpate.data.clip import ClipStream
 from palpate.data.contact.geometry import GeometrySettings
-from palpate.data.depth.normalise import DepthSettings
+from palpate.data.depth.normalise import MOST_THREADS, DepthSettings
+from palpate.data.depth.preset import preset_names
+from palpate.data.masks.sources import mask_names
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.camera import Camera
-from palpate.data.source.layout import ClipLayout
+from palpate.data.source.camera import Camera, load_camera
+from palpate.data.source.layout import ClipLayout, load_layout
 from palpate.estimators.known_force import KnownForce
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
@@ -19,24 +24,63 @@ SMOOTHING = 4.0
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """What a user chooses of a clip's preparation; the estimator decides the rest."""
+class Preparation:
+    """Depth, masks and camera.
 
-    layout: ClipLayout = field(default_factory=ClipLayout)
-    """How the clips' files are named."""
-    masks: str | None = None
-    """Source of the masks; None = the estimator's."""
-    depth: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of `DepthSettings`."""
-    smoothing: float | None = None
-    """Width over which the resting shape is smoothed [grid px]; None = the estimator's."""
+    Choices of a user, who is asked for nothing; the estimator decides the rest.
+    """
 
-    def without_model(self) -> PrepareSettings:
-        """Of estimators that no model's file tells how: smoothed tissue, the camera's motion taken off."""
-        smoothing = SMOOTHING if self.smoothing is None else self.smoothing
+    depth: str | None = option(None, metavar="SOURCE", names=preset_names, setting="depth.source")
+    """auto, stored, stereo (docs/inputs.md), a depth model's .onnx file (default: as the model was trained, else auto),
+    or a preset"""
+    depth_model: str | None = option(None, metavar="FILE", setting="depth.model")
+    """the .onnx file of a preset that ships none"""
+    depth_preset: str | None = option(None, metavar="PRESET", setting="depth.preset")
+    """preset or .yaml file with the settings to read --depth MODEL.onnx"""
+    masks: str | None = option(None, metavar="SOURCE", names=mask_names)
+    """a segmentation model's .onnx file, outlines of instruments in a frame, which are followed from there (a .yaml
+    file, docs/reports/masks.md), auto (annotation where there is one, else automatic; default), or a source"""
+    layout: Path | ClipLayout | None = option(None, metavar="FILE")
+    """YAML file that names a folder's files (default: CholecSeg8k)"""
+    topic: str | None = option(None, metavar="NAME", setting="layout.topic")
+    """topic of the pictures in bags (default: the only one; palpate[robot])"""
+    camera: Path | None = option(None, metavar="FILE")
+    """camera (YAML or JSON) for clips that bring none of their own"""
+    threads: Annotated[int, 0, MOST_THREADS] = option(0, metavar="N")
+    """CPU threads; 0 = all"""
+    device: str = option(AUTO, choices=lambda: DEVICES)
+    """where ONNX networks run: auto is the best that the installed onnxruntime offers"""
+
+    @property
+    def clip_layout(self) -> ClipLayout:
+        """How the clips' files are named, with the camera and the topic that are chosen.
+
+        Raises:
+            InputError: a file can't be used.
+        """
+        found = self.layout or ClipLayout()
+        found = found if isinstance(found, ClipLayout) else load_layout(Path(found))
+        if self.camera is not None:
+            load_camera(Path(self.camera))
+            found = replace(found, camera=str(Path(self.camera).resolve()))
+        return replace(found, topic=self.topic or found.topic)
+
+    @property
+    def depth_fields(self) -> dict[str, Any]:
+        """Fields of `DepthSettings` that are chosen."""
+        named: dict[str, Any] = {"source": self.depth, "model": self.depth_model, "preset": self.depth_preset}
+        named |= {"threads": self.threads, "device": self.device}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def without_model(self, smoothing: float = SMOOTHING) -> PrepareSettings:
+        """Preparation for estimators without a trained model: smoothed depth, camera motion subtracted.
+
+        Args:
+            smoothing: width over which the resting shape is smoothed [grid px].
+        """
         geometry = GeometrySettings(smoothing=smoothing, rigid_motion="subtract")
-        chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.layout}
-        return PrepareSettings(depth=DepthSettings(**self.depth), geometry=geometry, **chosen)
+        chosen: dict[str, Any] = {"masks": self.masks or "auto", "layout": self.clip_layout}
+        return PrepareSettings(depth=DepthSettings(**self.depth_fields), geometry=geometry, **chosen)
 
 
 @dataclass(frozen=True)
@@ -86,17 +130,33 @@ class Session(Protocol):
 
 
 class Estimator(Protocol):
-    """Something that estimates; it holds nothing of any clip."""
+    """Something that estimates; it holds nothing of any clip. Subclasses state here what they can."""
 
     name: str
-    """`network`, `gan`, `direct`, …"""
+    """Name in the registry."""
+    settings: Any = None
+    """How it estimates, where a user chooses that."""
+    live: bool = False
+    """Whether it estimates while frames come."""
+    tells_theta: bool = True
+    """Whether it estimates stiffness, damping and force of a press."""
+    tells_intervals: bool = True
+    """Whether its numbers have intervals."""
+    tells_field: bool = False
+    """Whether it estimates stiffness place by place, also in sequences beside a robot."""
+    force_seconds: float | None = None
+    """Time after the onset of contact up to which a frame's estimate constrains the force [s]; None = none does."""
 
     @property
     def described(self) -> dict[str, Any]:
         """Its settings, JSON-able: with its model's file all that its numbers depend on."""
+        settings: Any = self.settings or self
+        return {"name": self.name} | (asdict(settings) if is_dataclass(settings) else {})
 
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """How frames must be prepared for it."""
+    def preparation(self, chosen: Preparation) -> PrepareSettings:
+        """Preparation of frames for it."""
+        return chosen.without_model()
 
     def start(self, clip: ClipInfo) -> Session:
         """Open a session."""
+        raise NotImplementedError

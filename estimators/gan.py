@@ -6,6 +6,7 @@ and discriminators are not needed.
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,13 +16,29 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.estimate import PressResult
-from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.model_settings import ModelEstimator, ModelSettings
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS
 from palpate.physics.msd.simulation import simulate
+
+
+@dataclass(frozen=True)
+class GanSettings(ModelSettings):
+    """Parameter network of a trained generator, for every frame by itself."""
+
+    def build(self) -> "GanEstimator":
+        """Open the estimator.
+
+        Raises:
+            ModelFileError: the model's file can't be used.
+            ValueError: there is none.
+        """
+        if self.model is None:
+            raise ValueError("--estimator gan needs a trained generator; give the file of train.py export as --model.")
+        return GanEstimator(self.opened(ParameterModel, "gan"))
 
 
 class GanEstimator(ModelEstimator):
@@ -35,12 +52,11 @@ class GanEstimator(ModelEstimator):
     """
 
     name = "gan"
+    tells_intervals = False
     model: ParameterModel
 
     def __init__(self, model: ParameterModel) -> None:
         super().__init__(model)
-        self.described = {"name": self.name}
-        """All other settings are in the model's file."""
         if (observation := model.metadata.get("observation", "final")) != "final":
             raise ModelFileError(
                 f"{model.path} was trained with observation {observation} and head parameters; train it with "

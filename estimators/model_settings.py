@@ -2,27 +2,58 @@
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
+from palpate.common.onnx_devices import AUTO, DEVICES
+from palpate.common.options import option
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import DepthModel
-from palpate.data.depth.normalise import BUILT_IN, DepthSettings
+from palpate.data.depth.normalise import BUILT_IN, MOST_THREADS, DepthSettings
 from palpate.data.depth.preset import resolve_model
-from palpate.data.masks.sources import MaskClasses, mask_source_file, open_mask_file
+from palpate.data.masks.sources import MaskClasses, check_masks
 from palpate.data.settings import NUMBERS, PrepareSettings
 from palpate.data.source.layout import InputError, from_mapping
-from palpate.estimators.contract import Chosen
-from palpate.models.onnx_session import ExportedModel, ModelFileError
+from palpate.estimators.contract import Estimator, Preparation
+from palpate.models.onnx_session import SHIPPED, ExportedModel, ModelFileError, open_model
 from palpate.physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
+Model = TypeVar("Model", bound=ExportedModel)
 RETIRED = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}
 """Settings of earlier versions, each with the one value that the program still supports and files may state."""
 
 
-class ModelEstimator:
+@dataclass(frozen=True)
+class ModelSettings:
+    """File of an exported network, and where it runs; part of the settings of estimators with one."""
+
+    model: Path | None = option(None, metavar="FILE")
+    """file from train.py export (default: the network that comes along)"""
+    threads: Annotated[int, 0, MOST_THREADS] = 0
+    """CPU threads; 0 = all"""
+    device: str = option(AUTO, choices=lambda: DEVICES)
+    """where ONNX networks run"""
+
+    def opened(self, kind: type[Model], name: str) -> Model:
+        """Open the network.
+
+        Args:
+            kind: that it must be.
+            name: of the estimator that takes this kind.
+
+        Raises:
+            ModelFileError: the file can't be used, or is of another kind.
+        """
+        model = open_model(self.model or SHIPPED, self.threads or None, self.device)
+        if not isinstance(model, kind):
+            raise ModelFileError(f"{model.path} is of another estimator than {name}; leave --estimator out.")
+        return model
+
+
+class ModelEstimator(Estimator):
     """Common part of the estimators with a network.
 
     Args:
@@ -37,12 +68,12 @@ class ModelEstimator:
         self.bounds = section(model, "bounds", Bounds)
         self.model = model
 
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
+    def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Preparation as in the model's training, with the user's choices."""
         return preparation_settings(self.model, chosen)
 
 
-def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSettings:
+def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSettings:
     """How frames are prepared for a model: as in its training, with the user's choices.
 
     Raises:
@@ -50,7 +81,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
         ValueError: a chosen setting is impossible.
     """
     masks = chosen.masks
-    depth, wanted = section(model, "depth", DepthSettings), dict(chosen.depth)
+    depth, wanted = section(model, "depth", DepthSettings), chosen.depth_fields
     if "source" not in wanted:
         _require_file(model, "depth", depth.source)
     elif Path(wanted["source"]).name != depth.source:
@@ -67,7 +98,7 @@ def preparation_settings(model: ExportedModel, chosen: Chosen) -> PrepareSetting
         "geometry": section(model, "geometry", GeometrySettings),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),
-        "layout": chosen.layout,
+        "layout": chosen.clip_layout,
     }
     prepare = section(model, "preparation", PrepareSettings, settings)
     size = (prepare.geometry.height, prepare.geometry.width)
@@ -91,9 +122,7 @@ def check_sources(settings: PrepareSettings) -> None:
         InputError: a model can't be used.
     """
     depth = settings.depth
-    file = mask_source_file(settings.masks)
-    if file is not None:
-        open_mask_file(file, threads=depth.threads, device=depth.device)
+    check_masks(settings.masks, threads=depth.threads, device=depth.device)
     if depth.source not in ("auto", *BUILT_IN):
         DepthModel(*resolve_model(depth.source, depth.model, depth.preset), threads=depth.threads, device=depth.device)
 

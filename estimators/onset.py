@@ -4,8 +4,26 @@ An estimate that takes the stamp for the onset has too small an uncertainty: a d
 other tissue. `direct` fits the delay (`estimators.direct.motion`), and networks were trained with unknown delays.
 """
 
-ONSETS = BETWEEN, STAMP = "between", "stamp"
+from dataclasses import dataclass
+from typing import Literal
+
+from palpate.common.options import option
+from palpate.common.settings import Checked
+from palpate.data.contact.interaction import Horizon
+
+BETWEEN, STAMP = "between", "stamp"
 """A press begins anywhere within a frame interval of the first frame in contact, or at that frame's time stamp."""
+
+
+@dataclass(frozen=True)
+class PressSettings(Checked):
+    """Beginning and end of a press; part of the settings of estimators that fit whole presses."""
+
+    onset: Literal["between", "stamp"] = BETWEEN
+    """when a press begins: between frames, up to a frame's time from the first frame in contact (default, as in real
+    videos), or at that frame's time stamp (as in data.synthetic's clips)"""
+    horizon: Horizon = option(None, hidden=True)
+    """how much of a whole contact is looked at"""
 
 
 def onset_error(onset: str, fps: float) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import Checked, NotNegative
 from palpate.models.evidence import negative_evidence
 from palpate.physics.load import Press
 from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
@@ -23,22 +23,22 @@ from palpate.physics.msd.likelihoods import displacement_error, linearise_depth
 
 
 @dataclass(frozen=True)
-class LossWeights:
+class LossWeights(Checked, group="weights."):
     """λ of the total loss (Bini 2026, equation 10 and section 3.4.2); a term of weight 0 isn't computed."""
 
-    gan: float = 1.0
+    gan: NotNegative = 1.0
     """λ_GAN."""
-    cycle: float = 10.0
+    cycle: NotNegative = 10.0
     """λ_cyc."""
-    identity: float = 1.0
+    identity: NotNegative = 1.0
     """λ_id."""
-    physics: float = 2.0
+    physics: NotNegative = 2.0
     """λ_phys."""
-    regularisation: float = 0.1
+    regularisation: NotNegative = 0.1
     """λ_reg; the paper only calls it comparatively low."""
 
     def __post_init__(self) -> None:
-        require_numbers(self, not_negative=vars(self), group="weights.")
+        super().__post_init__()
         if not any(vars(self).values()):
             raise ValueError("weights are all 0; give at least one term a weight.")
 

@@ -22,7 +22,8 @@ __getattr__, __dir__, __all__ = exported(
     {
         "palpate.common.provenance": ("__version__",),
         "palpate.outline_page": ("OutlinePage",),
-        "palpate.api": ("calibrate", "estimate", "open_clip", "open_estimator", "plan"),
+        "palpate.api": ("calibrate", "estimate", "open_clip", "plan"),
+        "palpate.estimators.open": ("open_estimator",),
         "palpate.data.contact.interaction": ("Interaction",),
         "palpate.estimators.estimate": ("PressResult",),
         "palpate.estimators.records": ("InteractionEstimate",),

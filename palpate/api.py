@@ -5,9 +5,8 @@ from typing import Any
 
 from palpate.data.clip import ClipStream
 from palpate.data.source.frames import open_source
-from palpate.estimators.contract import ClipInfo, Estimator
-from palpate.estimators.open import EstimatorOptions, preparation
-from palpate.estimators.open import open_estimator as open_by_options
+from palpate.estimators.contract import ClipInfo, Estimator, Preparation
+from palpate.estimators.open import open_estimator, preparation
 from palpate.estimators.palpation.material_fit import MaterialFit, fit_material
 from palpate.estimators.palpation.scene import read_scene
 from palpate.estimators.records import InteractionEstimate
@@ -18,32 +17,18 @@ from palpate.planning.scene import SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 
 
-def open_estimator(name: str | None = None, **options: Any) -> Estimator:
-    """Open an estimator; one may serve many clips.
-
-    Args:
-        name: `network` (default), `gan`, `direct` or `online`.
-        options: fields of `palpate.estimators.open.EstimatorOptions`: model, onset, observation, noise, …
-
-    Raises:
-        ModelFileError: the model's file can't be used, or not with these options.
-        ValueError: options that don't belong together.
-    """
-    return open_by_options(EstimatorOptions(name, **options))
-
-
 def open_clip(path: str | Path, estimator: Estimator | None = None, **choices: Any) -> ClipStream:
     """Open a video file or a folder of frames: iterate over it for prepared frames.
 
     Args:
         path: the clip.
         estimator: that the frames are for; None = the network that comes along.
-        choices: as of `palpate.estimators.open.preparation`: masks, depth, layout, camera, smoothing, …
+        choices: fields of `palpate.estimators.contract.Preparation`: masks, depth, layout, camera, …
 
     Raises:
         ValueError: the clip or a choice can't be used; a sentence that names it.
     """
-    settings = preparation(estimator or open_estimator(), **choices)
+    settings = preparation(estimator or open_estimator(), Preparation(**choices))
     return ClipStream(open_source(Path(path), settings.layout), settings)
 
 

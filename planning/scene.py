@@ -8,11 +8,11 @@ in space: a user's body, and a straight instrument that comes through a port.
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.palpated import YOUNG, palpated_young
@@ -27,7 +27,7 @@ MOST_CELLS = 4000
 
 
 @dataclass(frozen=True)
-class SoftObject:
+class SoftObject(Checked):
     """A block of tissue: what its table of costs depends on, its place aside.
 
     Raises:
@@ -36,12 +36,12 @@ class SoftObject:
 
     size: tuple[float, float, float]
     """Width, thickness and height [m]."""
-    young: float
+    young: Annotated[float, *YOUNG]
     """E [Pa]."""
-    poisson: float = 0.45
+    poisson: Annotated[float, 0, 0.499] = 0.45
     held: tuple[Side, ...] = ("top",)
     """Sides that don't move."""
-    longest: float = 0.04
+    longest: Annotated[float, 1e-15, 0.1] = 0.04
     """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
     """Of the mesh along width, thickness and height, of quadratic elements."""
@@ -49,10 +49,9 @@ class SoftObject:
     def __post_init__(self) -> None:
         if not all(SIZES[0] <= size <= SIZES[1] for size in self.size):
             raise ValueError(f"size is to be {SIZES[0]:g} to {SIZES[1]:g} m.")
-        if not YOUNG[0] <= self.young <= YOUNG[1] or not 0 <= self.poisson < 0.5:
-            raise ValueError(f"young is to be {YOUNG[0]:g} to {YOUNG[1]:g} Pa, poisson from 0 to below 0.5.")
-        if not self.held or not 0 < self.longest <= 0.1:
-            raise ValueError("held names one side at least, longest is from 0 to 0.1 m.")
+        super().__post_init__()
+        if not self.held:
+            raise ValueError("held is empty; name one side at least.")
         if min(self.cells) < 1 or math.prod(self.cells) > MOST_CELLS:
             raise ValueError(f"cells are to be positive, and their product {MOST_CELLS} at most.")
 
@@ -142,7 +141,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class PlanScene:
+class PlanScene(Checked):
     """Fields of the file of a plane.
 
     Raises:
@@ -159,16 +158,15 @@ class PlanScene:
     tissue: tuple[Piece, ...]
     obstacles: tuple[Placed, ...] = ()
     """What never gives way."""
-    tip_radius: float = 0.005
+    tip_radius: Positive = 0.005
     """[m]."""
-    alpha: float = 0.5
-    """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
+    alpha: Annotated[float, 0, 1] = 0.5
+    """α, from the shortest way to the gentlest: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.alpha <= 1:
-            raise ValueError(f"alpha is {self.alpha:g}; give 0 (the shortest way) to 1.")
-        if not self.tip_radius > 0 or self.area[0][0] >= self.area[1][0] or self.area[0][1] >= self.area[1][1]:
-            raise ValueError("tip_radius is to be positive, and area's first corner below and left of its second.")
+        super().__post_init__()
+        if self.area[0][0] >= self.area[1][0] or self.area[0][1] >= self.area[1][1]:
+            raise ValueError("area's first corner is to be below and left of its second.")
         for piece in self.tissue:
             if piece.kind not in self.objects:
                 raise ValueError(f"there is no object '{piece.kind}' of tissue; objects has {list(self.objects)}.")
@@ -181,7 +179,7 @@ class PlanScene:
 
 
 @dataclass(frozen=True)
-class SpaceScene:
+class SpaceScene(Checked):
     """Fields of the file of a scene in space.
 
     In it `calibration`, a file of palpate calibrate next to it, may tell young and young_log_sd.
@@ -197,27 +195,21 @@ class SpaceScene:
     """Of the tip's centre [m]."""
     port: Triple
     """Which the shaft goes through [m]."""
-    limit_N: float
+    limit_N: Positive
     """Of the force on the instrument: the upper end of its interval keeps below it all along the path."""
-    young: float
+    young: Positive
     """E [Pa]."""
-    young_log_sd: float = 0.0
+    young_log_sd: NotNegative = 0.0
     """Standard deviation of its logarithm."""
     unit: Literal["m", "cm", "mm"] = "m"
     """Of the mesh's file; all else is in metres."""
-    poisson: float = 0.45
-    tip_radius: float = 0.0025
+    poisson: Annotated[float, 0, 0.499] = 0.45
+    tip_radius: Annotated[float, 1e-15, 0.025] = 0.0025
     """Of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
-    alpha: float = 0.5
+    alpha: Annotated[float, 0, 1] = 0.5
     """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
-    speed: float = 0.01
+    speed: Positive = 0.01
     """Of the tip [m/s]."""
-
-    def __post_init__(self) -> None:
-        positive = ("limit_N", "young", "tip_radius", "speed")
-        require_numbers(self, positive=positive, not_negative=("young_log_sd",))
-        if not (0 <= self.alpha <= 1 and 0 <= self.poisson < 0.5 and self.tip_radius <= 0.025):
-            raise ValueError("alpha is to be 0 to 1, poisson from 0 to below 0.5, tip_radius 0.025 m at most.")
 
 
 def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene | SpaceScene:

@@ -1,6 +1,7 @@
 """What infer.py writes for a clip.
 
 run       a batch of clips: finding them, going on after a failure; outcome: how they went, the closing tables
+options   what a user chooses, beside preparation and the estimator's options
 video     a video in a batch; sequence: a sequence beside a robot, particles in its frame
 writer    one clip's folder, complete or not there; store: whose folder is whose, what is up to date
 artefacts a class a file: tables, overlay, pictures, exports

@@ -3,7 +3,6 @@
 Research software, not a medical device: no alarm does not mean that a force is safe.
 """
 
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from palpate.estimators.contract import Estimator
 from palpate.estimators.estimate import PressResult
 from palpate.estimators.records import FrameEstimate
 
@@ -87,11 +85,6 @@ class ForceAlarm:
             f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "
             "medical device"
         )
-
-
-def known_seconds(estimator: Estimator) -> float:
-    """Time after the onset of contact up to which an estimate by depth constrains the force [s]."""
-    return getattr(estimator, "force_seconds", math.inf)
 
 
 def upper_force(found: PressResult) -> float | None:

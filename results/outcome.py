@@ -11,17 +11,15 @@ from rich.text import Text
 
 from palpate.common.command_line import say
 from palpate.common.doors import plain
-from palpate.common.files import read_beside
 from palpate.estimators.estimate import SYMBOLS
 from palpate.estimators.result import ENDS
 from palpate.results.artefacts.forces import RELATIVE
+from palpate.results.options import in_options
 from palpate.results.page.gather import contacts_of, number
 from palpate.results.page.render import write_pages
 from palpate.results.store import INTERACTIONS, OutputError, read_record
 from palpate.results.verdicts import digits, numbers
 
-WORDS: dict[str, str] = read_beside(__file__)
-"""Settings and the options that they are on the command line."""
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
 
@@ -47,13 +45,6 @@ class Outcome:
 def wording(error: Exception) -> str:
     """An error's message in this program's words."""
     return in_options(str(error)) or type(error).__name__
-
-
-def in_options(text: str) -> str:
-    """Sentences in this program's words: settings are options here."""
-    for setting, option in WORDS.items():
-        text = text.replace(setting, option)
-    return text
 
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:

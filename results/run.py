@@ -6,7 +6,6 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from rich.progress import Progress
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain, program
-from palpate.common.files import digest_of, read_beside
+from palpate.common.files import digest_of
+from palpate.common.options import filled
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.clip import STAGES
 from palpate.data.source.bags import is_bag
@@ -26,14 +26,14 @@ from palpate.data.source.frames import name_of
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import is_sequence
 from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.open import DEPTH, EstimatorOptions, open_estimator, preparation
+from palpate.estimators.contract import Preparation
+from palpate.estimators.open import ESTIMATORS, preparation
 from palpate.results import store
+from palpate.results.options import require_able
 from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, wording
 from palpate.results.sequence import SequenceClip
 from palpate.results.video import VideoClip
 
-REFUSED: dict[str, str] = read_beside(__file__)
-"""What is said of options that don't belong together."""
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
 
@@ -56,22 +56,12 @@ class Batch:
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""
-        names = ("model", "onset", "observation", "noise", "settings", "rate", "device")
-        given = {name: getattr(options, name) for name in names}
-        self.estimator = open_estimator(EstimatorOptions(options.estimator, threads=options.threads or None, **given))
-        name, known, limited = self.estimator.name, self.calibration, options.force_limit is not None
-        wrong = {
-            "scale of online": name == "online" and known is not None,
-            "limit without network": limited and name != "network",
-            "export of gan": options.export and name == "gan",
-            "bag without forces": options.bag is not None and (name == "online" or find_spec("rosbags") is None),
-            "workers twice": options.scheduler is not None and options.jobs > 1,
-        }
-        refused = next((what for what, is_so in wrong.items() if is_so), None)
-        if refused is not None:
-            raise ValueError(REFUSED[refused].format(estimator=name))
-        chosen = ("masks", "layout", "camera", "smoothing", "topic", *DEPTH)
-        self.settings = preparation(self.estimator, **{name: getattr(options, name) for name in chosen})
+        values = vars(options)
+        self.estimator = filled(ESTIMATORS[options.estimator], values).build()
+        require_able(self.estimator, values)
+        if options.scheduler is not None and options.jobs > 1:
+            raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
+        self.settings = preparation(self.estimator, filled(Preparation, values))
         self.store = store.ResultStore(options.output)
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:

@@ -6,6 +6,7 @@ line a frame. What isn't known is not a number there.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -14,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from palpate.common.options import filled, flag_of
 from palpate.common.provenance import __version__, code_digest
 from palpate.common.tables import to_csv
 from palpate.data.source.frames import name_of
 from palpate.data.source.images import printable
 from palpate.data.source.sequence import Sequence, open_sequence
 from palpate.data.source.sequence_checks import require_fit
-from palpate.estimators.online.estimator import OnlineEstimator
+from palpate.estimators.contract import Preparation
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
 from palpate.estimators.records import FRAMES
@@ -64,13 +66,14 @@ class SequenceClip:
     length, remarks = 0, ()
 
     def __init__(self, path: Path, batch: Batch) -> None:
-        options, estimator = batch.options, batch.estimator
-        if not isinstance(estimator, OnlineEstimator):
+        estimator: Any = batch.estimator
+        if not estimator.tells_field:
             raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        of_video = ("depth", "depth_model", "depth_preset", "masks", "layout", "camera", "smoothing", "force_scale")
-        for name in (name for name in of_video if getattr(options, name) is not None):
-            said = f"is for videos, and {printable(path)} is a sequence; leave it out"
-            raise ValueError(f"--{name.replace('_', '-')} {said}.")
+        chosen = filled(Preparation, vars(batch.options))
+        for field in dataclasses.fields(chosen):
+            if getattr(chosen, field.name) not in (None, field.default) and field.name not in ("threads", "device"):
+                said = f"is for videos, and {printable(path)} is a sequence; leave it out"
+                raise ValueError(f"{flag_of(field.name)} {said}.")
         self.name, self._sequence, self._settings = name_of(path), open_sequence(path), estimator.settings
         require_fit(self._sequence)
         self.causes = causes_of(self._sequence, estimator.described)

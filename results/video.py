@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,10 +18,11 @@ from palpate.estimators.force_scale import ClipLength
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.result import UNITS
 from palpate.estimators.session import estimates_with_frames
-from palpate.results.alarm import ForceAlarm, known_seconds
+from palpate.results.alarm import ForceAlarm
 from palpate.results.artefacts.base import artefacts
 from palpate.results.calibrated import NEWTONS, ClipCalibration
-from palpate.results.outcome import in_options, plural
+from palpate.results.options import in_options
+from palpate.results.outcome import plural
 from palpate.results.record import build_record, depends_on, model_of
 from palpate.results.store import RECORD
 from palpate.results.writer import ClipResults
@@ -67,7 +69,7 @@ class VideoClip:
             folder: of the results.
             done: called after every frame.
         """
-        options, newtons, seconds = self._options, self._calibration, known_seconds(self._estimator)
+        options, newtons, seconds = self._options, self._calibration, self._estimator.force_seconds or math.inf
         limit, unit = options.force_limit, UNITS["force"] if newtons is None else NEWTONS
         alarm = None if limit is None else ForceAlarm(limit, unit, seconds)
         with ClipResults(folder, self._source, self._kinds, newtons, alarm, seconds) as results:

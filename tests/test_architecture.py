@@ -119,13 +119,16 @@ def imports(node: ast.AST, *, within_functions: bool = True) -> Iterator[ast.Imp
 
 @cache
 def imported(path: Path, *, within_functions: bool = True) -> frozenset[str]:
-    """Dotted names that a file imports, as modules and as names in modules."""
+    """Dotted names that a file imports, as modules and as names in modules, and modules of components that it names."""
     found: set[str] = set()
     for node in imports(tree_of(path), within_functions=within_functions):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         else:
             found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+    texts = (node.value for node in ast.walk(tree_of(path)) if isinstance(node, ast.Constant))
+    components = (re.fullmatch(r"(palpate(?:\.\w+)+):[\w.]+", str(text)) for text in texts if within_functions)
+    found |= {component[1] for component in components if component and modules().get(component[1]) != path}
     return frozenset(found)
 
 

@@ -416,7 +416,7 @@ def test_input_that_is_not_there_or_holds_nothing(clips, model, capsys):
     output = ["--output", str(clips.parent / "out"), "--model", str(model), "--no-overlay"]
     with pytest.raises(SystemExit, match=r"^2$"):
         infer.main(["", *output])
-    assert "INPUT: is empty; name a file or folder" in capsys.readouterr().err
+    assert "an option is empty, as of an unset variable of the shell" in capsys.readouterr().err
     # Beside a usable input it is a failure of its own.
     assert infer.main([str(clips / "nowhere"), str(clips / "good"), *output]) == 1
     assert statuses(clips, "good")[-1] == "ok"

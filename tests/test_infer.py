@@ -504,33 +504,34 @@ def test_wrong_usage(inputs, tmp_path, capsys):
     for options, said in (
         (["--depth", "nonsense"], "infer.py: 'nonsense' is no depth preset; choose one of"),
         (["--depth", "depthpro"], "--depth-model"),
-        (
-            ["--model", "parameters.onnx"],
-            "--estimator direct needs no network; leave --model parameters.onnx out.",
-        ),
     ):
         assert direct(tmp_path / "empty", tmp_path / "out", *options) == 2
         assert said in flat(capsys.readouterr().err)
     for options, said in (
         (["--estimator", "gan"], "--estimator gan needs a trained generator; give the file of train.py export"),
-        (["--model", model, "--onset", "between"], "knows nothing of when a press begins; leave --onset between out."),
         (["--force-scale", str(tmp_path / "no.csv")], "no.csv is no table of forces"),
-        (["--smoothing", "2"], "--smoothing is for --estimator direct"),
-        (["--model", model, "--force-limit", "1"], "which --estimator gan does not give; take network."),
         (
-            ["--estimator", "online", "--force-limit", "1"],
-            "which --estimator online does not give; take network.",
+            ["--model", model, "--force-limit", "1"],
+            "needs the force of every frame, which --estimator gan does not give",
         ),
-        (
-            ["--estimator", "online", "--bag", "ros2"],
-            "--bag takes palpate[robot] and an estimator that tells forces, not online; leave it out.",
-        ),
-        (["--model", model, "--export"], "which --estimator gan does not give; take network, direct or online"),
-        (["--noise", "0.01"], "--noise is for --estimator direct; leave it out."),
+        (["--estimator", "online", "--force-limit", "1"], "which --estimator online does not give; choose another"),
+        (["--estimator", "online", "--bag", "ros2"], "--bag needs a force, which --estimator online does not give"),
+        (["--model", model, "--export"], "--export needs intervals, which --estimator gan does not give"),
     ):
         assert infer.main([str(tmp_path / "empty"), "--output", str(tmp_path / "out"), *options]) == 2
         assert said in flat(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
+    for options, said in (
+        (
+            ["--model", model, "--onset", "between"],
+            "--onset is an option of --estimator network or --estimator direct.",
+        ),
+        (["--smoothing", "2"], "--smoothing is an option of --estimator direct or --estimator online."),
+        (["--noise", "0.01"], "--noise is an option of --estimator direct."),
+    ):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            infer.main([str(tmp_path), "--output", str(tmp_path / "out"), *options])
+        assert said in capsys.readouterr().err
     for options in (
         ["--noise", "0"],
         ["--noise", "much"],
@@ -608,7 +609,7 @@ def test_a_known_force_tells_newtons(synthetic, tmp_path):
         (
             "stiffness: 2.0",
             ("--estimator", "online"),
-            "gives relative stiffness alone; leave --force-scale out",
+            "--force-scale needs a force, which --estimator online does not give; choose another",
         ),
     ],
 )
@@ -781,7 +782,7 @@ def test_a_device_that_is_not_there_is_wrong_usage(inputs, tmp_path, capsys):
     missing = next(
         name for name in ("openvino", "cuda") if PROVIDERS[name] not in onnxruntime.get_available_providers()
     )
-    said = f"--device {missing} is not in this onnxruntime; install onnxruntime-{missing.replace('cuda', 'gpu')},"
+    said = f"device {missing} is not in this onnxruntime; install onnxruntime-{missing.replace('cuda', 'gpu')},"
     masks = ["--estimator", "direct", "--depth", "stored", "--masks", str(save_model(tmp_path / "m.onnx", BOTH))]
     for options in ([], masks):
         model = [] if options else ["--model", str(inputs / "parameters.onnx")]
@@ -809,8 +810,8 @@ def test_every_network_runs_where_and_as_wide_as_was_asked_and_the_record_says_s
 def test_a_killed_worker_fails_what_is_left_and_keeps_the_rest(named_alike, inputs, tmp_path, monkeypatch, capsys):
     def lost(function, tasks, *_, **__):
         yield function(tasks[0])
-        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer --workers.")
+        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer workers or jobs.")
 
     monkeypatch.setattr("palpate.results.run.run_tasks", lost)
     assert several(named_alike, inputs, tmp_path, "--jobs", "2") == 1
-    assert capsys.readouterr().err.count("maybe for want of memory; use fewer --jobs.") == 2
+    assert capsys.readouterr().err.count("maybe for want of memory; use fewer workers or jobs.") == 2

@@ -143,3 +143,21 @@ def test_an_openigtlink_client_gets_the_same_lines(pictures) -> None:
     finally:
         client.stop()
         server.stop()
+
+
+def test_stiffness_place_by_place_is_estimated_live(tmp_path, monkeypatch, capsys) -> None:
+    clip = write_clip(tmp_path, 1, SceneSettings(width=214, height=120, frames=20, action="grip"), 3)
+    pictures = np.stack([frame.picture for frame in open_source(clip, ClipLayout())])
+    (tmp_path / "online.yaml").write_text("particles: 60\n")
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(pictures.tobytes())))
+    told = ["-", "--size", "214x120", "--max-latency", "600", "--estimator", "online"]
+    assert main([*told, "--settings", str(tmp_path / "online.yaml")]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert any("gap" in line for line in lines if line.get("decided"))
+    assert "Relative stiffness place by place" in lines[-1]["interaction"]["detail"]
+    for given, said in (
+        (["--estimator", "direct"], "--estimator direct estimates no frames while they come"),
+        (["--estimator", "online", "--force-limit", "1"], "needs the force of every frame, which online does not give"),
+    ):
+        assert main(["-", "--size", "214x120", *given]) == 2
+        assert said in capsys.readouterr().err

@@ -10,7 +10,7 @@ from palpate.command.infer import main
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.network.estimator import NetworkEstimator
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import open_estimator
 from palpate.models.onnx_session import SHIPPED
 from palpate.physics.identifiability import NINETY
 from tests.tables import read_rows
@@ -22,7 +22,7 @@ LARGEST = 3.5e6
 def test_it_is_small_and_says_what_it_is() -> None:
     assert SHIPPED.stat().st_size < LARGEST
     assert SHIPPED.with_suffix(".md").is_file()
-    network = open_estimator(EstimatorOptions())
+    network = open_estimator()
     assert isinstance(network, NetworkEstimator)
     assert network.model.path == SHIPPED
     assert network.model.metadata["observation"] == "trajectory"

@@ -20,14 +20,13 @@ import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import pandas as pd
 
 from benchmarks.harness import Experiment, Report, Row, run
 from benchmarks.online.compare import BATCH, HORIZON, METHODS, STARTS, Key, Optimizer, run_case, table
 from benchmarks.online.sequences import SEQUENCES, Pull
-from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 
 DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
@@ -64,13 +63,13 @@ class Online(Experiment):
     """what is observed of a frame (the paper: chamfer)"""
     optimizer: Optimizer = "gauss-newton"
     """of PBD-RM-ON (the paper: adam)"""
-    frames: int | None = None
+    frames: Annotated[int, HORIZON + 2, LARGEST] | None = None
     """of each sequence, from its beginning (default: all; 60, of thin-shell-2 100)"""
-    particles: int = 600
+    particles: Annotated[int, 60, 10_000] = 600
     """about how many"""
-    points: int = 9000
+    points: Annotated[int, 50, LARGEST] = 9000
     """of a cloud"""
-    every: int = 10
+    every: Annotated[int, 1, LARGEST] = 10
     """frames between predictions"""
 
     keys: ClassVar = ("sequence", "start", "method")
@@ -79,10 +78,9 @@ class Online(Experiment):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
-        ranges = {"points": (50, LARGEST), "every": (1, LARGEST), "frames": (HORIZON + 2, LARGEST)}
         # Of fewer no particle of a block lies where the gripper holds it.
-        least = 68 if any(SEQUENCES[name].block for name in self.sequences) else 60
-        require_within(self, particles=(least, 10_000), **ranges)
+        if self.particles < 68 and any(SEQUENCES[name].block for name in self.sequences):
+            raise ValueError(f"--particles: {self.particles} is less than 68, and a block needs so many.")
         if (self.match, self.optimizer) == ("chamfer", "gauss-newton") and "PBD-RM-ON" in self.methods:
             raise ValueError("--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both.")
         least = min(self.frames_of.values())

@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from benchmarks.harness import OK, Experiment, Report, Row, run
 from benchmarks.recovery.grips import grip_table
@@ -31,14 +31,13 @@ from benchmarks.recovery.scores import Scores, score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
-from palpate.common.options import require_within
 from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS
-from palpate.estimators.open import OF_THETA, EstimatorOptions
+from palpate.estimators.open import settings_of
 
 DIRECT = "direct"
 """The estimator that fits grips."""
-NAMES = tuple(sorted(OF_THETA))
+NAMES = (DIRECT, "gan", "network")
 """Estimators in the order of tables."""
 LARGEST_SIZE = 4096
 """Largest side of the pictures [px]."""
@@ -62,9 +61,9 @@ class Benchmark(Experiment):
     """ONNX file of the estimator network"""
     gan_model: Path | None = None
     """ONNX file of the estimator gan: one estimate a frame"""
-    clips: int = 60
+    clips: Annotated[int, 1, LARGEST] = 60
     """clips of each suite, a third a regime"""
-    seed: int = 0
+    seed: Annotated[int, 0, LARGEST_SEED] = 0
     """another seed gives other clips"""
     split: Literal["training", "validation", "test"] = "test"
     """stream of seeds"""
@@ -75,7 +74,7 @@ class Benchmark(Experiment):
     stamp (as in most suites) or between"""
     size: str = "214x120"
     """width and height of the pictures; 854x480 is CholecSeg8k's"""
-    workers: int = 2
+    workers: Annotated[int, 0, MOST_THREADS] = 2
     """processes; 0 = in this one"""
 
     keys: ClassVar = ("suite", "index", "estimator")
@@ -84,7 +83,6 @@ class Benchmark(Experiment):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
-        require_within(self, clips=(1, LARGEST), seed=(0, LARGEST_SEED), workers=(0, MOST_THREADS))
         strange = [name for name in self.suite if name not in (*EVERY, "all")]
         if strange:
             raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
@@ -112,23 +110,23 @@ class Benchmark(Experiment):
         return size_of(self.size) or (0, 0)
 
     @property
-    def estimators(self) -> dict[str, EstimatorOptions]:
+    def estimators(self) -> dict[str, Any]:
         """Compared estimators by name, in the order of tables."""
-        models = {"network": self.model, "gan": self.gan_model, DIRECT: None}
-        found = {}
-        for name in NAMES:
-            if name in self.estimator:
-                onset = None if name == "gan" else self.onset
-                found[name] = EstimatorOptions(name, models[name], onset, horizon=self.seen, threads=1)
-        return found
+        press = {"onset": self.onset, "horizon": self.seen}
+        known: dict[str, dict[str, Any]] = {
+            DIRECT: press,
+            "gan": {"model": self.gan_model, "threads": 1},
+            "network": {"model": self.model, "threads": 1, **press},
+        }
+        return {name: settings_of(name, **known[name]) for name in NAMES if name in self.estimator}
 
     def record(self) -> Mapping[str, Any]:
         """Record of everything the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
         found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
-        for name, options in self.estimators.items():
-            network = getattr(opened(options), "model", None)
-            found[f"estimator {name}"] = {"model_sha256": getattr(network, "sha256", ""), "onset": options.onset}
+        for name, settings in self.estimators.items():
+            network, onset = getattr(opened(settings), "model", None), getattr(settings, "onset", None)
+            found[f"estimator {name}"] = {"model_sha256": getattr(network, "sha256", ""), "onset": onset}
         return found
 
     def asked(self, suite: str, index: int) -> list[str]:
@@ -146,12 +144,12 @@ class Benchmark(Experiment):
     def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Trial], int]:
         """Presses of one clip together, since most suites show the same motion; all others one by one."""
         left = [key for key in self.wanted if key not in done]
-        known = {DIRECT: EstimatorOptions(DIRECT, threads=1), **self.estimators}
+        known = {DIRECT: settings_of(DIRECT), **self.estimators}
 
         def group(key: tuple[str, int, str]) -> tuple[int, str]:
             return key[1], "" if EVERY[key[0]].of == "press" else key[0]
 
-        trials: dict[tuple[int, str], dict[str, dict[str, EstimatorOptions]]] = {}
+        trials: dict[tuple[int, str], dict[str, dict[str, Any]]] = {}
         for key in left:
             trials.setdefault(group(key), {}).setdefault(key[0], {})[key[2]] = known[key[2]]
         seeds = {index: suite_clip_seed(self.split, self.seed, index) for index, _ in trials}

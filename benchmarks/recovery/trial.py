@@ -47,14 +47,13 @@ from palpate.data.synthetic.scene import Scene, SceneError
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
-from palpate.estimators.contract import ClipInfo
+from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.oblique import is_oblique
-from palpate.estimators.open import EstimatorOptions, open_estimator
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
 from palpate.estimators.session import estimates_of
 
-opened = functools.cache(open_estimator)
+opened: Callable[[Any], Estimator] = functools.cache(lambda settings: settings.build())
 """Every estimator is opened once a process."""
 Compare = Callable[[Any], Row]
 """From what a session says of a clip to what is known then."""
@@ -67,8 +66,8 @@ class Trial:
     index: int
     seed: int
     """Seed of the clip."""
-    wanted: Mapping[str, Mapping[str, EstimatorOptions]]
-    """Suites, each with the estimators that are to be tried, by name; those without any are left out."""
+    wanted: Mapping[str, Mapping[str, Any]]
+    """Suites, each with the settings of estimators that are to be tried, by name; those without any are left out."""
     horizon: Horizon = None
     """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
@@ -97,7 +96,7 @@ def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
     return draw_truth(settings, seed)
 
 
-def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, EstimatorOptions]) -> list[Row]:
+def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Any]) -> list[Row]:
     settings = EVERY[suite].settings(trial.index, trial.size)
     known: Row = {"suite": suite, "index": trial.index, "seed": trial.seed, "action": settings.action}
     if EVERY[suite].of == "press":
@@ -146,7 +145,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
     return known, functools.partial(_pressed, onset)
 
 
-def estimated(candidate: EstimatorOptions, clip: TrueClip, compare: Compare) -> Row:
+def estimated(candidate: Any, clip: TrueClip, compare: Compare) -> Row:
     """What becomes of an estimator's answer, or why there is none."""
     start = time.perf_counter()
 

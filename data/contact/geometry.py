@@ -7,13 +7,13 @@ that z is in (0, 1] and 0 means "no depth". Label maps hold 0 = other, 1 = tissu
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from palpate.common.settings import require_between, require_choices, require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.contact.outlines import tool_depth
 from palpate.data.contact.surface import smooth_surface
 from palpate.data.labels import TISSUE, TOOL
@@ -59,27 +59,27 @@ def find_contact(tool: np.ndarray, tissue: np.ndarray, *, two_pass: bool = False
 
 
 @dataclass(frozen=True)
-class GeometrySettings:
+class GeometrySettings(Checked, group="geometry."):
     """How a depth map becomes a mesh and a contact."""
 
-    height: int = 120
+    height: Annotated[int, 8, MOST_SIDE] = 120
     """Rows of the grid on which everything is computed, the network's input (Bini 2026, section 3.4)."""
-    width: int = 214
+    width: Annotated[int, 8, MOST_SIDE] = 214
     """Columns of that grid."""
-    max_edge: float = 0.05
+    max_edge: Positive = 0.05
     """Longest edge of a mesh triangle [scene units] (Bini 2026, section 3.2.2)."""
-    smoothing: float = 0.0
+    smoothing: NotNegative = 0.0
     """Standard deviation of the weights with which the tissue's depth is smoothed before it becomes a mesh and a
     contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
-    keep: float = 1.0
+    keep: Annotated[float, 0.01, 1] = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
     contact: Literal["touching", "nearest"] = "touching"
     """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
     outlines touch, unless the tool is found to hover (`data.contact.evidence`). nearest (paper): all that show tool and
     tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too."""
-    contact_pixels: float = 2.0
+    contact_pixels: NotNegative = 2.0
     """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
-    contact_distance: float = 0.02
+    contact_distance: NotNegative = 0.02
     """Clouds at most this far apart touch [scene units]; 0 switches the criterion off."""
     two_pass: bool = False
     """Search the contact pair in the paper's two passes instead of exactly."""
@@ -89,21 +89,15 @@ class GeometrySettings:
     """Observed displacement: of the same tissue point, or between the two frames' contact points (paper)."""
     rigid_motion: Literal["keep", "subtract"] = "keep"
     """Whether the common motion of the tissue far from the contact (the camera's) is taken off the displacement."""
-    min_tool_pixels: int = 8
+    min_tool_pixels: Annotated[int, 1, MOST_SIDE**2] = 8
     """Fewer tool pixels on the grid than this are `no_tool`."""
-    min_tissue_pixels: int = 50
+    min_tissue_pixels: Annotated[int, 1, MOST_SIDE**2] = 50
     """Fewer tissue pixels on the grid than this are `no_tissue`."""
 
     def __post_init__(self) -> None:
-        require_choices(self, "geometry.")
-        lengths = "smoothing", "contact_pixels", "contact_distance"
-        require_numbers(self, not_negative=lengths, positive=("max_edge",), group="geometry.")
-        side, pixels = (8, MOST_SIDE), (1, MOST_SIDE**2)
-        require_between(self, "geometry.", height=side, width=side, min_tool_pixels=pixels, min_tissue_pixels=pixels)
+        super().__post_init__()
         if self.smoothing > self.width:
             raise ValueError(f"geometry.smoothing is {self.smoothing}; give at most the grid's width, {self.width}.")
-        if not 0.01 <= self.keep <= 1:
-            raise ValueError(f"geometry.keep is {self.keep}; give a share from 0.01 to 1.")
         if self.contact_pixels == 0 and self.contact_distance == 0:
             raise ValueError("geometry.contact_pixels and geometry.contact_distance are both 0; set one of them.")
 

@@ -7,12 +7,12 @@ an offset, one focal length and one range of relative depth. docs/reports/depth.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 
-from palpate.common.settings import require_between, require_choices, require_numbers
+from palpate.common.settings import Checked, Positive
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.photometric import PhotometricDepth
 from palpate.data.depth.preset import resolve_model
@@ -30,7 +30,7 @@ MOST_THREADS = 1024
 
 
 @dataclass(frozen=True)
-class DepthSettings:
+class DepthSettings(Checked, group="depth."):
     """Source of depth, and the constants that are fixed for a clip."""
 
     source: str = "auto"
@@ -45,26 +45,26 @@ class DepthSettings:
     """Nearest depth of a relative inverse model [any unit; after normalisation only near/far matters]."""
     far: float = 0.15
     """Farthest depth of a relative inverse model [the unit of near]."""
-    field_of_view_deg: float = 60.0
+    field_of_view_deg: Annotated[float, 0.1, 179.9] = 60.0
     """Horizontal field of view where neither a camera file nor the model gives a focal length [degrees]."""
-    scale: float | None = None
+    scale: Positive | None = None
     """Depth that becomes z = 1, in the source's unit; none = estimated once a clip."""
-    scale_seconds: float = 10.0
+    scale_seconds: Positive = 10.0
     """Duration from the first usable frame within which a clip's scale is estimated and then frozen [s]."""
-    scale_samples: int = 24
+    scale_samples: Annotated[int, 1, 10_000] = 24
     """Number of frames from which the scale is estimated, evenly spaced."""
     bits: Literal[8, 16] = 16
     """Quantisation of normalised depth (the paper stores 8 bits, 0.4 % of the range)."""
     rounded: Literal["grid", "picture"] = "grid"
     """The map that is rounded to `bits`: the grid's, or the picture's before it is resized (paper); always the grid's
     where depth is from shading."""
-    threads: int = 0
+    threads: Annotated[int, 0, MOST_THREADS] = 0
     """Threads of the depth model, and of a mask model; 0 leaves it to onnxruntime."""
     device: Literal["auto", "cpu", "openvino", "cuda"] = "cpu"
     """Where these run (`common.onnx_devices`): cuda needs onnxruntime-gpu, openvino onnxruntime-openvino."""
 
     def __post_init__(self) -> None:
-        require_choices(self, "depth.")
+        super().__post_init__()
         of_file = self.source.lower().endswith(".onnx")
         if self.model is not None and (of_file or self.source in ("auto", *BUILT_IN)):
             raise ValueError(
@@ -78,10 +78,6 @@ class DepthSettings:
             )
         if not 0 < self.near < self.far < math.inf:
             raise ValueError(f"depth.near is {self.near} and depth.far {self.far}; give 0 < near < far.")
-        if not 0 < self.field_of_view_deg < 180:
-            raise ValueError(f"depth.field_of_view_deg is {self.field_of_view_deg}; give degrees between 0 and 180.")
-        require_numbers(self, positive=("scale", "scale_seconds"), group="depth.")
-        require_between(self, "depth.", scale_samples=(1, 10_000), threads=(0, MOST_THREADS))
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:

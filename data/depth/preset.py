@@ -4,10 +4,10 @@ import dataclasses
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from palpate.common.files import digest_of
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import Checked, Positive
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 
@@ -16,7 +16,7 @@ PRESET_FOLDER = Path(__file__).parent / "presets"
 
 
 @dataclass(frozen=True)
-class DepthPreset:
+class DepthPreset(Checked):
     """Input and output conventions of one depth network."""
 
     name: str
@@ -41,7 +41,7 @@ class DepthPreset:
     (aspect kept), or not at all. A model file with a fixed input size is given that size."""
     size: tuple[int, int] | int | None = None
     """[height, width] for exact, one side for shorter and longer [px]."""
-    multiple: int = 1
+    multiple: Annotated[int, 1, MOST_SIDE] = 1
     """Sides are rounded to a multiple of this [px]; with `longer` they never exceed `size`."""
     letterbox: bool = False
     """Keep the aspect within an exact size and fill the rest with `letterbox_value`."""
@@ -53,31 +53,28 @@ class DepthPreset:
     """Subtracted from RGB [value_scale]."""
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Divides RGB after the mean [value_scale]."""
-    factor: float = 1.0
+    factor: Positive = 1.0
     """Multiplies the output, e.g. 0.001 where it is in millimetres."""
     focal_output: str | tuple[str, ...] = ()
     """Accepted names of an output that estimates the focal length; none = the model gives none."""
     focal_kind: Literal["px", "fov_deg"] = "px"
     """Whether that output is a focal length [px] or a horizontal field of view [degrees]."""
-    focal_grid: int | None = None
+    focal_grid: Annotated[int, 1, MOST_SIDE] | None = None
     """Width of the picture that the focal length refers to [px]; none = the network's input width."""
-    canonical_focal_px: float | None = None
+    canonical_focal_px: Positive | None = None
     """Depth for a camera of this focal length (Metric3D: 1000): D = D̂·f/f_canonical with f on the input [px]."""
 
     def __post_init__(self) -> None:
-        require_choices(self)
+        super().__post_init__()
         sides = self.size if isinstance(self.size, tuple) else (self.size,)
-        if any(pixels is not None and pixels < 1 for pixels in (*sides, self.multiple, self.focal_grid)):
-            raise ValueError("size, multiple and focal_grid are pixels; give numbers of at least 1.")
-        if any(pixels is not None and pixels > MOST_SIDE for pixels in (*sides, self.multiple)):
-            raise ValueError(f"size and multiple are pixels; give numbers of at most {MOST_SIDE}.")
+        if any(pixels is not None and not 1 <= pixels <= MOST_SIDE for pixels in sides):
+            raise ValueError(f"size is {self.size}; give 1 to {MOST_SIDE} pixels.")
         if self.resize in ("shorter", "longer") and not isinstance(self.size, int):
             raise ValueError(f"resize {self.resize} needs one number as size, not {self.size!r}.")
         if self.resize == "exact" and isinstance(self.size, int):
             raise ValueError(f"resize exact needs size as [height, width], not {self.size!r}.")
         if self.letterbox and self.resize != "exact":
             raise ValueError("letterbox needs resize exact.")
-        require_numbers(self, positive=("factor", "canonical_focal_px"))
         if min(self.std) <= 0:
             raise ValueError(f"std is {list(self.std)}; give positive numbers.")
 

@@ -7,14 +7,14 @@ tissue; docs/reports/masks.md has an example.
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from scipy.special import expit, softmax
 
 from palpate.common.files import file_sha256
-from palpate.common.settings import require_choices
+from palpate.common.settings import Checked
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.masks.lit import lit_picture
 from palpate.data.picture_network import PictureNetwork, network_input, resized
@@ -24,7 +24,7 @@ from palpate.data.source.layout import InputError, from_mapping, read_mapping
 
 
 @dataclass(frozen=True)
-class SegmentationSettings:
+class SegmentationSettings(Checked):
     """Input convention of a segmentation model, and the meaning of its output."""
 
     tool: tuple[int, ...]
@@ -33,13 +33,13 @@ class SegmentationSettings:
     """Output channels (or labels) that are tissue; none = all other lit pixels."""
     output: Literal["logits", "sigmoid_logits", "probabilities", "labels"] = "logits"
     """Class logits (softmax over channels), independent logits (sigmoid each), probabilities, or one label a pixel."""
-    threshold: float = 0.5
+    threshold: Annotated[float, 1e-6, 1 - 1e-6] = 0.5
     """Least probability of a tool or tissue pixel: the sum over the channels above, the largest for sigmoid."""
-    height: int | None = None
+    height: Annotated[int, 1, MOST_SIDE] | None = None
     """Input height [px]; by default the model's own, else the frame's rounded up to `multiple`."""
-    width: int | None = None
+    width: Annotated[int, 1, MOST_SIDE] | None = None
     """Input width [px]; by default the model's own, else the frame's rounded up to `multiple`."""
-    multiple: int = 32
+    multiple: Annotated[int, 1, MOST_SIDE] = 32
     """Divisor of the input size where neither settings nor model fix it."""
     mean: tuple[float, float, float] = (0.485, 0.456, 0.406)
     """Mean of the channels, after `value_scale` (default: ImageNet)."""
@@ -53,18 +53,13 @@ class SegmentationSettings:
     """Order of the axes of input and output."""
 
     def __post_init__(self) -> None:
-        require_choices(self)
+        super().__post_init__()
         if not self.tool or min(self.tool + self.tissue) < 0:
             raise ValueError("tool must list at least one output channel, from 0, and tissue none or more.")
         if set(self.tool) & set(self.tissue):
             raise ValueError(f"tool {list(self.tool)} and tissue {list(self.tissue)} share a channel.")
         if min(self.std) <= 0:
             raise ValueError("std needs numbers above 0.")
-        if not 0 < self.threshold < 1:
-            raise ValueError(f"threshold is {self.threshold}; give a number between 0 and 1.")
-        sides = [pixels for pixels in (self.multiple, self.height, self.width) if pixels is not None]
-        if not 1 <= min(sides) <= max(sides) <= MOST_SIDE:
-            raise ValueError(f"height, width and multiple are pixels; give 1 to {MOST_SIDE}.")
 
 
 class OnnxMasks:

@@ -7,37 +7,51 @@ of the annotation is used).
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Any, Protocol, Self
 
 import cv2
 import numpy as np
 
+from palpate.common.registry import Registry
+from palpate.common.settings import Checked
 from palpate.data.labels import OTHER, TISSUE, TOOL, MaskError
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches
 
-KINDS = ("annotation", "automatic", "auto")
-"""Kinds of masks that need no file; auto is annotation where the clip has masks, else automatic."""
+AUTO = "auto"
+"""Annotation where the clip has masks, else automatic."""
+FILES = {".onnx": "onnx", ".yaml": "outlines", ".yml": "outlines", ".json": "outlines"}
+"""Sources of masks from a file, by its ending: segmentation models, and outlines."""
+SOURCES = Registry(
+    "mask source",
+    "palpate.masks",
+    {
+        "annotation": "palpate.data.masks.sources:AnnotationMasks.open",
+        "automatic": "palpate.data.masks.sources:open_automatic",
+        "onnx": "palpate.data.masks.sources:open_network",
+        "outlines": "palpate.data.masks.sources:open_outlines",
+    },
+)
+"""Classes or functions that open the masks of one clip, and take a `MaskRequest`."""
 LEAST_OF_CLASS = 0.5
 """Least share of what a mask shows that is a class, where nothing is tool or tissue: other colours are another code."""
-FILES = (".onnx", ".yaml", ".yml", ".json")
-"""Endings of files that give masks: segmentation models, and outlines."""
 
 
 @dataclass(frozen=True)
-class MaskClasses:
+class MaskClasses(Checked, group="classes."):
     """Which annotated classes count as tool and as tissue (Bini 2026, section 3.1: grasper and gallbladder)."""
 
     tool: tuple[str, ...] = ("grasper",)
     """Names of class_table.CLASSES that are tool."""
     tissue: tuple[str, ...] = ("gallbladder",)
     """Names of class_table.CLASSES that are tissue."""
-    tolerance: int = 5
-    """Largest L1 distance of a mask's colour from its class's colour, over the three channels."""
+    tolerance: Annotated[int, 0, 42] = 5
+    """Largest L1 distance of a mask's colour from its class's, over the three channels; some differ by only 85."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for field in ("tool", "tissue"):
             names = getattr(self, field)
             unknown = [f"'{name}', which is no class" for name in names if name not in CLASSES]
@@ -47,8 +61,6 @@ class MaskClasses:
         both = sorted(set(self.tool) & set(self.tissue))
         if both:
             raise ValueError(f"classes.tool and classes.tissue both name '{both[0]}'; a class is one or the other.")
-        if not 0 <= self.tolerance <= 42:
-            raise ValueError(f"classes.tolerance is {self.tolerance}; give 0 to 42 (some colours differ by only 85).")
 
 
 class MaskSource(Protocol):
@@ -69,71 +81,89 @@ class MaskSource(Protocol):
         """Forget the frames of the clip so far."""
 
 
-def open_masks(
-    kind: str,
-    layout: ClipLayout,
-    classes: MaskClasses,
-    clip: Path,
-    *,
-    threads: int = 0,
-    device: str = "cpu",
-    every: int = 1,
-) -> MaskSource:
+@dataclass(frozen=True)
+class MaskRequest:
+    """What is known where the mask source of a clip is opened."""
+
+    clip: Path
+    """The clip's folder or video file."""
+    layout: ClipLayout
+    """How the clip's files are named."""
+    classes: MaskClasses
+    """Which annotated classes are tool and tissue."""
+    file: Path = Path()
+    """The file that was chosen as the source, where it is one."""
+    threads: int = 0
+    """CPU threads of a network, as of `data.picture_network.PictureNetwork`."""
+    device: str = "cpu"
+    """Where a network runs, likewise."""
+    every: int = 1
+    """As of `data.settings.PrepareSettings`."""
+
+
+def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path, **where: Any) -> MaskSource:
     """Open the mask source of one clip.
 
     Args:
-        kind: one of KINDS, or the path of an ONNX segmentation model (see data.masks.onnx for its settings) or of
-            outlines (see data.masks.outlined).
-        layout: how the clip's files are named.
-        classes: which annotated classes are tool and tissue.
-        clip: the clip's folder or video file.
-        threads, device: of a network, as of `data.picture_network.PictureNetwork`.
-        every: of automatic masks, as of `data.settings.PrepareSettings`.
+        kind: auto, a name of SOURCES, or the path of an ONNX segmentation model (see data.masks.onnx for its settings)
+            or of outlines (see data.masks.outlined).
+        layout, classes, clip, where: fields of `MaskRequest`.
 
     Raises:
         InputError: an unknown kind, a file that can't be used, or a clip without annotation masks.
     """
     file = mask_source_file(kind)
-    if file is not None:
-        return open_mask_file(file, threads=threads, device=device)
-    if chosen_kind(kind, clip, layout) == "annotation":
-        return AnnotationMasks(layout, classes, clip)
+    name = chosen_kind(kind, clip, layout) if file is None else FILES[file.suffix.lower()]
+    return SOURCES[name](MaskRequest(clip, layout, classes, file or Path(), **where))
+
+
+def open_automatic(asked: MaskRequest) -> MaskSource:
+    """Open the network that ships."""
     from palpate.data.masks.automatic import AutomaticMasks
 
-    return AutomaticMasks(every=every, threads=threads, device=device)
+    return AutomaticMasks(every=asked.every, threads=asked.threads, device=asked.device)
 
 
-def open_mask_file(file: Path, *, threads: int = 0, device: str = "cpu") -> MaskSource:
-    """Open an ONNX segmentation model, or outlines; threads and device as of `open_masks`.
+def open_network(asked: MaskRequest) -> MaskSource:
+    """Open an ONNX segmentation model, or another network in the place of the one that ships."""
+    from palpate.data.masks.automatic import AutomaticMasks
+    from palpate.data.masks.onnx import OnnxMasks
+    from palpate.data.picture_network import PictureNetwork
 
-    Raises:
-        InputError: it can't be used.
-    """
-    # The imports stand here because only the dependencies of the chosen source are needed.
-    if file.suffix.lower() == ".onnx":
-        from palpate.data.masks.automatic import AutomaticMasks
-        from palpate.data.masks.onnx import OnnxMasks
-        from palpate.data.picture_network import PictureNetwork
+    where: dict[str, Any] = {"threads": asked.threads, "device": asked.device}
+    own = PictureNetwork(asked.file, **where, raw=True).outlines_instruments
+    return (AutomaticMasks if own else OnnxMasks)(asked.file, **where)
 
-        own = PictureNetwork(file, threads=threads, device=device, raw=True).outlines_instruments
-        return (AutomaticMasks if own else OnnxMasks)(file, threads=threads, device=device)
+
+def open_outlines(asked: MaskRequest) -> MaskSource:
+    """Open outlines of instruments, which are followed."""
     from palpate.data.masks.outlined import OutlinedMasks
 
-    return OutlinedMasks(file)
+    return OutlinedMasks(asked.file)
+
+
+def check_masks(kind: str, **where: Any) -> None:
+    """Open the file that a kind of masks names, if any; arguments and errors as of `open_masks`."""
+    if mask_source_file(kind) is not None:
+        open_masks(kind, ClipLayout(), MaskClasses(), Path(), **where)
+
+
+def mask_names() -> list[str]:
+    """Return the kinds of masks that need no file."""
+    return [AUTO, *(name for name in SOURCES.entries if name not in FILES.values())]
 
 
 def mask_source_file(kind: str) -> Path | None:
-    """The file that a kind of masks names; None for a kind that needs none.
+    """Return the file that a kind of masks names; None for a kind that needs none.
 
     Raises:
         InputError: an unknown kind, or a file that does not exist.
     """
-    if kind in KINDS:
+    if kind in mask_names():
         return None
-    if not kind.lower().endswith(FILES):
-        raise InputError(
-            f"masks '{kind}' is unknown; choose {', '.join(KINDS)}, or a file: an .onnx model or outlines in .yaml."
-        )
+    if Path(kind).suffix.lower() not in FILES:
+        known = ", ".join(mask_names())
+        raise InputError(f"masks '{kind}' is unknown; choose {known}, or a file: an .onnx model or outlines in .yaml.")
     if not isfile(Path(kind)):
         raise InputError(f"{kind} does not exist; check the path of the masks' file.")
     return Path(kind)
@@ -141,7 +171,7 @@ def mask_source_file(kind: str) -> Path | None:
 
 def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
     """The kind of masks that `open_masks(kind, …)` uses for a clip, "auto" being resolved."""
-    if kind != "auto":
+    if kind != AUTO:
         return kind
     return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
 
@@ -160,6 +190,11 @@ class AnnotationMasks:
             )
         self.layout, self.classes = layout, classes
         self.identity = f"annotation:{classes}:{layout.mask_patterns}"
+
+    @classmethod
+    def open(cls, asked: MaskRequest) -> Self:
+        """Open the masks of a clip."""
+        return cls(asked.layout, asked.classes, asked.clip)
 
     def reset(self) -> None:
         """Nothing is remembered from frame to frame."""

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.bags import camera_entries, is_bag
 from palpate.data.source.camera_formats import LARGEST_BASELINE, own_entries
 from palpate.data.source.layout import ClipLayout, InputError, from_mapping, read_clip_file, read_mapping
@@ -22,7 +22,7 @@ COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(Checked):
     """Pinhole camera with OpenCV distortion; pixel centres lie at integer coordinates."""
 
     fx: float
@@ -42,6 +42,7 @@ class Camera:
     the resolution."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(value) for value in numbers):
             raise ValueError("The camera has a number that is not finite; check its intrinsics and distortion.")
@@ -102,9 +103,9 @@ class Rig(Camera):
         ValueError: numbers that can't be, or are in millimetres.
     """
 
-    baseline: float | None = None
+    baseline: Positive | None = None
     """Distance of the cameras of a rectified pair, or of one that only its lenses keep from being one [m]."""
-    baseline_sd: float = 0.0
+    baseline_sd: NotNegative = 0.0
     """Its standard deviation, or that of `translation`'s length [m]."""
     rotation: tuple[float, ...] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
     """Of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
@@ -112,15 +113,13 @@ class Rig(Camera):
     """T, in place of a baseline [m]."""
     right: Rig | None = None
     """The right camera, with the keys of the left one; none = the same."""
-    metres_per_depth: float | None = None
+    metres_per_depth: Positive | None = None
     """Length of a unit of the clip's stored depth [m]; none = not known."""
-    metres_per_depth_sd: float = 0.0
+    metres_per_depth_sd: NotNegative = 0.0
     """Its standard deviation [m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lengths = ("baseline", "metres_per_depth")
-        require_numbers(self, positive=lengths, not_negative=[f"{name}_sd" for name in lengths])
         if len(self.rotation) != 9 or not np.allclose(self.turned @ self.turned.T, np.eye(3), atol=1e-3):
             raise ValueError("rotation is no rotation; give its nine numbers row by row.")
         if self.baseline is not None and self.translation is not None:

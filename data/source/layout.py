@@ -13,13 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os.path import isdir, isfile
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import yaml
 
 from palpate.common.files import read_file
-from palpate.common.settings import described, fits, require_numbers, shown
+from palpate.common.settings import Checked, Positive, described, fits, shown
 
 Settings = TypeVar("Settings")
 
@@ -46,7 +46,7 @@ class InputError(ValueError):
 
 
 @dataclass(frozen=True)
-class ClipLayout:
+class ClipLayout(Checked, group="layout."):
     """Names of a clip's files relative to the clip's folder; `{number}` stands for the frame's digits."""
 
     image: str = "frame_{number}_endo.png"
@@ -61,7 +61,7 @@ class ClipLayout:
     """Values of `label_mask` that mean tool."""
     tissue_values: tuple[int, ...] = ()
     """Values of `label_mask` that mean tissue."""
-    mask_opening_px: int = 0
+    mask_opening_px: Annotated[int, 0, LARGEST_OPENING_PX] = 0
     """Diameter of the opening that removes false tool blobs from `label_mask` [px]; 0 leaves the mask as it is."""
     depth: str | None = "frame_{number}_endo_depth.png"
     """Stored depth: 8- or 16-bit PNG (divided by its type's largest value), .npy or .npz."""
@@ -69,9 +69,9 @@ class ClipLayout:
     """Name of the array in an .npz file; by default its only one."""
     depth_kind: Literal["depth", "disparity"] = "depth"
     """Whether the file holds depth or disparity; 0 is invalid in both."""
-    depth_factor: float = 1.0
+    depth_factor: Positive = 1.0
     """depth = value · factor, or factor / disparity."""
-    fps: float = 25.0
+    fps: Annotated[float, *FRAME_RATES] = 25.0
     """Frame rate where the clip does not give one [1/s]."""
     right: str | None = None
     """Right pictures of a stereo pair: files beside the frames (`img_right/{number}.jpg`), a video's second file beside
@@ -82,17 +82,13 @@ class ClipLayout:
     """Topic of a bag's pictures; by default its only one."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("image", "color_mask", "class_mask", "label_mask", "depth", "right", "camera"):
             pattern = getattr(self, name)
             if pattern is not None and "\0" in pattern:
                 raise ValueError(f"layout.{name} holds a NUL, which no file's name does; leave it out.")
             if name not in ("camera", "right") and pattern is not None and pattern.count("{number}") != 1:
                 raise ValueError(f"layout.{name} is '{pattern}'; write {{number}} once where the frame's digits stand.")
-        require_numbers(self, positive=("fps", "depth_factor"), group="layout.")
-        if not FRAME_RATES[0] <= self.fps <= FRAME_RATES[1]:
-            raise ValueError(f"layout.fps is {self.fps:g}; give frames a second.")
-        if not 0 <= self.mask_opening_px <= LARGEST_OPENING_PX:
-            raise ValueError(f"layout.mask_opening_px is {self.mask_opening_px}; give 0 to {LARGEST_OPENING_PX}.")
         if self.label_mask is not None and not (self.tool_values and self.tissue_values):
             raise ValueError("layout.label_mask needs layout.tool_values and layout.tissue_values; give both.")
 

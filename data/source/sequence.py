@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import Checked, Positive
 from palpate.data.source.camera import Camera, Undistortion, back_project, load_camera
 from palpate.data.source.clouds import read_cloud
 from palpate.data.source.images import printable, read_image
@@ -30,7 +30,7 @@ GRIPPED = 6e-3
 
 
 @dataclass(frozen=True)
-class SequenceFile:
+class SequenceFile(Checked):
     """Fields of the file; names of files are relative to it, and `{number}` stands for a frame's digits.
 
     Raises:
@@ -45,11 +45,11 @@ class SequenceFile:
     """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
     camera: str | None = None
     """Camera file of the depth pictures."""
-    depth_factor: float = 1e-3
+    depth_factor: Positive = 1e-3
     """Length of a unit of the depth pictures [m]."""
     times: str | None = None
     """CSV file with a column time_s, a row for every frame, on the clock of the poses; or give `fps`."""
-    fps: float | None = None
+    fps: Positive | None = None
     """Frames a second; the first one is then at 0 s."""
     unit: Literal["m", "mm"] = "m"
     """Of all lengths in the files and here, but for `depth_factor`."""
@@ -59,7 +59,7 @@ class SequenceFile:
     """Whether the camera stands in the robot's frame or is carried by the tool."""
     tip: Place = (0.0, 0.0, 0.0)
     """Where the tool touches tissue, in its own frame."""
-    grip_radius: float | None = None
+    grip_radius: Positive | None = None
     """Tissue around the tip that moves with it; none = GRIPPED."""
     gripped_s: tuple[float, float] | None = None
     """From when to when the tool holds tissue [s]; none = throughout."""
@@ -75,7 +75,7 @@ class SequenceFile:
             raise ValueError("give times or fps.")
         if any({*pin} != {"low", "high"} for pin in self.pins):
             raise ValueError("each of pins is to have low and high.")
-        require_numbers(self, positive=("fps", "depth_factor", "grip_radius"))
+        super().__post_init__()
         turn = np.array(self.hand_eye)[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
             raise ValueError("hand_eye is no rotation and shift; give the rows of a rigid 4 × 4 matrix.")

@@ -1,24 +1,26 @@
 """Synthetic clips with known truth, in memory or in CholecSeg8k's folder layout.
 
-`python -m data.synthetic --output DIR --clips N` writes DIR/videoNN/videoNN_00000/ with each frame's picture, masks and
+    python -m data.synthetic --output clips --clips 3 --seed 1
+
+Writes DIR/videoNN/videoNN_00000/ with each frame's picture, masks and
 depth, with clip.json (frame rate, camera, times), truth.json and truth.npz, and next to it a video of the clip.
 Every clip is a video of its own, so that a split by video works. No training reads the truth.
 """
 
-from palpate.common.doors import enter_door, program, run_door
+from palpate.common.doors import enter_door, run_door
 
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import functools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from rich.console import Console
 
 from palpate.common.command_line import progress_bars, say, size_of
-from palpate.common.options import add_options, filled, require_within
+from palpate.common.options import filled, parse
 from palpate.common.output import ForeignFile
 from palpate.common.settings import LARGEST
 from palpate.data.synthetic.clip import clip_seed, write_clip
@@ -36,11 +38,11 @@ class Clips:
 
     output: Path
     """folder that gets videoNN/videoNN_00000/"""
-    clips: int = 1
+    clips: Annotated[int, 1, LARGEST] = 1
     """number of clips"""
-    seed: int = 0
+    seed: Annotated[int, 0, LARGEST] = 0
     """another seed gives other clips"""
-    first: int = 1
+    first: Annotated[int, 0, LARGEST] = 1
     """number of the first video; --first 4 --clips 3 writes the last three of --clips 6"""
     size: str = "full"
     """picture: full (854x480), medium (428x240), small (214x120) or WIDTHxHEIGHT"""
@@ -48,7 +50,6 @@ class Clips:
     """replace synthetic clips that were made with other settings"""
 
     def __post_init__(self) -> None:
-        require_within(self, clips=(1, LARGEST), seed=(0, LARGEST), first=(0, LARGEST))
         picture_size(self.size)
 
 
@@ -67,10 +68,7 @@ def picture_size(text: str) -> tuple[int, int]:
 def main(arguments: list[str] | None = None) -> int:
     """Write the clips that the command line asks for; returns the exit status: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
-    parser = argparse.ArgumentParser(prog=program("data.synthetic"), description=__doc__.split("\n")[0])
-    add_options(parser, Clips)
-    add_options(parser.add_argument_group("scene"), SceneSettings, without=SIZE)
-    given = vars(parser.parse_args(arguments))
+    given = vars(parse((Clips, SceneSettings), arguments, "data.synthetic", __doc__, without=SIZE))
     try:
         wanted = filled(Clips, given)
         settings = filled(SceneSettings, given | dict(zip(SIZE, picture_size(wanted.size), strict=True)))

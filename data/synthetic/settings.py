@@ -6,9 +6,9 @@ times seconds.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_type_hints
+from typing import Annotated, Literal
 
-from palpate.common.settings import require_choices
+from palpate.common.settings import Checked
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import FRAME_RATES
 
@@ -16,7 +16,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class SceneSettings:
+class SceneSettings(Checked, group="scene."):
     """Parameters drawn, geometry, time course, and errors of observation of a synthetic clip.
 
     Numbers are annotated with the least and the largest that they, or both ends of a range, may be.
@@ -120,12 +120,7 @@ class SceneSettings:
     """Constant rate factor of the video file (H.264): 18 hardly differs from the pictures, 23 usual, 28 poor."""
 
     def __post_init__(self) -> None:
-        for name, (lowest, highest) in LIMITS.items():
-            value = getattr(self, name)
-            ends = value if isinstance(value, tuple) else (value,)
-            if not lowest <= ends[0] <= ends[-1] <= highest:
-                wanted = "a number" if len(ends) == 1 else "a low end up to a high end"
-                raise ValueError(f"scene.{name} is {value}; give {wanted} within [{lowest:g}, {highest:g}].")
+        super().__post_init__()
         if self.width < self.grid_width or self.height < self.grid_height:
             raise ValueError(f"scene.width and height {self.width}x{self.height} are below the grid's; give more.")
         if self.rise[1] + self.fall[1] > 1:
@@ -137,7 +132,6 @@ class SceneSettings:
                     f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
                     f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
                 )
-        require_choices(self, "scene.")
 
     @property
     def cell(self) -> tuple[float, float]:
@@ -147,6 +141,3 @@ class SceneSettings:
 
 LARGEST_RATE = 1e4
 """Largest rate of a sheet, thirty times that of the defaults; it decides how short the integrator's steps are [1/s]."""
-_KINDS = get_type_hints(SceneSettings, include_extras=True)
-LIMITS = {name: kind.__metadata__ for name, kind in _KINDS.items() if hasattr(kind, "__metadata__")}
-"""Smallest and largest value of each number, and of both ends of each range."""

@@ -6,11 +6,11 @@ No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1).
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import LARGEST, Checked, NotNegative
 from palpate.data.cache import PreparedClip
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
@@ -24,23 +24,23 @@ LONGEST_WINDOW = 256
 
 
 @dataclass(frozen=True)
-class SampleSettings:
+class SampleSettings(Checked, group="samples."):
     """Which frames become samples, and with which part of their motion the simulation is compared."""
 
-    window: int = 1
+    window: Annotated[int, 1, LONGEST_WINDOW] = 1
     """Frames in the network's input, K; 1 is the paper's."""
     observation: Literal["final", "trajectory"] = "final"
     """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: all
     motion since the onset is compared, the contact's or the depth-change sequence's around it, at the frames' own time
     stamps."""
-    horizon: int = 1
+    horizon: Annotated[int, 1, LARGEST] = 1
     """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
     noise. More need observation trajectory."""
-    min_clip_deformation: float = 0.0
+    min_clip_deformation: NotNegative = 0.0
     """Least motion of a clip's contact from frame to frame, less the rigid motion, root mean square over its pairs
     [scene units]; 0 keeps all clips. Below it the camera moves and nothing deforms. Bini 2026, section 3.1, leaves such
     clips out and does not state by which rule."""
-    onset_within: int | None = None
+    onset_within: Annotated[int, 1, LARGEST] | None = None
     """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window's length,
     beyond which a network has no input. A network that gets the contact's motion in addition to the window can use
     more."""
@@ -50,17 +50,9 @@ class SampleSettings:
     """Mechanics with the rollout's time steps."""
 
     def __post_init__(self) -> None:
-        require_choices(self, "samples.")
-        if not 1 <= self.window <= LONGEST_WINDOW:
-            raise ValueError(f"window is {self.window}; give at least 1 frame and at most {LONGEST_WINDOW}.")
-        if self.horizon < 1 or (self.horizon > 1 and self.observation != "trajectory"):
-            raise ValueError(
-                f"horizon is {self.horizon} and observation {self.observation}; give at least 1 frame, and more only "
-                "with observation trajectory."
-            )
-        if self.onset_within is not None and self.onset_within < 1:
-            raise ValueError(f"onset_within is {self.onset_within}; give at least 1, or leave it out.")
-        require_numbers(self, not_negative=("min_clip_deformation",))
+        super().__post_init__()
+        if self.horizon > 1 and self.observation != "trajectory":
+            raise ValueError(f"samples.horizon is {self.horizon}; more than 1 needs observation trajectory.")
 
 
 @dataclass(frozen=True)

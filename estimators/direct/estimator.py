@@ -10,18 +10,22 @@ delays of the press (`estimators.direct.motion`). Around these optima the poster
 import dataclasses
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from palpate.data.contact.interaction import OBSERVATIONS, SHADING, Horizon, Interaction
+from palpate.common.options import option
+from palpate.common.settings import LARGEST
+from palpate.data.contact.interaction import SHADING, Interaction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
-from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
-from palpate.estimators.onset import onset_error
+from palpate.estimators.onset import PressSettings, onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
@@ -34,49 +38,60 @@ LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue around the contact is visible."""
 
 
-class DirectEstimator:
+@dataclass(frozen=True)
+class DirectSettings(PressSettings):
+    """Fit of the simulator to every contact when it has ended, without a network.
+
+    Raises:
+        ValueError: a value out of range.
+    """
+
+    observation: Literal["depth", "shading"] | None = None
+    """what is compared: the depth of all visible tissue around the contact (default where depth is given), or how the
+    tissue's light changes (default where depth is guessed)"""
+    smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
+    """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
+    noise: Annotated[float, LEAST_SIGMA, LARGEST] | None = option(None, metavar="X")
+    """noise of the depth [scene units] (default: as measured)"""
+
+    def build(self) -> "DirectEstimator":
+        """Open the estimator."""
+        return DirectEstimator(self)
+
+
+class DirectEstimator(Estimator):
     """Fits every run of contact when it has ended; needs no network.
 
     Args:
-        onset: when a press begins, one of `estimators.onset.ONSETS`.
-        observation: what is compared, one of `data.contact.interaction.OBSERVATIONS`; None = the light of the tissue
-            where depth is guessed from the pictures, else the depth of all of it.
-        horizon: how much of a contact is looked at.
-        noise: σ of every observed coordinate [scene units], at least LEAST_SIGMA; None = the clip's own depth noise.
+        settings: how.
         mechanics: integrator of the fitted model.
         bounds: admissible box, in which the prior is uniform; F presses.
 
     Raises:
-        ValueError: a noise that is too small or not finite, a box that reaches 0.
+        ValueError: a box that reaches 0.
     """
 
     name = "direct"
 
     def __init__(
         self,
-        onset: str,
-        observation: str | None = None,
-        horizon: Horizon = None,
-        noise: float | None = None,
+        settings: DirectSettings = DirectSettings(),
         mechanics: Mechanics = FITTED,
         bounds: Bounds = RECOMMENDED,
     ) -> None:
-        if noise is not None and not LEAST_SIGMA <= noise < math.inf:
-            raise ValueError(f"noise is {noise}; give a length of {LEAST_SIGMA:g} or more, or leave it out.")
-        if observation not in (None, *OBSERVATIONS):
-            raise ValueError(f"observation is {observation!r}; choose {' or '.join(OBSERVATIONS)}.")
-        self.onset, self.observation, self.horizon = onset, observation, horizon
-        self.noise, self.mechanics, self.bounds = noise, mechanics, bounds
-        model = {"mechanics": dataclasses.asdict(mechanics), "bounds": dataclasses.asdict(bounds)}
-        seen = {"onset": onset, "observation": observation or "auto", "horizon": horizon}
-        self.described = {"name": self.name, **seen, "noise": noise, **model}
-        """All that the fits depend on besides the clip."""
+        self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
         self.log_box = bounds.log_box
         """Of φ, shape [2, 3]."""
 
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
-        """Smoothed tissue, the camera's motion taken off, and otherwise what the user chooses."""
-        return chosen.without_model()
+    @property
+    def described(self) -> dict[str, Any]:
+        """All that the fits depend on besides the clip."""
+        model = {"mechanics": dataclasses.asdict(self.mechanics), "bounds": dataclasses.asdict(self.bounds)}
+        return super().described | model
+
+    def preparation(self, chosen: Preparation) -> PrepareSettings:
+        """Smoothed tissue, the camera's motion subtracted, and otherwise what the user chooses."""
+        return chosen.without_model(self.settings.smoothing)
 
     def start(self, clip: ClipInfo) -> "DirectSession":
         """Open a session."""
@@ -87,11 +102,12 @@ class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
-        super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.by_light = estimator.observation in (None, SHADING)
-        self.needs_light = estimator.observation == SHADING
+        settings = estimator.settings
+        super().__init__(clip, estimator.mechanics, settings.horizon)
+        self.by_light = settings.observation in (None, SHADING)
+        self.needs_light = settings.observation == SHADING
         self.estimator = estimator
-        self._within = onset_error(estimator.onset, clip.fps)
+        self._within = onset_error(settings.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """The next frame."""
@@ -114,14 +130,14 @@ class DirectSession(RunSession):
         """
         estimator, within = self.estimator, self._within * contact.intervals
         if contact.sequence is None:
-            raise NoEstimate("The depth's noise isn't known; set geometry.smoothing above 0, or give the noise.")
+            raise NoEstimate("The depth's noise isn't known; set --smoothing above 0, or give --noise.")
         count = min(len(contact.observation), len(contact.sequence.times))
         if count < LEAST_OBSERVATIONS:
             raise NoEstimate(
                 f"The tissue around the contact was followed over {count} frames after its onset; "
                 f"{LEAST_OBSERVATIONS} are needed."
             )
-        found = fit_press(contact, self.mechanics, within, estimator.noise, estimator.log_box)
+        found = fit_press(contact, self.mechanics, within, estimator.settings.noise, estimator.log_box)
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:

@@ -18,18 +18,18 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-import argparse
 import dataclasses
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.common.command_line import add_listed, path_option
-from palpate.common.files import file_sha256, read_beside, read_file
+from palpate.common.files import file_sha256, read_file
+from palpate.common.options import options
 from palpate.data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
 from palpate.data.contact.interaction import PRESS
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, WITHIN
@@ -130,45 +130,63 @@ def metadata(weights: Path) -> dict[str, object]:
     }
 
 
-def calibration_of(options: argparse.Namespace) -> Calibration:
+@dataclass(frozen=True)
+class Calibrated:
+    """What is exported or calibrated."""
+
+    output: Path
+    """ONNX file to write"""
+    weights: Path | None = None
+    """posterior.pt of configs/contact.yaml, to export"""
+    model: Path | None = None
+    """exported posterior, to calibrate"""
+    validation: tuple[Path, ...] = ()
+    """results of benchmarks.recovery --split validation with that file"""
+    pressed: tuple[Path, ...] = ()
+    """the same, with --seen press"""
+    between: tuple[Path, ...] = ()
+    """the same, with --suite late-onset --onset between"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where options don't belong together."""
+        results = self.validation, self.pressed, self.between
+        if (self.model is None) == (self.weights is None):
+            raise ValueError("give either --weights or --model.")
+        if self.model is not None and not all(results):
+            raise ValueError("give --validation, --pressed and --between with --model.")
+        if self.weights is not None and any(results):
+            raise ValueError("give --model with results; --weights are exported as they are.")
+
+
+def calibration_of(asked: Any) -> Calibration:
     """Calibration from the results of the benchmark.
 
     Raises:
         ModelFileError: the file is no exported posterior.
         ValueError: the results belong to something else, or are too few.
     """
-    model = PosteriorModel(options.model)
-    whole = widths_of(results_of(options.validation, model.sha256, None))
-    pressed = widths_of(results_of(options.pressed, model.sha256, PRESS))
-    between = widths_of(results_of(options.between, model.sha256, None, BETWEEN))
+    model = PosteriorModel(asked.model)
+    whole = widths_of(results_of(asked.validation, model.sha256, None))
+    pressed = widths_of(results_of(asked.pressed, model.sha256, PRESS))
+    between = widths_of(results_of(asked.between, model.sha256, None, BETWEEN))
     return Calibration(whole, pressed, between, LOG_NOISE, KNOWN, LOADED, (FEATURES + WITHIN,))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Export or calibrate; returns the exit status."""
-    program, text = "python -m estimators.network.calibration", __doc__.split("\n")[0]
-    parser = argparse.ArgumentParser(prog=program, description=text)
-    listed = read_beside(__file__)
-    add_listed(parser.add_mutually_exclusive_group(required=True), listed["source"], {"path": path_option})
-    add_listed(parser, listed["options"], {"path": path_option}, pressed=PRESS)
-    options = parser.parse_args(arguments)
-    results = options.validation, options.pressed, options.between
-    if options.model is not None and None in results:
-        parser.error("give --validation, --pressed and --between with --model.")
-    if options.weights is not None and results != (None, None, None):
-        parser.error("give --model with results; --weights are exported as they are.")
+    asked: Any = options(Calibrated, arguments, "estimators.network.calibration", __doc__)
     try:
-        if options.model is not None:
-            calibration = calibration_of(options)
-            difference = calibrate(options.model, options.output, calibration)
+        if asked.model is not None:
+            calibration = calibration_of(asked)
+            difference = calibrate(asked.model, asked.output, calibration)
         else:
             calibration, posterior = None, new_posterior()
-            load_posterior(posterior, options.weights)
-            difference = export(posterior, options.output, metadata(options.weights))
+            load_posterior(posterior, asked.weights)
+            difference = export(posterior, asked.output, metadata(asked.weights))
     except (OSError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    print(f"{options.output}: written; largest difference from torch {difference:.1e}")
+    print(f"{asked.output}: written; largest difference from torch {difference:.1e}")
     for name in ("whole", "pressed", "between") if calibration is not None else ():
         for field, values in dataclasses.asdict(getattr(calibration, name)).items():
             print(f"  {name} {field}: {np.round(values, 3).tolist()}")

@@ -3,22 +3,23 @@
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from palpate.data.contact.features import FEATURES
-from palpate.data.contact.interaction import FIELD, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Interaction, InteractionBuilder
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.windows import FrameWindow
-from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.contract import ClipInfo, Output, Preparation
 from palpate.estimators.estimate import NoEstimate, PressCourse, PressResult
-from palpate.estimators.model_settings import ModelEstimator
+from palpate.estimators.model_settings import ModelEstimator, ModelSettings
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
-from palpate.estimators.onset import onset_error
+from palpate.estimators.onset import PressSettings, onset_error
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
@@ -26,10 +27,8 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
-FULL, FAST = RATES = ("full", "fast")
-"""What is done of a clip; fast is done as frames come."""
 FAST_EVERY = 3
-"""By the rate fast, as of `PrepareSettings.every`."""
+"""Of the rate fast, as of `PrepareSettings.every`."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
@@ -38,60 +37,66 @@ TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
 
 
+@dataclass(frozen=True)
+class NetworkSettings(PressSettings, ModelSettings):
+    """Posterior of a network for every frame."""
+
+    observation: Literal["depth"] | None = None
+    """depth: presses in RGB video without depth are not fitted by their shading (default: they are, when they have
+    ended)"""
+    rate: Literal["full", "fast"] = "full"
+    """fast: automatic masks and guessed depth are found in one frame of three, and instruments move with the picture in
+    between"""
+
+    def build(self) -> "NetworkEstimator":
+        """Open the estimator.
+
+        Raises:
+            ModelFileError: the model's file can't be used.
+        """
+        return NetworkEstimator(self.opened(PosteriorModel, "network"), self)
+
+
 class NetworkEstimator(ModelEstimator):
     """Runs an exported contact posterior over prepared clips.
 
     Args:
         model: the exported network.
-        onset: when a press begins, one of `estimators.onset.ONSETS`.
-        horizon: how much of a whole contact counts.
-        observation: FIELD: presses in RGB video without depth are not fitted by their shading; None: they are, when
-            they have ended.
-        rate: one of RATES.
+        settings: how it is asked.
 
     Raises:
         ModelFileError: its metadata can't be used.
-        ValueError: an observation that only `direct` takes.
     """
 
     name = "network"
+    live = True
     model: PosteriorModel
 
     def __init__(
         self,
         model: PosteriorModel,
-        onset: str,
-        horizon: Horizon = None,
-        observation: str | None = None,
-        rate: str = FULL,
+        settings: NetworkSettings = NetworkSettings(),
     ) -> None:
         super().__init__(model)
-        if observation not in (None, FIELD):
-            raise ValueError(f"--observation {observation} is for --estimator direct; take that, or leave it out.")
         if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
             raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")
-        self.onset, self.horizon = onset, horizon
-        self.by_light = observation is None
-        """Whether presses without depth are fitted by their shading."""
-        self.described = {
-            "name": self.name,
-            "onset": onset,
-            "observation": observation or "auto",
-            "horizon": horizon,
-            "rate": rate,
-        }
-        """The settings that are not in the model's file."""
+        self.settings = settings
         self.press_seconds: tuple[float, float] = tuple(
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
         """Shortest and longest press that the network was trained on [s]."""
         self.force_seconds = min(self.press_seconds[1], self.mechanics.seconds)
-        """Time after the onset of contact up to which the force is constrained [s]."""
 
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
+    @property
+    def described(self) -> dict[str, Any]:
+        """The settings that are not in the model's file."""
+        names = ("onset", "observation", "horizon", "rate")
+        return {"name": self.name, **{name: getattr(self.settings, name) for name in names}}
+
+    def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
         found = super().preparation(chosen)
-        return dataclasses.replace(found, every=FAST_EVERY) if self.described["rate"] == FAST else found
+        return dataclasses.replace(found, every=FAST_EVERY) if self.settings.rate == "fast" else found
 
     def start(self, clip: ClipInfo) -> "NetworkSession":
         """Open a session."""
@@ -141,9 +146,10 @@ class NetworkSession(RunSession):
     """One clip: an estimate for every frame in contact, and one for every whole run of contact."""
 
     def __init__(self, estimator: NetworkEstimator, clip: ClipInfo) -> None:
-        super().__init__(clip, estimator.mechanics, estimator.horizon)
-        self.estimator, self.by_light = estimator, estimator.by_light
-        self._onset_error = onset_error(estimator.onset, clip.fps)
+        settings = estimator.settings
+        super().__init__(clip, estimator.mechanics, settings.horizon)
+        self.estimator, self.by_light = estimator, settings.observation is None
+        self._onset_error = onset_error(settings.onset, clip.fps)
         self._window = FrameWindow(estimator.model.window)
         self._depths: list[tuple[float, np.ndarray]] = []
         """Depth windows of the current run with their times since its onset [s], where the model takes windows."""

@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -32,10 +33,10 @@ from rich.progress import Progress
 from torch import Tensor, nn
 
 from palpate.common.ahead import ahead
-from palpate.common.command_line import LARGEST_NUMBER, progress_bars
+from palpate.common.command_line import progress_bars
 from palpate.common.files import as_json
 from palpate.common.output import replacing_own, require_own, write_own
-from palpate.common.settings import require_between
+from palpate.common.settings import LARGEST, Checked
 from palpate.common.workers import run_tasks
 from palpate.data.contact.features import FEATURES, contact_features, contact_surroundings
 from palpate.data.contact.interaction import Interaction
@@ -78,28 +79,25 @@ class TrainingError(ValueError):
 
 
 @dataclasses.dataclass(frozen=True)
-class ContactSettings:
+class ContactSettings(Checked):
     """Settings of a training."""
 
     output: Path
     """Folder for the weights and the log."""
-    contacts: int = 3200
+    contacts: Annotated[int, 1, LARGEST] = 3200
     """Number of simulated contacts."""
-    rough_steps: int = 800
-    fine_steps: int = 16000
-    bound_steps: int = 2000
-    seed: int = 0
+    rough_steps: Annotated[int, 4, LARGEST] = 800
+    fine_steps: Annotated[int, 4, LARGEST] = 16000
+    bound_steps: Annotated[int, 4, LARGEST] = 2000
+    seed: Annotated[int, 0, LARGEST] = 0
     """Another seed gives other contacts, weights and errors."""
-    workers: int | None = None
+    workers: Annotated[int, 0, MOST_THREADS] | None = None
     """Processes that draw contacts and explain motions; 0 = in this one, None = one a core."""
 
     def __post_init__(self) -> None:
         if self.output == Path():
             raise ValueError("output is empty or the working folder; name a folder for the training alone.")
-        # Fewest steps of a stage.
-        steps = dict.fromkeys(("rough_steps", "fine_steps", "bound_steps"), (4, LARGEST_NUMBER))
-        numbers = {"contacts": (1, LARGEST_NUMBER), "seed": (0, LARGEST_NUMBER), "workers": (0, MOST_THREADS)}
-        require_between(self, **numbers, **steps)
+        super().__post_init__()
 
 
 def widened(contact: Interaction, logs: np.ndarray, blur: float) -> Linearised:

@@ -8,45 +8,69 @@ them.
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from palpate.common.options import option
 from palpate.common.robust import affine_motion
+from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
-from palpate.estimators.contract import Chosen, ClipInfo, Output
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import FieldResult, ParticleField
-from palpate.estimators.online.settings import OnlineSettings
+from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
 
-class OnlineEstimator:
+@dataclass(frozen=True)
+class OnlineOptions(Checked):
+    """Stiffness place by place, relative, of tissue that an instrument drives, frame by frame."""
+
+    settings: Path | None = option(None, metavar="FILE")
+    """YAML file (default: as configs/online.yaml, which explains them)"""
+    smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
+    """smooth the tissue's resting shape over this many grid pixels"""
+
+    def build(self) -> "OnlineEstimator":
+        """Open the estimator.
+
+        Raises:
+            InputError: the file can't be used.
+        """
+        settings = OnlineSettings() if self.settings is None else load_settings(Path(self.settings))
+        return OnlineEstimator(settings, self.smoothing)
+
+
+class OnlineEstimator(Estimator):
     """Follows tissue that an instrument drives; needs no network and no onset.
 
     Args:
         settings: how.
+        smoothing: width over which the tissue's resting shape is smoothed [grid px].
     """
 
     name = "online"
-    maps_stiffness = True
+    live = tells_field = True
+    tells_theta = False
 
-    def __init__(self, settings: OnlineSettings) -> None:
-        self.settings = settings
-        self.described = {"name": self.name, **dataclasses.asdict(settings)}
-        """All that the fields depend on besides the clip."""
+    def __init__(self, settings: OnlineSettings, smoothing: float = SMOOTHING) -> None:
+        self.settings, self.smoothing = settings, smoothing
 
-    def preparation(self, chosen: Chosen) -> PrepareSettings:
+    def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Smoothed tissue, and otherwise what the user chooses."""
-        return chosen.without_model()
+        return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
         """Open a session."""

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from palpate.common.settings import require_between, require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.physics.load import Grip
 from palpate.physics.mesh import incidence
 from palpate.physics.pbd.body import Body
@@ -101,24 +101,19 @@ Matches = Sequence[Match]
 
 
 @dataclass(frozen=True)
-class Mapping:
+class Mapping(Checked):
     """How the deformation is searched.
 
     Raises:
         ValueError: a value out of range.
     """
 
-    steps: int = 30
+    steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
-    rate: float = 50.0
+    rate: Positive = 50.0
     """Of them at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths may
     have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on than that
     bears, as where points are followed on a part of a large sheet only, goes at most as far as these points ask."""
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_between(self, steps=(1, MOST_ITERATIONS))
-        require_numbers(self, positive=("rate",))
 
 
 class _Step(NamedTuple):
@@ -192,21 +187,17 @@ def map_residual(
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Bounds(Checked, group="the bound of "):
     """Largest stiffness of distances and shapes; the smallest is 0 (Liang 2024, section III-B, whose own are `PAPER`).
 
     Raises:
         ValueError: a bound that is not positive.
     """
 
-    distance: float = 10.0
+    distance: Positive = 10.0
     """[N/m], where m/Δt² is 1."""
-    shape: float = 10.0
+    shape: Positive = 10.0
     """Likewise."""
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_numbers(self, positive=("distance", "shape"), group="the bound of ")
 
     def logits(self, fields: Stiffness) -> np.ndarray:
         """What `fields` makes those fields of, shape [2, N]: distances, then shapes.
@@ -239,24 +230,20 @@ PAPER = Bounds(distance=10.0, shape=0.02)
 
 
 @dataclass(frozen=True)
-class Weights:
+class Weights(Checked, group="the weight of "):
     """What the terms count; the paper adds them up as they are, in units that it doesn't give.
 
     Raises:
         ValueError: a weight that is negative.
     """
 
-    gap: float = 1.0
+    gap: NotNegative = 1.0
     """Of ‖Δ‖ in mean edges."""
-    history: float = 0.1
+    history: NotNegative = 0.1
     """Of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and soft
     fields keep it so. Adam's alone: Gauss–Newton's past is the simulation that it carries along."""
-    smoothness: float = 1.0
+    smoothness: NotNegative = 1.0
     """Of the mean difference between neighbours, in shares of the bounds."""
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_numbers(self, not_negative=("gap", "history", "smoothness"), group="the weight of ")
 
 
 class Terms(NamedTuple):
@@ -268,7 +255,7 @@ class Terms(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class Objective(Checked):
     """A gripped body, how it is stepped and mapped, and what its terms count.
 
     Raises:
@@ -280,14 +267,10 @@ class Objective:
     """Particles that are moved, shape [G]: the same in all frames."""
     stepping: Stepping = field(default_factory=Stepping)
     mapping: Mapping = field(default_factory=Mapping)
-    elastic: float = 0.3
+    elastic: NotNegative = 0.3
     """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
     weights: Weights = field(default_factory=Weights)
     bounds: Bounds = PAPER
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_numbers(self, not_negative=("elastic",))
 
     @cached_property
     def edge(self) -> float:

@@ -11,20 +11,20 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.common.settings import require_choices, require_numbers
+from palpate.common.settings import Checked, Positive
 from palpate.estimators.online.objective import Match, Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 
 @dataclass
-class Adam:
+class Adam(Checked):
     """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed: its running means, at first none.
 
     Raises:
         ValueError: a rate that is not positive.
     """
 
-    rate: float = 0.1
+    rate: Positive = 0.1
     """Liang 2024, section III-B."""
     decay: tuple[float, float] = (0.9, 0.999)
     """Of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
@@ -32,10 +32,6 @@ class Adam:
     _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
     _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
     _count: int = field(default=0, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Check the range."""
-        require_numbers(self, positive=("rate",))
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Values after one step against slopes of the same shape."""
@@ -52,7 +48,7 @@ SNAPSHOTS, WINDOW = 4, 20
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(Checked):
     """Which parts of the step run.
 
     Raises:
@@ -64,13 +60,8 @@ class Method:
     optimizer: Literal["adam", "gauss-newton"] = "gauss-newton"
     """By what stiffness is changed: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots, which are
     `estimators.online.determined`'s and need followed points."""
-    rate: float = 0.1
+    rate: Positive = 0.1
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
-
-    def __post_init__(self) -> None:
-        """Check name and rate."""
-        require_choices(self)
-        require_numbers(self, positive=("rate",))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,53 +2,49 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from palpate.common.settings import require_numbers
+from palpate.common.settings import LARGEST, Checked, NotNegative, Positive
 from palpate.data.source.layout import from_mapping, read_mapping
 from palpate.estimators.online.objective import Bounds, Mapping, Objective, Weights
 from palpate.estimators.online.session import Method
 from palpate.physics.pbd.simulation import Stepping
 
-LEAST_PARTICLES, MOST_PARTICLES = 30, 10_000
 MOST_FITTED = 50
 """Frames that can be fitted to; every one is kept until then."""
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(Checked, group="the start of "):
     """Stiffness to begin with, the same everywhere.
 
     Raises:
         ValueError: a stiffness that is not positive.
     """
 
-    distance: float = 1.0
+    distance: Positive = 1.0
     """Of distances [m/Δt²]: the paper's second start."""
-    shape: float = 0.01
+    shape: Positive = 0.01
     """Of shapes, likewise: the paper's 0.1 lies outside its own bound of 0.02."""
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_numbers(self, positive=("distance", "shape"), group="the start of ")
 
 
 @dataclass(frozen=True)
-class OnlineSettings:
+class OnlineSettings(Checked):
     """How tissue that an instrument drives is followed, and its stiffness found.
 
     Raises:
         ValueError: a value out of range, or two that don't belong together.
     """
 
-    particles: int = 600
+    particles: Annotated[int, 30, 10_000] = 600
     """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
-    thickness: float | None = None
+    thickness: Positive | None = None
     """Of the tissue along its surface's normal [scene units]; None = a sheet."""
-    points: int = 9000
+    points: Annotated[int, 1, LARGEST] = 9000
     """At most so many of a sequence's cloud (Liang 2024, section III)."""
-    strain: float = 0.03
+    strain: NotNegative = 0.03
     """Stiffness can be known only where an edge was once longer or shorter than at rest by more than this share."""
-    fitted: int = 5
+    fitted: Annotated[int, 0, MOST_FITTED] = 5
     """Time step, foundation and the stiffness of shapes are fitted to the first so many frames of a run, by simulation
     alone, within the bounds; the values given here hold until then. 0 = they hold throughout."""
     start: Start = field(default_factory=Start)
@@ -62,22 +58,14 @@ class OnlineSettings:
     """How time steps are taken; a frame is one."""
     mapping: Mapping = field(default_factory=Mapping)
     """How the residual deformation is searched."""
-    elastic: float = Objective.elastic
+    elastic: NotNegative = Objective.elastic
     """k⁰ of the mapping, as `Objective` has it."""
     weights: Weights = field(default_factory=Weights)
     """What the terms of the objective count."""
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        if not LEAST_PARTICLES <= self.particles <= MOST_PARTICLES:
-            raise ValueError(f"particles is {self.particles}; give {LEAST_PARTICLES} to {MOST_PARTICLES}.")
-        if self.thickness is not None and not self.thickness > 0:
-            raise ValueError(f"thickness is {self.thickness}; give a positive length, or null for a sheet.")
-        if self.points < 1:
-            raise ValueError(f"points is {self.points}; give 1 at least.")
-        if not 0 <= self.fitted <= MOST_FITTED:
-            raise ValueError(f"fitted is {self.fitted}; give 0 to {MOST_FITTED} frames.")
-        require_numbers(self, not_negative=("strain", "elastic"))
+        super().__post_init__()
         for name in ("distance", "shape"):
             begun, bound = getattr(self.start, name), getattr(self.bounds, name)
             if not begun < bound:

@@ -5,12 +5,12 @@ import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from palpate.common.files import read_file
-from palpate.common.settings import LARGEST
+from palpate.common.settings import LARGEST, Checked
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.data.source.table import read_columns
@@ -34,7 +34,7 @@ Row = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class SceneFile:
+class SceneFile(Checked):
     """Fields of the file.
 
     Raises:
@@ -49,12 +49,11 @@ class SceneFile:
     """Each with the fields of `PalpationFile`."""
     surface: str
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
-    cells: int = 8
+    cells: Annotated[int, 2, MOST_CELLS] = 8
     """Of the mesh along the surface's longest side."""
 
     def __post_init__(self) -> None:
-        if not 2 <= self.cells <= MOST_CELLS:
-            raise ValueError(f"cells is {self.cells}; give 2 to {MOST_CELLS}.")
+        super().__post_init__()
         if not self.palpations:
             raise ValueError("palpations is empty; give one at least.")
 

@@ -1,6 +1,6 @@
 """From measured forces to material constants.
 
-    palpate calibrate palpation SCENE.yaml --output OUT
+    palpate calibrate palpation scene.yaml --output calibrated
 
 Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with the deformed surfaces that they leave
 (Frank 2010). Writes calibration.json, and errors.csv, the distance of every point from the fitted surface.
@@ -8,15 +8,17 @@ Fits Young's modulus and Poisson's ratio to a surface at rest and to forces with
 Not a medical device.
 """
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import add_listed, described_parser, path_option, say
-from palpate.common.files import as_json, read_beside
+from palpate.common.command_line import say
+from palpate.common.files import as_json
+from palpate.common.options import option
+from palpate.common.options import options as read_options
 from palpate.common.output import require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
@@ -30,18 +32,22 @@ from palpate.results.store import OutputError, make_output, writing
 PALPATION = ("calibration.json", "errors.csv")
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    statuses = "0 done; 1 something could not be; 2 wrong usage; 130 interrupted"
-    parser = described_parser("palpate calibrate", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), {"path": path_option}, {"kinds": ("palpation",)})
-    return parser
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """The scene and the results."""
+
+    what: Literal["palpation"] = option(positional=True)
+    """surfaces under forces"""
+    scene: Path = option(positional=True, metavar="SCENE.yaml")
+    """see docs/forces.md"""
+    output: Path = option(metavar="OUT")
+    """folder of the results"""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Calibrate what the command line names; returns the exit status."""
     console = Console(stderr=True)
-    options: Any = build_parser().parse_args(arguments)
+    options: CalibrateOptions = read_options(CalibrateOptions, arguments, "", __doc__)
     try:
         with writing(options.output):
             require_own(*(options.output / name for name in PALPATION))
@@ -51,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
 
 
-def _palpation(options: argparse.Namespace, console: Console) -> int:
+def _palpation(options: CalibrateOptions, console: Console) -> int:
     path, output = options.scene, options.output
     scene = read_scene(path)
     make_output(output)  # before what takes minutes

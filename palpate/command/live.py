@@ -1,17 +1,16 @@
 """Tissue stiffness, damping and tool force while a camera, a stream or a pipe runs, as a line of JSON a frame.
 
-    palpate live 0                                    # the first camera
-    palpate live rtsp://… | my_display                # a stream
+    palpate live 0                      # the first camera
+    palpate live rtsp://… | my_display  # a stream
     ffmpeg … -f rawvideo -pix_fmt rgb24 - | palpate live - --size 854x480
 
 A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
 so far; where a run of contact has ended, another one holds what `interactions.csv` does. Whether an instrument touches
 is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Where depth is
-measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on (--rate
-fast of `palpate infer`). Research software, not a medical device.
+measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on. The
+estimator online estimates stiffness place by place. Research software, not a medical device.
 """
 
-import argparse
 import dataclasses
 import math
 import signal
@@ -22,26 +21,28 @@ from collections import deque
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from palpate.command import infer
-from palpate.common.command_line import Parser, add_listed, real_number, size_of, whole_number
+from palpate.common.command_line import size_of
 from palpate.common.doors import INTERRUPTED
-from palpate.common.files import as_json, read_beside
+from palpate.common.files import as_json
+from palpate.common.options import filled, option, parse
+from palpate.common.settings import LARGEST
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import halves
-from palpate.data.source.layout import HALVES, ClipLayout
+from palpate.data.source.layout import ClipLayout
 from palpate.data.source.live import LiveSource, open_live
-from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.network.estimator import FAST, NetworkEstimator
-from palpate.estimators.open import EstimatorOptions, open_estimator, preparation
+from palpate.estimators.contract import ClipInfo, Output, Preparation
+from palpate.estimators.open import ESTIMATORS, preparation
 from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate
 from palpate.estimators.result import UNITS
 from palpate.estimators.session import estimates_of
-from palpate.results.alarm import ForceAlarm, known_seconds
+from palpate.results.alarm import ForceAlarm
 
 WAITING, UNDECIDED = 1, 16
 """Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
@@ -78,18 +79,61 @@ def stopped_by_interrupt(source: LiveSource) -> Generator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+@dataclass(frozen=True)
+class Live:
+    """The source, and lines of JSON."""
+
+    source: str = option(positional=True, metavar="SOURCE")
+    """camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"""
+    estimator: str | None = option(None, choices=lambda: [*ESTIMATORS.entries])
+    """one that estimates while frames come (default: what --model is for, else network)"""
+    max_latency: Annotated[float, 1e-3, LARGEST] = option(1.0, metavar="SECONDS")
+    """frames that have waited longer are dropped and counted [s]"""
+    size: str | None = option(None, metavar="WxH")
+    """of a pipe's pictures [px]"""
+    fps: Annotated[float, 1, LARGEST] | None = None
+    """frames a second (default: as the source says; of a pipe 25)"""
+    every: Annotated[int, 1, 100] = option(1, metavar="N")
+    """take one of so many frames, so that this machine keeps up: frames that are dropped break a press off"""
+    igtl: Annotated[int, 1, 65535] | None = option(None, metavar="N")
+    """serve every line to an OpenIGTLink client, such as 3D Slicer, on this port of this machine (palpate[live])"""
+    right: Literal["side-by-side", "top-bottom"] | None = None
+    """pictures hold both of a stereo pair, the left one first: with --depth stereo and a camera file with a baseline"""
+    force_limit: Annotated[float, 1e-9, LARGEST] | None = option(None, metavar="X")
+    """limit of the force in the unit of the column force (docs/forces.md). Research software, not a medical device"""
+
+    @property
+    def pixels(self) -> tuple[int, int] | None:
+        """Width and height of a pipe's pictures.
+
+        Raises:
+            ValueError: the size is none.
+        """
+        found = None if self.size is None else size_of(self.size)
+        if self.size is not None and (found is None or max(found) >= 100_000):
+            raise ValueError(f"--size {self.size} is no size; give width and height, such as 854x480.")
+        return found
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Estimate until the source ends; returns the exit status."""
-    options = _parser().parse_args(arguments)
+    more: dict[str, Any] = {"without": ("layout", "topic"), "component": infer.ESTIMATOR, "defaults": {"rate": "fast"}}
+    values = vars(parse((Live, Preparation), arguments, "", __doc__, **more))
+    options: Live = filled(Live, values)
     try:
-        estimator = open_estimator(EstimatorOptions("network", options.model, rate=FAST))
-        assert isinstance(estimator, NetworkEstimator)
-        chosen = {name: getattr(options, name) for name in ("masks", "depth", "camera")}
-        settings = preparation(estimator, layout=ClipLayout(right=options.right), **chosen)
+        estimator = filled(ESTIMATORS[values["estimator"]], values).build()
+        if not estimator.live:
+            raise ValueError(
+                f"--estimator {estimator.name} estimates no frames while they come; give network or online."
+            )
+        if options.force_limit is not None and estimator.force_seconds is None:
+            raise ValueError(f"--force-limit needs the force of every frame, which {estimator.name} does not give.")
+        chosen = filled(Preparation, values | {"layout": ClipLayout(right=options.right)})
+        settings = preparation(estimator, chosen)
         # The depth's scale is found in so much of the beginning [s]; a source won't begin again.
         depth = dataclasses.replace(settings.depth, scale_seconds=0.5)
         source = open_live(
-            options.source, options.max_latency, options.size, options.fps, sys.stdin.buffer, options.every
+            options.source, options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every
         )
         clip = ClipStream(halves(source, settings.layout), dataclasses.replace(settings, depth=depth))
         session = estimator.start(ClipInfo.of(clip))
@@ -99,7 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     alarm = None
     if options.force_limit is not None:
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], known_seconds(estimator))
+        alarm = ForceAlarm(options.force_limit, UNITS["force"], estimator.force_seconds)
     lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
@@ -178,29 +222,3 @@ class JsonLines:
             f"late in the median and {first[1]:.0f} at the 95th percentile, decided ones {last[0]:.0f} and "
             f"{last[1]:.0f}; {self.source.dropped} were dropped."
         )
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Width and height [px]."""
-    found = size_of(text)
-    if found is None or max(found) >= 100_000:
-        raise argparse.ArgumentTypeError(f"{text} is no size; give width and height, such as 854x480.")
-    return found
-
-
-TYPES = infer.TYPES | {
-    "seconds": real_number("a time in seconds; give a positive one", 1e-3),
-    "size": _size,
-    "rate": real_number("a rate; give 1 frame a second or more", 1.0),
-    "every": whole_number(1, 100),
-    "port": whole_number(1, 65535),
-}
-"""What live.yaml calls types."""
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    shared = ("--force-limit", "--model", "--masks", "--depth", "--camera")
-    options = read_beside(__file__) | {name: infer.declared()[name] for name in shared}
-    add_listed(parser, options, TYPES, {"halves": HALVES}, **infer.WORDS)
-    return parser

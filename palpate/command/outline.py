@@ -1,6 +1,6 @@
 """Outlines of a clip's instruments by strokes on a page, followed from frame to frame, as `--masks` reads them.
 
-    palpate outline CLIP [--output CLIP.outlines.yaml]
+    palpate outline clip.mp4
 
 The page opens in a browser of this machine; nobody else can reach it. Draw a line along every instrument of one frame,
 press "Follow and save", and draw again where an outline slips. Then:
@@ -8,28 +8,34 @@ press "Follow and save", and draw again where an outline slips. Then:
     palpate infer CLIP --masks CLIP.outlines.yaml --output OUT
 """
 
-import argparse
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 from rich.console import Console
 
-from palpate.common.command_line import described_parser, path_option, say, whole_number
+from palpate.common.command_line import say
+from palpate.common.options import option
+from palpate.common.options import options as read_options
 from palpate.data.source.layout import InputError
 from palpate.outline_page import OutlinePage
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    parser = described_parser("palpate outline", __doc__, "1 the clip can't be used; 2 wrong usage; 130 at Ctrl-C")
-    parser.add_argument("clip", type=path_option, metavar="CLIP", help="video file or folder of frames")
-    parser.add_argument("--output", type=path_option, help="outlines that are written (default: CLIP.outlines.yaml)")
-    parser.add_argument("--port", type=whole_number(0, 65535), default=0, help="of 127.0.0.1 (default: a free one)")
-    return parser
+@dataclass(frozen=True)
+class OutlineOptions:
+    """The clip and its outlines."""
+
+    clip: Path = option(positional=True, metavar="CLIP")
+    """video file or folder of frames"""
+    output: Path | None = None
+    """outlines that are written (default: CLIP.outlines.yaml)"""
+    port: Annotated[int, 0, 65535] = 0
+    """of 127.0.0.1 (default: a free one)"""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Serve the page until it is interrupted; returns the exit status."""
-    options: Any = build_parser().parse_args(arguments)
+    options: OutlineOptions = read_options(OutlineOptions, arguments, "", __doc__)
     console = Console(stderr=True)
     output = options.output or options.clip.with_name(f"{options.clip.stem}.outlines.yaml")
     try:

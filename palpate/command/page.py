@@ -1,33 +1,48 @@
 """The pages of a folder of results, written again: one of the batch, index.html, and one of every clip.
 
-    palpate page RESULTS
+    palpate page results
 
 `palpate infer` writes them itself; this is for results that were moved, copied together or made by another version.
 """
 
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
 
 from rich.console import Console
 
-from palpate.common.command_line import described_parser, path_option, say
+from palpate.common.command_line import say
+from palpate.common.options import option, options
 from palpate.results.page.gather import clip_folders
 from palpate.results.page.render import write_pages
 from palpate.results.store import OutputError
 
 
+@dataclass(frozen=True)
+class PageOptions:
+    """The results."""
+
+    results: Path = option(positional=True, metavar="RESULTS")
+    """what was --output of palpate infer"""
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError where the folder holds no results."""
+        try:
+            found = self.results.is_dir() and clip_folders(self.results)
+        except OSError as error:
+            raise ValueError(
+                f"{self.results} can't be read ({error.strerror}); give the folder that was --output."
+            ) from error
+        if not found:
+            raise ValueError(
+                f"{self.results} holds no results of palpate infer; give the folder that was its --output."
+            )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Write the pages of the folder that the command line names; returns the exit status."""
-    parser = described_parser("palpate page", __doc__, "0 written; 1 they could not be; 2 wrong usage; 130 interrupted")
-    parser.add_argument("results", type=path_option, metavar="RESULTS", help="what was --output of palpate infer")
-    options: Any = parser.parse_args(arguments)
+    folder = options(PageOptions, arguments, "", __doc__).results
     try:
-        found = options.results.is_dir() and clip_folders(options.results)
-    except OSError as error:
-        parser.error(f"{options.results} can't be read ({error.strerror}); give the folder that was --output.")
-    if not found:
-        parser.error(f"{options.results} holds no results of palpate infer; give the folder that was its --output.")
-    try:
-        print(write_pages(options.results, anew=True))
+        print(write_pages(folder, anew=True))
     except OutputError as error:
         say(Console(stderr=True), str(error), "red")
         return 1

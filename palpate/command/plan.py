@@ -1,6 +1,6 @@
 """The cheapest way of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
-    palpate plan SCENE.yaml --output OUT [--alpha A] [--cache DIR]
+    palpate plan configs/scenes/two_curtains.yaml --output plan --alpha 0.5
 
 Presses on every kind of tissue are simulated once and kept in the cache (default OUT/presses); another scene with the
 same tissue finds them there. Writes plan.json and plan.png: the way, what it costs and what the shortest way would have
@@ -11,17 +11,19 @@ for other starts, goals, moduli and limits. Writes plan.json, and path.csv: time
 medical device.
 """
 
-import argparse
 import dataclasses
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from rich.console import Console
 
-from palpate.common.command_line import add_listed, described_parser, path_option, progress_bars, real_number, say
-from palpate.common.files import as_json, read_beside
+from palpate.common.command_line import progress_bars, say
+from palpate.common.files import as_json
+from palpate.common.options import option
+from palpate.common.options import options as read_options
 from palpate.common.output import replacing_own, require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
@@ -39,20 +41,24 @@ NAMES = ("plan.json", "plan.png")
 SPACE_NAMES = ("plan.json", "path.csv")
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Command line."""
-    statuses = "0 a way was found; 1 there is none, or something could not be; 2 wrong usage; 130 interrupted"
-    parser = described_parser("palpate plan", __doc__, statuses)
-    add_listed(parser, read_beside(__file__), {"path": path_option, "share": real_number("a number from 0 on", 0.0)})
-    return parser
+@dataclass(frozen=True)
+class PlanOptions:
+    """The scene and the results."""
+
+    scene: Path = option(positional=True, metavar="SCENE.yaml")
+    """as configs/scenes/two_curtains.yaml"""
+    output: Path = option(metavar="OUT")
+    """folder of the results"""
+    alpha: Annotated[float, 0, 1] | None = option(None, metavar="A")
+    """0 = the shortest way, 1 = the gentlest"""
+    cache: Path | None = option(None, metavar="DIR")
+    """of simulated presses and road maps (default: presses in OUT)"""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Plan what the command line names; returns the exit status."""
-    parser, console = build_parser(), Console(stderr=True)
-    options: Any = parser.parse_args(arguments)
-    if options.alpha is not None and options.alpha > 1:
-        parser.error(f"--alpha is {options.alpha:g}; give 0 to 1.")
+    console = Console(stderr=True)
+    options: PlanOptions = read_options(PlanOptions, arguments, "", __doc__)
     try:
         scene = read_plan_scene(options.scene, options.alpha)
         cache = options.cache or options.output / "presses"

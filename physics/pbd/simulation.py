@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from palpate.common.settings import require_between, require_numbers
+from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.physics.load import Grip
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import unturned
@@ -20,24 +20,19 @@ MOST_ITERATIONS = 1000
 
 
 @dataclass(frozen=True)
-class Stepping:
+class Stepping(Checked):
     """How time steps are taken.
 
     Raises:
         ValueError: a value out of range.
     """
 
-    time_step: float = 1.0
+    time_step: Positive = 1.0
     """Δt [s]. The paper doesn't give it, nor the mass: k counts in units of m/Δt², which is 1 here."""
-    iterations: int = 20
+    iterations: Annotated[int, 1, MOST_ITERATIONS] = 20
     """Sweeps over all constraints a step; the paper doesn't give them."""
-    foundation: float = 0.0
+    foundation: NotNegative = 0.0
     """Stiffness that holds every particle to its rest [N/m]: tissue lies on other tissue. The paper has none."""
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        require_numbers(self, positive=("time_step",), not_negative=("foundation",))
-        require_between(self, iterations=(1, MOST_ITERATIONS))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from palpate.common.registry import Registry
 from palpate.estimators.contract import Estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 if TYPE_CHECKING:
     from palpate.results.writer import ClipResults
 
-GROUP = "palpate.artefacts"
-BUILT_IN = (
-    *("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile", "overlay:Overlay"),
-    *("fit:FitPicture", "fields:FieldFile", "export:Export", "bag:Ros1Bag", "bag:Ros2Bag"),
+ARTEFACTS = Registry(
+    "file",
+    "palpate.artefacts",
+    {
+        name: f"palpate.results.artefacts.{name}"
+        for name in (
+            *("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile"),
+            *("overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export", "bag:Ros1Bag", "bag:Ros2Bag"),
+        )
+    },
 )
-"""Modules of this package and classes in them, in the order in which they are written."""
+"""Files that are written for a clip, in this order."""
 
 
 class Artefact:
@@ -77,6 +83,5 @@ class Artefact:
 
 def artefacts(options: argparse.Namespace, estimator: Estimator) -> list[type[Artefact]]:
     """Return the kinds of files that options and estimator ask for."""
-    built_in = (EntryPoint(place, f"{__package__}.{place}", GROUP) for place in BUILT_IN)
-    kinds: list[type[Artefact]] = [entry.load() for entry in (*built_in, *entry_points(group=GROUP))]
+    kinds = (ARTEFACTS[name] for name in ARTEFACTS.entries)
     return [kind for kind in kinds if kind.wanted(options, estimator)]

@@ -26,7 +26,7 @@ class FieldFile(Artefact):
 
     @classmethod
     def wanted(cls, options, estimator) -> bool:
-        return getattr(estimator, "maps_stiffness", False)
+        return estimator.tells_field
 
     def frame(self, estimate, image, labels) -> None:
         frame, field = estimate.frame, estimate.field

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,6 @@ import pytest
 
 from benchmarks import harness
 from palpate.common.doors import INTERRUPTED
-from palpate.common.options import require_within
 from palpate.results.store import OutputError
 from tests.benchmarks.recovery_cases import recovery
 
@@ -122,14 +121,11 @@ class Squares(harness.Experiment):
     """of them"""
     fine: bool = False
     """whether they are"""
-    most: float | None = None
+    most: Annotated[float, 0, 1] | None = None
     """limit"""
 
     keys: ClassVar = ("number",)
     work: ClassVar = staticmethod(square)
-
-    def __post_init__(self) -> None:
-        require_within(self, most=(0, 1))
 
     def record(self) -> Mapping[str, Any]:
         return {"unit": self.unit_name}

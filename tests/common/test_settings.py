@@ -2,12 +2,12 @@
 
 import math
 import re
-from types import SimpleNamespace
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import pytest
 
-from palpate.common.settings import described, fits, require_between, require_numbers, shown, sound
+from palpate.common.settings import Checked, NotNegative, Positive, described, fits, shown, sound
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.depth.preset import DepthPreset
@@ -100,6 +100,16 @@ def test_what_nobody_means_is_not_sound(value: object):
     assert sound({"model": [1, 2.5, -(10**12), None, True, "a", {"b": nested(3, times=2)}]})
 
 
+@dataclass(frozen=True)
+class Board(Checked, group="the "):
+    length: Positive = 1.0
+    error: NotNegative = 0.0
+    open: Positive | None = None
+    side: Annotated[int, 8, 9] = 9
+    ends: Annotated[tuple[float, float], 0, 5] = (1.0, 2.0)
+    kind: Literal["oak", "elm"] | None = None
+
+
 @pytest.mark.parametrize(
     ("value", "said"),
     [
@@ -107,17 +117,14 @@ def test_what_nobody_means_is_not_sound(value: object):
         ({"length": math.inf}, "the length is inf; give a positive number"),
         ({"error": -1.0}, "the error is -1.0; give 0 or more"),
         ({"error": math.nan}, "the error is nan; give 0 or more"),
+        ({"open": -1}, "the open is -1; give a positive number"),
+        ({"side": 7}, "the side is 7; give 8 to 9"),
+        ({"side": 10}, "is 10;"),
+        ({"ends": (2.0, 1.0)}, r"the ends is \(2.0, 1.0\); give 0 to 5"),
+        ({"kind": "ash"}, "the kind is 'ash'; give one of oak, elm"),
     ],
 )
-def test_numbers_out_of_range_are_refused(value: dict[str, float], said: str):
-    fine = {"length": 1.0, "error": 0.0, "open": None}
-    require_numbers(SimpleNamespace(**fine), positive=("length", "open"), not_negative=("error",), group="the ")
+def test_values_that_are_not_as_annotated_are_refused(value: dict[str, Any], said: str):
+    assert Board(side=8, kind="elm").side == 8
     with pytest.raises(ValueError, match=said):
-        require_numbers(SimpleNamespace(**fine | value), positive=("length",), not_negative=("error",), group="the ")
-
-
-@pytest.mark.parametrize(("value", "said"), [({"side": 7}, "the side is 7; give 8 to 9"), ({"side": 10}, "is 10;")])
-def test_what_lies_outside_its_range_is_refused(value: dict[str, int], said: str):
-    require_between(SimpleNamespace(side=9, open=None), "the ", side=(8, 9), open=(1, 2))
-    with pytest.raises(ValueError, match=said):
-        require_between(SimpleNamespace(**value), "the ", side=(8, 9))
+        Board(**value)

@@ -62,5 +62,5 @@ def test_workers_never_see_an_interrupt_and_the_parent_does():
 
 
 def test_a_killed_worker_is_told():
-    with pytest.raises(WorkerLost, match="fewer --workers"):
+    with pytest.raises(WorkerLost, match="fewer workers or jobs"):
         list(run_tasks(die, range(3), 2))

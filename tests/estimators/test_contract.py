@@ -5,6 +5,7 @@ import gc
 import types
 from collections.abc import Iterable, Iterator
 from itertools import chain, zip_longest
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from palpate.estimators.direct.estimator import WHOLE, fitted_press
 from palpate.estimators.estimate import PressResult
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.online.particle_field import ParticleField
-from palpate.estimators.open import NAMES, EstimatorOptions, open_estimator
+from palpate.estimators.open import ESTIMATORS, settings_of
 from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate, InteractionEstimate
 from palpate.physics.msd.simulation import simulate
 from tests.data.clips import make_clip
@@ -37,7 +38,7 @@ from tests.inference_inputs import metadata, write_model, write_posterior
 from tests.physics.sheets import sheet
 
 OTHERS = "network with depth", "online with a volume"
-ESTIMATORS = *NAMES, *OTHERS
+NAMES = *ESTIMATORS.entries, *OTHERS
 FPS = (25.0, 30.0)
 Said = tuple[list[FrameEstimate], list[InteractionEstimate]]
 MESH = sheet(7, 7)
@@ -45,7 +46,7 @@ NORMAL = np.array([0.0, 0.0, -1.0])
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOptions]:
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """How every estimator is opened; those that take depth look at three frames."""
     folder = tmp_path_factory.mktemp("models")
     common = {"geometry": dataclasses.asdict(clip_info().geometry), "observation": "trajectory"}
@@ -57,26 +58,26 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EstimatorOption
     document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES + SEQUENCE_FEATURES)
     return {
-        "network": EstimatorOptions("network"),
-        "network with depth": EstimatorOptions(model=folder / "depth.onnx"),
-        "gan": EstimatorOptions("gan", folder / "gan.onnx"),
-        "direct": EstimatorOptions("direct", onset="stamp"),
-        "online": EstimatorOptions("online", settings=coarse),
-        "online with a volume": EstimatorOptions("online", settings=thick),
+        "network": settings_of("network"),
+        "network with depth": settings_of(model=folder / "depth.onnx"),
+        "gan": settings_of("gan", model=folder / "gan.onnx"),
+        "direct": settings_of("direct", onset="stamp"),
+        "online": settings_of("online", settings=coarse),
+        "online with a volume": settings_of("online", settings=thick),
     }
 
 
-@pytest.fixture(scope="module", params=ESTIMATORS)
-def estimator(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
+@pytest.fixture(scope="module", params=NAMES)
+def estimator(request: pytest.FixtureRequest, files: dict[str, Any]) -> Estimator:
     """Each in turn."""
-    return open_estimator(files[request.param])
+    return files[request.param].build()
 
 
-@pytest.fixture(scope="module", params=ESTIMATORS)
-def prompt(request: pytest.FixtureRequest, files: dict[str, EstimatorOptions]) -> Estimator:
+@pytest.fixture(scope="module", params=NAMES)
+def prompt(request: pytest.FixtureRequest, files: dict[str, Any]) -> Estimator:
     """Each in turn, for presses that begin at their time stamp, which takes a network a fifth of the time."""
-    onset = None if request.param.startswith("online") else "stamp"
-    return open_estimator(dataclasses.replace(files[request.param], onset=onset))
+    settings = files[request.param]
+    return (dataclasses.replace(settings, onset="stamp") if hasattr(settings, "onset") else settings).build()
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +210,7 @@ def require_complete(estimator: Estimator, found: PressResult) -> None:
 
 def test_depth_counts_for_a_network_that_takes_it(files, frames) -> None:
     """Of frames and of runs alike: other pictures, other estimates."""
-    estimator = open_estimator(files["network with depth"])
+    estimator = files["network with depth"].build()
     dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
     estimates = 0
     told, other = ([*chain(*follow(estimator.start(clip_info()), each))] for each in (frames, dark))

@@ -13,7 +13,7 @@ from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import open_source
 from palpate.estimators import gan
-from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.contract import ClipInfo, Preparation
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.result import values_of
@@ -52,7 +52,7 @@ def run(
     window = changes.pop("window", 1)
     model = ParameterModel(write_model(folder / "model.onnx", metadata(window, **changes), theta=theta))
     estimator = GanEstimator(model)
-    settings = estimator.preparation(Chosen())
+    settings = estimator.preparation(Preparation())
     clip = ClipStream(open_source(clip_folder, settings.layout), settings)
     prepared = list(clip)
     frames, (run_of_contact,) = follow(estimator.start(ClipInfo.of(clip)), prepared)

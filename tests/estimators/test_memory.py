@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -10,8 +11,8 @@ import yaml
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
-from palpate.estimators.contract import Chosen, ClipInfo
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.contract import ClipInfo, Preparation
+from palpate.estimators.open import settings_of
 from palpate.estimators.records import InteractionEstimate
 from tests.data.clips import make_clip
 
@@ -35,14 +36,14 @@ def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
     return dataclasses.replace(frame, frame=dataclasses.replace(source, **when), track_start=start)
 
 
-def growth(options: EstimatorOptions, scene: SceneSettings, contacts: int, apart: int = 0) -> tuple[int, float]:
+def growth(options: Any, scene: SceneSettings, contacts: int, apart: int = 0) -> tuple[int, float]:
     """What a session tells of a clip again and again, and how memory has grown since a tenth of it, or a contact [MB].
 
     Args:
         apart: frames between two of them.
     """
-    estimator = open_estimator(options)
-    clip = open_synthetic(make_clip(scene, 5), estimator.preparation(Chosen()))
+    estimator = options.build()
+    clip = open_synthetic(make_clip(scene, 5), estimator.preparation(Preparation()))
     frames, info = list(clip), ClipInfo.of(clip)
     session, told, settled = estimator.start(info), 0, 0.0
     for contact in range(contacts):
@@ -66,12 +67,12 @@ LONGER = dataclasses.replace(GRIP, frames=30)
 @pytest.mark.parametrize(
     ("options", "scene", "contacts", "apart"),
     [
-        pytest.param(EstimatorOptions("network"), PRESS, 21, 0, id="network"),
-        pytest.param(EstimatorOptions("direct", onset="stamp"), PRESS, 5, 0, id="direct"),
-        pytest.param(EstimatorOptions("direct"), LONGER, 7, 50, id="grips"),
+        pytest.param(settings_of("network"), PRESS, 21, 0, id="network"),
+        pytest.param(settings_of("direct", onset="stamp"), PRESS, 5, 0, id="direct"),
+        pytest.param(settings_of("direct"), LONGER, 7, 50, id="grips"),
     ],
 )
-def test_memory_is_flat_over_many_contacts(options: EstimatorOptions, scene: SceneSettings, contacts, apart) -> None:
+def test_memory_is_flat_over_many_contacts(options: Any, scene: SceneSettings, contacts, apart) -> None:
     """One session, the same contact again and again; the first tenth fills caches.
 
     Grips are told as they end, since frames are missing between them.
@@ -85,5 +86,5 @@ def test_memory_of_the_online_estimator_is_flat_over_many_frames(tmp_path: Path)
     """Whose session lasts as long as the clip; of few particles, since time grows with them and not what is kept."""
     small = {"particles": 60, "mapping": {"steps": 3}, "stepping": {"iterations": 4}}
     (tmp_path / "online.yaml").write_text(yaml.safe_dump(small))
-    _, grown = growth(EstimatorOptions("online", settings=tmp_path / "online.yaml"), GRIP, 7)
+    _, grown = growth(settings_of("online", settings=tmp_path / "online.yaml"), GRIP, 7)
     assert grown < LARGEST

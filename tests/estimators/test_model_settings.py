@@ -9,7 +9,7 @@ import pytest
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.source.frames import InputError
-from palpate.estimators.contract import Chosen
+from palpate.estimators.contract import Preparation
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import check_sources, preparation_settings
 from palpate.models.onnx_session import ModelFileError, ParameterModel
@@ -25,34 +25,34 @@ def test_settings_come_from_the_model_unless_chosen(tmp_path: Path) -> None:
     geometry = GeometrySettings(height=GRID[0], width=GRID[1], contact_pixels=3.0)
     depth = DepthSettings(near=0.05, bits=8)
     model = model_of(tmp_path, geometry=dataclasses.asdict(geometry), depth=dataclasses.asdict(depth))
-    assert preparation_settings(model, Chosen()).geometry == geometry
-    assert preparation_settings(model, Chosen()).depth == depth
-    assert preparation_settings(model, Chosen()).masks == "auto"
-    chosen = preparation_settings(model, Chosen(masks="automatic", depth={"source": "stored"}))
-    assert chosen.depth == dataclasses.replace(depth, source="stored")
+    assert preparation_settings(model, Preparation()).geometry == geometry
+    assert preparation_settings(model, Preparation(device="cpu")).depth == depth
+    assert preparation_settings(model, Preparation()).masks == "auto"
+    chosen = preparation_settings(model, Preparation(masks="automatic", depth="stored"))
+    assert chosen.depth == dataclasses.replace(depth, source="stored", device="auto")
     assert chosen.masks == "automatic"
 
 
 @pytest.mark.parametrize(("trained", "expected"), [("annotation", "auto"), ("automatic", "automatic")])
 def test_masks_are_the_models_where_a_clip_without_annotation_has_them(tmp_path, trained, expected) -> None:
     model = model_of(tmp_path, masks=trained, bridge_frames=5, track_seconds=2.0)
-    settings = preparation_settings(model, Chosen())
+    settings = preparation_settings(model, Preparation())
     assert (settings.masks, settings.bridge_frames, settings.track_seconds) == (expected, 5, 2.0)
-    assert preparation_settings(model, Chosen(masks="annotation")).masks == "annotation"
+    assert preparation_settings(model, Preparation(masks="annotation")).masks == "annotation"
 
 
 def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     depth = {"source": "net.onnx", "preset": "midas-small"}
     model = model_of(tmp_path, depth=depth, masks="seg.onnx")
     with pytest.raises(ModelFileError, match=r"trained with depth from net\.onnx; give that file's path as --depth"):
-        preparation_settings(model, Chosen())
+        preparation_settings(model, Preparation())
     with pytest.raises(ModelFileError, match=r"trained with masks from seg\.onnx; give that file's path as --masks"):
-        preparation_settings(model, Chosen(depth={"source": "elsewhere/net.onnx"}))
-    same = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/net.onnx"}))
-    other = preparation_settings(model, Chosen(masks="auto", depth={"source": "elsewhere/other.onnx"}))
+        preparation_settings(model, Preparation(depth="elsewhere/net.onnx"))
+    same = preparation_settings(model, Preparation(masks="auto", depth="elsewhere/net.onnx"))
+    other = preparation_settings(model, Preparation(masks="auto", depth="elsewhere/other.onnx"))
     assert (same.depth.preset, other.depth.preset) == ("midas-small", None)
     model = model_of(tmp_path, depth={"source": "depthpro", "model": "net.onnx"})
-    assert preparation_settings(model, Chosen(depth={"source": "stored"})).depth.model is None
+    assert preparation_settings(model, Preparation(depth="stored")).depth.model is None
 
 
 GRID_SETTINGS = {"height": GRID[0], "width": GRID[1]}
@@ -82,7 +82,7 @@ def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, wo
     model = model_of(tmp_path, **changes)
 
     def use() -> None:
-        preparation_settings(model, Chosen())
+        preparation_settings(model, Preparation())
         GanEstimator(model)
 
     with pytest.raises(ModelFileError, match=words) as caught:
@@ -92,8 +92,8 @@ def test_metadata_that_cannot_be_used_is_named(tmp_path: Path, changes: dict, wo
 
 def test_sources_are_checked_before_any_work(tmp_path: Path) -> None:
     model = model_of(tmp_path)
-    check_sources(preparation_settings(model, Chosen()))
+    check_sources(preparation_settings(model, Preparation()))
     with pytest.raises(InputError, match="masks 'wishful' is unknown"):
-        check_sources(preparation_settings(model, Chosen(masks="wishful")))
+        check_sources(preparation_settings(model, Preparation(masks="wishful")))
     with pytest.raises(InputError, match=r"nowhere\.onnx"):
-        check_sources(preparation_settings(model, Chosen(depth={"source": "nowhere.onnx"})))
+        check_sources(preparation_settings(model, Preparation(depth="nowhere.onnx")))

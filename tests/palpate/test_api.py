@@ -51,8 +51,7 @@ def test_an_opened_estimator_serves_many_clips_and_an_opened_clip_is_taken_as_it
 @pytest.mark.parametrize(
     ("choices", "error", "sentence"),
     [
-        ({"mask": "automatic"}, TypeError, "there is no choice called mask"),
-        ({"smoothing": 2.0}, ValueError, "smoothing is for --estimator direct and online"),
+        ({"mask": "automatic"}, TypeError, "unexpected keyword argument 'mask'"),
         ({"depth": "nonsense"}, ValueError, "'nonsense' is no depth preset"),
         ({"layout": "missing.yaml"}, ValueError, r"missing\.yaml"),
     ],

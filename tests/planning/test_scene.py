@@ -46,7 +46,7 @@ def test_the_shipped_scene_is_read() -> None:
     [
         ({"alpha": 2}, "alpha is 2"),
         ({"tissue": [{"kind": "liver", "centre": [0, 0]}]}, "no object 'liver'"),
-        ({"objects": {"curtain": {"size": [1, 1, 1], "young": -1}}}, r"young is to be 1 to 1e\+12 Pa"),
+        ({"objects": {"curtain": {"size": [1, 1, 1], "young": -1}}}, r"young is -1; give 1 to 1e\+12"),
         ({"objects": {"curtain": {"size": [1, 1, 1e15], "young": 1e4}}}, "size is to be 0.0001 to 10 m"),
         ({"objects": {"curtain": {"size": [1, 1, 1], "young": 1e4, "cells": [40, 40, 40]}}}, "product 4000 at most"),
         ({"obstacles": [{"centre": [0, 0], "size": [0, 1]}]}, "size is not positive"),

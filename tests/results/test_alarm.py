@@ -10,7 +10,7 @@ from benchmarks.recovery.suites import EVERY, GRID_SIZE, suite_clip_seed
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
 from palpate.physics.identifiability import NINETY
@@ -84,7 +84,7 @@ def test_the_upper_end_is_that_of_a_determined_force_alone() -> None:
 @pytest.mark.acceptance
 def test_no_crossing_by_more_than_the_interval_is_missed_on_synthetic_clips() -> None:
     """Judged: every press of known force, by the shipped network, with limits on both sides of it."""
-    estimator, seen = open_estimator(EstimatorOptions("network", threads=1)), 0
+    estimator, seen = open_estimator("network", threads=1), 0
     for index in range(4):
         settings, seed = EVERY["clean"].settings(index, GRID_SIZE), suite_clip_seed("validation", 39, index)
         scene, motion = draw_truth(settings, seed)

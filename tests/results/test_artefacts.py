@@ -1,5 +1,6 @@
 """A new file is one class behind an entry point, a new column one field of a dataclass."""
 
+import importlib.metadata
 import json
 import math
 from dataclasses import dataclass
@@ -38,8 +39,12 @@ class TouchedFrames(base.Artefact):
 
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = SimpleNamespace(load=lambda: TouchedFrames)
-    monkeypatch.setattr(base, "entry_points", lambda group: [entry] if group == base.GROUP else [])
+    entry = SimpleNamespace(name="touched", load=lambda: TouchedFrames)
+    found = importlib.metadata.entry_points
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda group: [entry] if group == "palpate.artefacts" else found(group=group),
+    )
 
 
 @pytest.mark.usefixtures("registered")

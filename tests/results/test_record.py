@@ -15,10 +15,10 @@ from palpate.data.depth.normalise import DepthSettings
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import FrameSource, open_source
 from palpate.data.source.layout import ClipLayout
-from palpate.estimators.contract import Chosen, ClipInfo
+from palpate.estimators.contract import ClipInfo, Preparation
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.model_settings import preparation_settings
-from palpate.estimators.open import EstimatorOptions, open_estimator
+from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
@@ -34,7 +34,7 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
     clip.write_bytes(b"one")
 
     def fingerprint(settings: PrepareSettings = prepared, **options: Any) -> str:
-        estimator = open_estimator(EstimatorOptions(**{"name": "direct"} | options))
+        estimator = open_estimator(**({"name": "direct"} | options))
         return digest_of(recording.depends_on(clip, settings, estimator))
 
     first = fingerprint()
@@ -52,7 +52,7 @@ def test_fingerprint_follows_what_results_depend_on(tmp_path: Path) -> None:
 
 def test_results_name_the_model_that_was_opened_whatever_becomes_of_its_file(tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clip", 2, 1)
-    estimator = open_estimator(EstimatorOptions("gan", write_model(tmp_path / "model.onnx")))
+    estimator = open_estimator("gan", model=write_model(tmp_path / "model.onnx"))
     opened = recording.depends_on(clip, PrepareSettings(), estimator)["model"]
     assert opened == recording.sha256_of(tmp_path / "model.onnx")
     write_model(tmp_path / "model.onnx", slope=(0.3, 0.0, 0.0))
@@ -66,7 +66,7 @@ def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None
     def fingerprint(content: bytes) -> str:
         masks.write_bytes(content)
         settings = PrepareSettings(masks=str(masks))
-        return digest_of(recording.depends_on(masks, settings, open_estimator(EstimatorOptions("direct"))))
+        return digest_of(recording.depends_on(masks, settings, open_estimator("direct")))
 
     first, second = fingerprint(b"one"), fingerprint(b"other")
     masks.with_suffix(".yaml").write_text("size: 3")
@@ -76,7 +76,7 @@ def test_fingerprint_follows_the_content_of_named_models(tmp_path: Path) -> None
 def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     path = write_clip(tmp_path / "clip", 6, 3)
     model = ParameterModel(write_model(tmp_path / "model.onnx"))
-    estimator, settings = GanEstimator(model), preparation_settings(model, Chosen())
+    estimator, settings = GanEstimator(model), preparation_settings(model, Preparation())
     causes = recording.depends_on(path, settings, estimator)
     source = open_source(path, settings.layout)
     clip = ClipStream(source, settings)

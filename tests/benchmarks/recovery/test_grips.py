@@ -16,7 +16,7 @@ from palpate.data.synthetic.clip import draw_truth
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.open import settings_of
 
 SMALL = {
     "width": 214, "height": 120, "frames": 10, "action": "grip", "onset_fraction": (0.0, 0.0), "spread": (12.0, 12.0),
@@ -79,7 +79,7 @@ def test_what_breaks_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "synthetic_clip", broken)
     monkeypatch.setattr(trial, "draw_truth", lambda *_: drawn())
     trial._truth.cache_clear()
-    [row] = run_trial(Trial(3, 5, {"retraction": {"direct": EstimatorOptions("direct")}}))
+    [row] = run_trial(Trial(3, 5, {"retraction": {"direct": settings_of("direct")}}))
     trial._truth.cache_clear()
     assert (row["suite"], row["index"], row["estimator"], row["status"]) == ("retraction", 3, "direct", "error")
     assert row["reason"] == "RuntimeError: out of tissue"
@@ -90,7 +90,7 @@ def test_a_retraction_is_told_by_the_session_of_users(monkeypatch: pytest.Monkey
     """In fewer pictures, of half the suite's size; in smaller ones the tissue moves by too few pixels."""
     for name, size in (("width", 640), ("height", 360), ("frames", 12)):
         monkeypatch.setitem(EVERY["retraction"].truth, name, size)
-    [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": EstimatorOptions("direct", threads=1)}}))
+    [row] = run_trial(Trial(0, 7401, {"retraction": {"direct": settings_of("direct")}}))
     assert row["status"] == "ok"
     assert row["contact_right"] > 0.9
     assert row["verdict"] == "relative_force"

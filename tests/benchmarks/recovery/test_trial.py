@@ -16,13 +16,13 @@ from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
 from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.onset import BETWEEN, STAMP
-from palpate.estimators.open import EstimatorOptions
+from palpate.estimators.open import settings_of
 from palpate.estimators.records import InteractionEstimate
 from palpate.physics.identifiability import bounds
 from tests.estimators.sessions import clip_info
 
 SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
-DIRECT = EstimatorOptions("direct")
+DIRECT = settings_of("direct")
 FOUND = PressResult(np.array([0.4, 0.05, -0.1]), np.eye(3), given_verdict="undetermined")
 
 

@@ -28,7 +28,7 @@ def test_shipped_presets_are_the_documented_ones():
         ("kind: metric\nstd: [1, 0, 1]\n", "std"),
         ("kind: metric\nmean: [.nan, 0, 0]\n", "[a number, a number, a number]"),
         ("kind: metric\nfactor: 0\n", "factor"),
-        ("kind: metric\nmultiple: 0\n", "at least 1"),
+        ("kind: metric\nmultiple: 0\n", "multiple is 0; give 1 to 4096"),
         ("kind: metric\nresize: none\nletterbox: true\n", "letterbox"),
     ],
 )

@@ -105,8 +105,8 @@ def test_identity_follows_the_file_and_the_settings(tmp_path):
         ({"tool": [1], "tissue": [1]}, "share a channel"),
         ({"tool": [1], "output": "scores"}, "give one of logits"),
         ({"tool": [1], "std": [1, 1, 0]}, "numbers above 0"),
-        ({"tool": [1], "threshold": 1.5}, "between 0 and 1"),
-        ({"tool": [1], "height": 0}, "are pixels; give 1 to 4096"),
+        ({"tool": [1], "threshold": 1.5}, "give 1e-06 to 0.999999"),
+        ({"tool": [1], "height": 0}, "height is 0; give 1 to 4096"),
         ({"tool": [1], "axes": "nhwc"}, "takes w channels|not one picture|3 channels|takes"),
     ],
 )

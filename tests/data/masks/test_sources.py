@@ -162,7 +162,7 @@ def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
     [
         ("annotation", "video.mp4", LAYOUT, "use --masks automatic"),
         ("annotation", "", ClipLayout(color_mask=None, class_mask=None), "the layout names no annotation masks"),
-        ("watershed", "", LAYOUT, "choose annotation, automatic, auto"),
+        ("watershed", "", LAYOUT, "choose auto, annotation, automatic"),
     ],
 )
 def test_masks_that_are_not_there_get_a_sentence(tmp_path, kind, clip, layout, said):

@@ -18,7 +18,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.discovery import discover
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError
-from palpate.estimators.direct.estimator import DirectEstimator
+from palpate.estimators.direct.estimator import DirectEstimator, DirectSettings
 from palpate.estimators.onset import STAMP
 from palpate.results.record import depends_on
 from tests.data.clips import picture
@@ -122,7 +122,7 @@ def test_what_depends_on_an_episode_does_not_depend_on_another(tmp_path):
     video = write_version_3(tmp_path, [[picture(index, 0.0) for index in range(3)]] * 2)
     clips = [video / f"episode_00000{number}" for number in (0, 1)]
     assert len({cache_key(clip, PrepareSettings()) for clip in clips}) == 2
-    found = [depends_on(clip, PrepareSettings(), DirectEstimator(STAMP)) for clip in clips]
+    found = [depends_on(clip, PrepareSettings(), DirectEstimator(DirectSettings(onset=STAMP))) for clip in clips]
     assert [each["span"] for each in found] == [(0.0, 0.1), (0.1, 0.2)]
     assert found[0] | {"span": ()} == found[1] | {"span": ()}
     assert {each["clip"] for each in found} == {file_sha256(video)}

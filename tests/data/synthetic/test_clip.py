@@ -263,9 +263,7 @@ def test_the_door_writes_clips_that_are_found(tmp_path: Path, capsys: pytest.Cap
     ("options", "status", "said"),
     [
         ("--size huge", 2, "--size"),
-        ("--clips 0", 2, "--clips"),
-        ("--seed -1", 2, "--seed"),
-        ("--force 1 2", 2, "scene.force"),
+        ("--force -1 -2", 2, "scene.force"),
         ("--size 100000x100000", 2, "within [64, 4096]"),
         ("--size 4097x480", 2, "within [64, 4096]"),
         (f"--size {'9' * 400}x480", 2, "within [64, 4096]"),

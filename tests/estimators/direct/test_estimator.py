@@ -8,7 +8,7 @@ import pytest
 from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import trusted_information
-from palpate.estimators.direct.estimator import DirectEstimator
+from palpate.estimators.direct.estimator import DirectEstimator, DirectSettings
 from palpate.estimators.direct.problem import Optimum, combine
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.onset import STAMP
@@ -67,8 +67,8 @@ def test_most_draws_must_agree_that_a_contact_determines_its_parameters() -> Non
 
 
 def test_without_a_sequence_there_is_no_estimate_and_it_says_why() -> None:
-    session, contact = DirectEstimator(STAMP).start(clip_info()), contact_of(REGIMES["critical"])
-    with pytest.raises(NoEstimate, match="noise isn't known; set geometry"):
+    session, contact = DirectEstimator(DirectSettings(onset=STAMP)).start(clip_info()), contact_of(REGIMES["critical"])
+    with pytest.raises(NoEstimate, match="noise isn't known; set --smoothing"):
         session.fit(contact)
     few = DepthSequence(np.array([0.04, 0.08]), np.zeros((2, 15, 15)), SequenceNoise(NOISE, 0.0), (214, 120))
     with pytest.raises(NoEstimate, match="followed over 2 frames after its onset; 3 are needed"):
@@ -80,14 +80,14 @@ def test_without_a_sequence_there_is_no_estimate_and_it_says_why() -> None:
     [
         ({"bounds": Bounds()}, r"bounds\.stiffness starts at 0\.0 .* give a positive lower bound"),
         ({"bounds": dataclasses.replace(RECOMMENDED, force=(-0.3, 0.0))}, r"bounds\.force ends at 0\.0"),
-        ({"noise": 0.0}, "give a length of 3e-05 or more"),
-        ({"noise": 2.9e-5}, "noise is 2.9e-05; give a length of 3e-05 or more"),
-        ({"noise": float("inf")}, "noise is inf"),
+        ({"settings": {"noise": 0.0}}, "give a number within"),
+        ({"settings": {"noise": 2.9e-5}}, r"noise is 2.9e-05; give a number within \[3e-05,"),
+        ({"settings": {"noise": float("inf")}}, "noise is inf"),
     ],
 )
 def test_impossible_settings_are_refused(wrong: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        DirectEstimator(STAMP, **wrong)
+        DirectEstimator(DirectSettings(**wrong.pop("settings", {})), **wrong)
 
 
 def test_optima_are_weighed_by_their_evidence() -> None:

@@ -177,7 +177,7 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys, po
     [
         (["--model", "x.onnx"], "give --validation, --pressed and --between with --model"),
         (["--weights", "x.pt", "--pressed", "results"], "give --model with results"),
-        (["--weights", "x.pt", "--model", "x.onnx"], "not allowed with argument"),
+        (["--weights", "x.pt", "--model", "x.onnx"], "give either --weights or --model"),
     ],
 )
 def test_options_that_don_t_go_together_are_wrong_usage(tmp_path, capsys, options: list[str], told: str) -> None:

@@ -12,9 +12,9 @@ from palpate.data.contact.sequence_features import dent_features
 from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
-from palpate.estimators.contract import Chosen
+from palpate.estimators.contract import Preparation
 from palpate.estimators.estimate import NoEstimate, PressResult
-from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator
+from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator, NetworkSettings
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
@@ -32,7 +32,7 @@ from tests.estimators.sessions import SIZE, clip_info, follow
 @pytest.fixture(scope="module")
 def network(posterior) -> NetworkEstimator:
     """An untrained posterior at work."""
-    return NetworkEstimator(posterior, STAMP)
+    return NetworkEstimator(posterior, NetworkSettings(onset=STAMP))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def moved(contact: Interaction, displacement: np.ndarray, noise: float | None = 
 
 def prepared_roughly(network: NetworkEstimator, clip: SyntheticClip) -> list[PreparedFrame]:
     """Without smoothing, which leaves the noise unknown."""
-    settings = network.preparation(Chosen())
+    settings = network.preparation(Preparation())
     rough = dataclasses.replace(settings, geometry=dataclasses.replace(settings.geometry, smoothing=0.0))
     return list(open_synthetic(clip, rough))
 
@@ -133,7 +133,10 @@ def test_a_noise_level_is_a_positive_number(network: NetworkEstimator, contact: 
 
 
 def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) -> None:
-    sessions = (NetworkEstimator(posterior, STAMP, horizon).start(clip_info()) for horizon in (1, 2))
+    sessions = (
+        NetworkEstimator(posterior, NetworkSettings(onset=STAMP, horizon=horizon)).start(clip_info())
+        for horizon in (1, 2)
+    )
     early, enough = (follow(session, frames)[1][0] for session in sessions)
     assert (early.estimate, early.detail) == (None, TOO_EARLY)
     assert len(early.interaction.observation) == 1
@@ -234,7 +237,7 @@ def test_frames_of_an_oblique_press_say_so(network, pressed, frames, monkeypatch
 def test_the_network_is_told_how_well_the_instants_are_known(network, contact, with_sequence) -> None:
     """It answers once, for all instants together, with or without a depth-change sequence."""
     for onset, within in ((STAMP, 0.0), (BETWEEN, 0.04)):
-        told = NetworkEstimator(network.model, onset)
+        told = NetworkEstimator(network.model, NetworkSettings(onset=onset))
         for seen in (contact, with_sequence):
             found, features = estimated(told, seen), dent_features(seen, within)
             assert features[-2:].tolist() == [within / 0.04, seen.sequence is not None]  # in frames

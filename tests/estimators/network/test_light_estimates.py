@@ -9,10 +9,9 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH, SIDE
 from palpate.estimators import runs
-from palpate.estimators.contract import Chosen
+from palpate.estimators.contract import Preparation
 from palpate.estimators.estimate import LightFit
-from palpate.estimators.network.estimator import NetworkEstimator
-from palpate.estimators.onset import BETWEEN
+from palpate.estimators.network.estimator import NetworkEstimator, NetworkSettings
 from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from tests.estimators.estimates import ESTIMATE
 from tests.estimators.sessions import SIZE, clip_info, follow, prepared_frame, touched
@@ -21,7 +20,7 @@ from tests.lit_contacts import facing
 
 @pytest.fixture(scope="module")
 def network() -> NetworkEstimator:
-    return NetworkEstimator(PosteriorModel(SHIPPED), BETWEEN)
+    return NetworkEstimator(PosteriorModel(SHIPPED))
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +50,11 @@ def test_frames_have_no_estimate_and_the_whole_press_is_fitted(network, watched,
 
 
 def test_fast_prepares_every_third_frame(network) -> None:
-    fast = NetworkEstimator(network.model, BETWEEN, rate="fast")
-    assert [each.preparation(Chosen()).every for each in (network, fast)] == [1, 3]
+    fast = NetworkEstimator(network.model, NetworkSettings(rate="fast"))
+    assert [each.preparation(Preparation()).every for each in (network, fast)] == [1, 3]
 
 
 @pytest.mark.parametrize("observation", ["brightness"])
-def test_light_is_asked_of_the_direct_estimator(network, observation) -> None:
-    with pytest.raises(ValueError, match="for --estimator direct"):
-        NetworkEstimator(network.model, BETWEEN, observation=observation)
+def test_light_is_asked_of_the_direct_estimator(observation) -> None:
+    with pytest.raises(ValueError, match="give one of depth"):
+        NetworkSettings(observation=observation)

@@ -1,0 +1,115 @@
+"""An estimator and a mask source of another package: one file each, and an entry point."""
+
+import importlib.metadata
+import json
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from palpate.command import infer
+from palpate.data.synthetic.clip import write_clip
+from tests.tables import read_rows
+from tests.test_infer import SCENE
+
+ESTIMATOR = '''
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from palpate.common.options import option
+from palpate.estimators.contract import Estimator
+from palpate.estimators.estimate import Estimate
+from palpate.estimators.runs import RunSession, frame_estimate
+from palpate.physics.mechanics import Mechanics
+
+
+@dataclass(frozen=True)
+class Constant(Estimator):
+    """One stiffness for every press."""
+
+    firmness: Annotated[float, 0, 9] = option(1.0, metavar="K")
+    """stiffness of all tissue"""
+
+    name = "constant"
+
+    def build(self):
+        return self
+
+    def start(self, clip):
+        return Session(clip, Mechanics(), self.firmness)
+
+
+class Session(RunSession):
+    def __init__(self, clip, mechanics, firmness):
+        super().__init__(clip, mechanics)
+        self.firmness = firmness
+
+    def push(self, frame):
+        yield from self._ended(self._pushed(frame))
+        yield frame_estimate(frame, self.clip, whole=True)
+
+    def _whole(self, contact):
+        found = Estimate(np.array([self.firmness, 0.1, -0.1]), given_verdict="undetermined")
+        return found, (np.zeros(1), np.zeros(1)), "It was not looked at."
+'''
+MASKS = '''
+from palpate.data.masks.sources import AnnotationMasks
+
+
+class Drawn(AnnotationMasks):
+    """Masks as they are drawn."""
+
+    def __init__(self, asked):
+        super().__init__(asked.layout, asked.classes, asked.clip)
+        self.identity = "drawn"
+'''
+ENTRIES = {
+    "palpate.estimators": [EntryPoint("constant", "toy_estimator:Constant", "palpate.estimators")],
+    "palpate.masks": [EntryPoint("drawn", "toy_masks:Drawn", "palpate.masks")],
+}
+
+
+@pytest.fixture(autouse=True)
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "toy_estimator.py").write_text(ESTIMATOR)
+    (tmp_path / "toy_masks.py").write_text(MASKS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("toy_estimator", "toy_masks"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ENTRIES.get(group, []))
+
+
+def test_they_run_through_infer(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    clip, output = write_clip(tmp_path / "clips", 1, SCENE, 3), tmp_path / "out"
+    given = ["--estimator", "constant", "--firmness", "7", "--masks", "drawn", "--no-overlay"]
+    assert infer.main([str(clip), "--output", str(output), *given]) == 0
+    (row,) = read_rows(output / clip.name / "interactions.csv")
+    assert (float(row["stiffness"]), row["detail"]) == (7.0, "It was not looked at.")
+    record = json.loads((output / clip.name / "run.json").read_text())
+    assert record["estimator"] == {"name": "constant", "firmness": 7.0}
+    assert record["masks"] == {"source": "drawn", "identity": "drawn"}
+    with pytest.raises(SystemExit, match=r"^2$"):
+        infer.main([str(clip), "--output", str(output), "--firmness", "7"])
+    assert "--firmness is an option of --estimator constant." in capsys.readouterr().err
+
+
+def test_they_are_in_the_help(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit, match=r"^0$"):
+        infer.main(["--help", "--estimator", "constant"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "--estimator {network,gan,direct,online,constant}" in said
+    assert "or a source: auto, annotation, automatic, drawn" in said
+    assert (
+        "--estimator constant: One stiffness for every press: --firmness K stiffness of all tissue (default 1.0)"
+        in said
+    )
+
+
+def test_one_that_is_broken_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "toy_estimator.py").write_text("import nothing_of_this_name")
+    with pytest.raises(SystemExit, match=r"^2$"):
+        infer.main(["x", "--output", "y", "--estimator", "constant"])
+    assert "estimator constant can't be imported (No module named 'nothing_of_this_name')" in capsys.readouterr().err

@@ -231,8 +231,14 @@ def _chosen(
         parser.declare(component.registry[name], without, f"{flag} {name}: ")
     except ValueError as error:
         parser.error(str(error))
-    others = [other for other in component.registry.entries if other != name]
-    parser.others = lambda: {f"{flag} {other}": component.registry[other] for other in others}
+
+    def others() -> dict[str, type[Any]]:
+        try:
+            return {f"{flag} {each}": component.registry[each] for each in component.registry.entries if each != name}
+        except ValueError as error:  # one that is broken
+            parser.error(str(error))
+
+    parser.others = others
     return {component.flag: name}, content
 
 
@@ -274,7 +280,9 @@ def _help(text: str, hints: Mapping[str, Any], default: Any) -> str:
     """Text of an option, with names that it takes, and its default."""
     if "names" in hints:
         text += f": {', '.join(hints['names']())}"
-    if not (isinstance(default, bool) or default in (None, (), ...) or "(default" in text):
+    if default is ... and not hints.get("positional"):
+        text += " (required)"
+    elif not (isinstance(default, bool) or default in (None, (), ...) or "(default" in text):
         text += f" (default {' '.join(map(str, default)) if isinstance(default, tuple) else default})"
     return text.replace("%", "%%")
 

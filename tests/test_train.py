@@ -275,7 +275,7 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
         ("model.widht", 5, "--model.widht"),
         ("data.depth.threads", 100_000, "depth.threads is 100000; give 0 to 1024"),
         ("data.loading.num_workers", 100_000, "num_workers 100000; give 1 to 65536 and 0 to 1024"),
-        ("data.loading.batch_size", 100_000, "batch_size is 100000 and"),
+        ("data.loading.batch_size", 100_000, "batch_size is 100000; give 1 to"),
         ("data.geometry.height", 100_000, "geometry.height is 100000; give 8 to 4096"),
         ("data.samples.window", 100_000, "window is 100000; give at least 1 frame and at most 256"),
         ("model.width", 100_000, "width 100000 and residual_blocks 1; give 1 channel or more, a width of 1 to 256"),

@@ -31,6 +31,7 @@ from benchmarks.recovery.scores import Scores, score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
+from palpate.common.options import option
 from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.open import settings_of
@@ -53,7 +54,7 @@ Name = Literal["direct", "gan", "network"]
 class Benchmark(Experiment):
     """Options of the benchmark."""
 
-    suite: tuple[str, ...] = ("clean",)
+    suite: tuple[str, ...] = option(("clean",), choices=lambda: (*EVERY, "all"))
     """suites, or all of presses"""
     estimator: tuple[Name, ...] = (DIRECT,)
     """direct, gan or network, one or more"""
@@ -83,9 +84,6 @@ class Benchmark(Experiment):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
-        strange = [name for name in self.suite if name not in (*EVERY, "all")]
-        if strange:
-            raise ValueError(f"--suite {strange[0]} is no suite; give {', '.join((*EVERY, 'all'))}.")
         if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
             raise ValueError(
                 f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
@@ -93,11 +91,11 @@ class Benchmark(Experiment):
             )
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
-        for name, option, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
+        for name, flag, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
             if name in self.estimator and given is None:
-                raise ValueError(f"--estimator {name} needs a network; give its file as {option} FILE.")
+                raise ValueError(f"--estimator {name} needs a network; give its file as {flag} FILE.")
             if name not in self.estimator and given is not None:
-                raise ValueError(f"{option} {given} is of no use without --estimator {name}; add that or leave it out.")
+                raise ValueError(f"{flag} {given} is of no use without --estimator {name}; add that or leave it out.")
 
     @property
     def suites(self) -> list[str]:

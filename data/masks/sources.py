@@ -7,7 +7,7 @@ of the annotation is used).
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Annotated, Any, Protocol, Self
+from typing import Annotated, Any, Protocol
 
 import cv2
 import numpy as np
@@ -28,7 +28,7 @@ SOURCES = Registry(
     "mask source",
     "palpate.masks",
     {
-        "annotation": "palpate.data.masks.sources:AnnotationMasks.open",
+        "annotation": "palpate.data.masks.sources:AnnotationMasks",
         "automatic": "palpate.data.masks.sources:open_automatic",
         "onnx": "palpate.data.masks.sources:open_network",
         "outlines": "palpate.data.masks.sources:open_outlines",
@@ -179,7 +179,8 @@ def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
 class AnnotationMasks:
     """Masks stored with the frames of a clip, by the layout's patterns and the classes' colours."""
 
-    def __init__(self, layout: ClipLayout, classes: MaskClasses, clip: Path) -> None:
+    def __init__(self, asked: MaskRequest) -> None:
+        layout, classes, clip = asked.layout, asked.classes, asked.clip
         if not clip.is_dir() or not layout.mask_patterns:
             what = "the layout names" if clip.is_dir() else "a video has"
             raise InputError(f"{what} no annotation masks; use --masks automatic, outlines or a segmentation model.")
@@ -190,11 +191,6 @@ class AnnotationMasks:
             )
         self.layout, self.classes = layout, classes
         self.identity = f"annotation:{classes}:{layout.mask_patterns}"
-
-    @classmethod
-    def open(cls, asked: MaskRequest) -> Self:
-        """Open the masks of a clip."""
-        return cls(asked.layout, asked.classes, asked.clip)
 
     def reset(self) -> None:
         """Nothing is remembered from frame to frame."""

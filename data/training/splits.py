@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, field
 from itertools import combinations, islice
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 
+from palpate.common.settings import Checked
 from palpate.data.cache import PreparedClip
 from palpate.data.depth.normalise import MOST_THREADS
 
@@ -74,12 +75,12 @@ class NamedVideos:
 
 
 @dataclass(frozen=True)
-class LoadingSettings:
+class LoadingSettings(Checked):
     """How samples are divided among the splits and joined into batches."""
 
-    batch_size: int = 2
+    batch_size: Annotated[int, 1, LARGEST_BATCH] = 2
     """Number of samples in a batch of one process."""
-    num_workers: int = 0
+    num_workers: Annotated[int, 0, MOST_THREADS] = 0
     """Processes that load samples; 0 loads in the training process."""
     fractions: tuple[float, float, float] = FRACTIONS
     """Share of videos for train, val and test."""
@@ -89,11 +90,7 @@ class LoadingSettings:
     """Seed of the split and of the order of the samples."""
 
     def __post_init__(self) -> None:
-        if not (1 <= self.batch_size <= LARGEST_BATCH and 0 <= self.num_workers <= MOST_THREADS):
-            raise ValueError(
-                f"batch_size is {self.batch_size} and num_workers {self.num_workers}; give 1 to {LARGEST_BATCH} and 0 "
-                f"to {MOST_THREADS}."
-            )
+        super().__post_init__()
         off = abs(sum(self.fractions) - 1)
         # Shares may be rounded, as thirds to 0.33.
         if len(self.fractions) != len(SPLITS) or min(self.fractions) < 0 or self.fractions[0] <= 0 or not off < 0.015:

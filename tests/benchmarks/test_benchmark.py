@@ -104,7 +104,7 @@ def test_a_file_that_is_missing_or_no_network_is_refused(tmp_path, capsys):
         (("--estimator", "network"), "give its file as --model FILE"),
         (("--gan-model", "x.onnx"), "of no use without --estimator gan"),
         (("--estimator", "gan", "--seen", "press"), "--seen is of no use to gan"),
-        (("--suite", "dirty"), "--suite dirty is no suite; give clean, 8bit, noisy"),
+        (("--suite", "dirty"), "argument --suite: invalid choice: 'dirty' (choose from 'clean', '8bit', 'noisy'"),
         (("--seed", "-1"), "argument --seed: '-1' is not a whole number from 0 to"),
         (("--seed", str(2**32)), "from 0 to 4.29497e+09"),
         (("--clips", "0"), "argument --clips: '0' is not a whole number from 1 to"),

@@ -63,7 +63,7 @@ class Drawn(AnnotationMasks):
     """Masks as they are drawn."""
 
     def __init__(self, asked):
-        super().__init__(asked.layout, asked.classes, asked.clip)
+        super().__init__(asked)
         self.identity = "drawn"
 '''
 ENTRIES = {
@@ -110,6 +110,10 @@ def test_they_are_in_the_help(capsys: pytest.CaptureFixture) -> None:
 
 def test_one_that_is_broken_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "toy_estimator.py").write_text("import nothing_of_this_name")
-    with pytest.raises(SystemExit, match=r"^2$"):
-        infer.main(["x", "--output", "y", "--estimator", "constant"])
-    assert "estimator constant can't be imported (No module named 'nothing_of_this_name')" in capsys.readouterr().err
+    for given in (["--estimator", "constant"], ["--help"]):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            infer.main(["x", "--output", "y", *given])
+        said = (
+            "estimator constant can't be imported (No module named 'nothing_of_this_name'); install its package anew."
+        )
+        assert said in capsys.readouterr().err

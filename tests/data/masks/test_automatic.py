@@ -7,7 +7,7 @@ import pytest
 from palpate.data.labels import TISSUE, TOOL, UNSURE
 from palpate.data.masks.automatic import AutomaticMasks, instrument_parts
 from palpate.data.masks.lit import lit_picture, picture_field
-from palpate.data.masks.sources import AnnotationMasks, MaskClasses
+from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskRequest
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from tests.conftest import CHECKOUT
@@ -145,7 +145,7 @@ def test_where_the_network_runs_in_one_frame_of_three_instruments_are_carried_al
 def test_real_clip_keeps_what_docs_masks_reports(real_data):
     layout = ClipLayout()
     clip = real_data / "cholecseg8k" / "video01" / "video01_00080"
-    annotation, automatic = AnnotationMasks(layout, MaskClasses(), clip), AutomaticMasks()
+    annotation, automatic = AnnotationMasks(MaskRequest(clip, layout, MaskClasses())), AutomaticMasks()
     false, scores = [], {}
     for frame in open_source(clip, layout):
         truth, found = annotation(frame) == 2, automatic(frame) == 2
@@ -163,7 +163,7 @@ def test_real_clip_keeps_what_docs_masks_reports(real_data):
 def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     source, automatic = open_source(real_data / "recover_tissue", layout), AutomaticMasks()
-    annotation = AnnotationMasks(layout, MaskClasses(), source.path)
+    annotation = AnnotationMasks(MaskRequest(source.path, layout, MaskClasses()))
     for frame in source:
         found = automatic(frame) == 2
         assert found.any()

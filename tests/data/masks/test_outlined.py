@@ -10,7 +10,7 @@ import pytest
 
 from palpate.data.labels import MaskError
 from palpate.data.masks.outlined import OutlinedMasks
-from palpate.data.masks.sources import AnnotationMasks, MaskClasses, open_masks
+from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskRequest, open_masks
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from tests.conftest import CHECKOUT
@@ -135,7 +135,7 @@ def test_what_is_no_outline_is_a_sentence(tmp_path, text, said):
 def test_a_real_grasper_is_followed_as_docs_masks_reports(real_data):
     outlined = OutlinedMasks(CHECKOUT / "configs" / "outlines" / "video01_00080.yaml")
     source = open_source(real_data / "cholecseg8k" / "video01" / "video01_00080", ClipLayout())
-    annotation = AnnotationMasks(ClipLayout(), MaskClasses(), source.path)
+    annotation = AnnotationMasks(MaskRequest(source.path, ClipLayout(), MaskClasses()))
     for each in source:
         number = each.number - 80
         tool = outlined(replace(each, number=number)) == 2
@@ -151,7 +151,7 @@ def test_real_instruments_stay_on_annotated_ones(real_data):
     outlined = OutlinedMasks(CHECKOUT / "configs" / "outlines" / "recover_tissue.yaml")
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")
     source = open_source(real_data / "recover_tissue", layout)
-    annotation = AnnotationMasks(layout, MaskClasses(), source.path)
+    annotation = AnnotationMasks(MaskRequest(source.path, layout, MaskClasses()))
     for index, each in enumerate(source):
         tool = outlined(replace(each, number=index)) == 2
         assert tool.sum() > 50_000

@@ -40,4 +40,6 @@ def opened(folder: Path, *, overlay: bool = False, kinds: Sequence[type[Artefact
     """Results of a clip of SIZE that are to be written."""
     options = Namespace(overlay=overlay, bag=None, export=None, force_scale=given.get("calibration"))
     source = cast(FrameSource, SimpleNamespace(size=SIZE, fps=25.0, name="clip"))
-    return ClipResults(folder, source, [*artefacts(options, cast(Estimator, None)), *kinds], **given)
+    return ClipResults(
+        folder, source, [*artefacts(options, cast(Estimator, SimpleNamespace(tells_field=False))), *kinds], **given
+    )

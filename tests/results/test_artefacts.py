@@ -40,11 +40,8 @@ class TouchedFrames(base.Artefact):
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     entry = SimpleNamespace(name="touched", load=lambda: TouchedFrames)
-    found = importlib.metadata.entry_points
-    monkeypatch.setattr(
-        "importlib.metadata.entry_points",
-        lambda group: [entry] if group == "palpate.artefacts" else found(group=group),
-    )
+    found, ours = importlib.metadata.entry_points, {"group": "palpate.artefacts"}
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **of: [entry] if of == ours else found(**of))
 
 
 @pytest.mark.usefixtures("registered")

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.result import UNITS, values_of
 from palpate.results.field_overlay import RANGE, draw_field
@@ -125,16 +124,11 @@ def _notes(estimate: FrameEstimate) -> list[str]:
     notes += [NOTES[estimate.verdict].text] if estimate.verdict else []
     notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None and estimate.field.verdict != "undetermined":
-        notes.append(_described_field(estimate.field))
+        notes.append(f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units.")
     if estimate.estimate is None:
         return notes
     unsure = estimate.verdict != "determined" and estimate.estimate.covariance is not None
     return [*notes, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
-
-
-def _described_field(field: ParticleField) -> str:
-    """What colours mean."""
-    return f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units."
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

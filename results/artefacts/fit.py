@@ -41,7 +41,7 @@ class FitPicture(Artefact):
     def open(self) -> None:
         self.drawn: list[InteractionEstimate] = []
         # What `finish` needs is loaded meanwhile: it takes most of a second.
-        Thread(target=importlib.import_module, args=("matplotlib.figure",), daemon=True).start()
+        Thread(target=importlib.import_module, args=("matplotlib.figure",)).start()
 
     def contact(self, run: InteractionEstimate) -> None:
         shown = [*self.drawn, run]

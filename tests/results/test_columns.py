@@ -79,14 +79,6 @@ def assert_log_normal(found: dict[str, str], name: str, value: float, log_sd: fl
     assert ends == pytest.approx(np.quantile(draws, (0.05, 0.95)), rel=1e-4)
 
 
-def test_estimates_have_the_same_columns_in_the_same_order_in_both_tables() -> None:
-    def of_estimates(columns: dict[str, str]) -> list[str]:
-        return [name for name in columns if name.startswith(("stiffness", "damping", "force"))]
-
-    assert of_estimates(CONTACTS.columns) == of_estimates(FRAMES.columns)
-    assert len(of_estimates(CONTACTS.columns)) == 23
-
-
 def test_a_run_without_estimate_has_no_numbers() -> None:
     found = of_run(InteractionEstimate(7, 7, 0.28, detail="Because."))
     told = {"onset_frame": "7", "onset_time_s": "0.280000", "frames": "0", "status": "no_estimate"}

@@ -46,10 +46,6 @@ def test_no_number_is_surer_than_its_verdict(verdict: str, values: dict[str, flo
     assert [text for _, text in told] == expected
 
 
-def test_a_frame_without_parameters_has_no_numbers() -> None:
-    assert numbers("undetermined", {}) == []
-
-
 @pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])
 def test_digits_need_no_exponent(value: float, expected: str) -> None:
     assert digits(value, 2) == expected

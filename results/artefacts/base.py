@@ -41,6 +41,8 @@ class Artefact:
 
     name: ClassVar[str] = ""
     """Name of the file; empty where names depend on the clip."""
+    option: ClassVar[str] = ""
+    """Option of the program that asks for it; empty where it is always written."""
     pictures: ClassVar[bool] = False
     """Whether `frame` needs pictures and labels."""
     columns: Mapping[str, str] | None = None
@@ -53,7 +55,7 @@ class Artefact:
     @classmethod
     def wanted(cls, options: argparse.Namespace, estimator: Estimator) -> bool:
         """Whether the options of the program and the estimator ask for it."""
-        return True
+        return not cls.option or getattr(options, cls.option) not in (None, False)
 
     def open(self) -> None:
         """Open the file."""

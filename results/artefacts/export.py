@@ -29,12 +29,10 @@ from palpate.results.artefacts.base import Artefact
 class Export(Artefact):
     """scene_N_K.vtu of every contact N and its frames K."""
 
+    option = "export"
+
     def open(self) -> None:
         self._missing = 0
-
-    @classmethod
-    def wanted(cls, options, estimator) -> bool:
-        return bool(options.export)
 
     def contact(self, run: InteractionEstimate) -> None:
         times = np.array([frame.time_s for frame in self.clip.estimates[run.onset :]]) - run.onset_time_s

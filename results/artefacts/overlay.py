@@ -15,16 +15,12 @@ from palpate.results.overlay import canvas_size, draw_overlay
 class Overlay(Artefact):
     """Video whose pictures are drawn and coded in order in a thread of their own."""
 
-    name, pictures = store.OVERLAY, True
+    name, option, pictures = store.OVERLAY, "overlay", True
 
     def open(self) -> None:
         self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps)
         self._drawer = ThreadPoolExecutor(1, "overlay")
         self._drawing: deque[Future[None]] = deque()
-
-    @classmethod
-    def wanted(cls, options, estimator) -> bool:
-        return options.overlay
 
     def frame(self, estimate, image, labels) -> None:
         self._wait(3)

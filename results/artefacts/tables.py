@@ -58,11 +58,7 @@ class ContactTable(TableFile):
 class CalibratedTable(TableFile):
     """calibrated.csv: a contact in newtons."""
 
-    name, table = store.CALIBRATED, CALIBRATED
-
-    @classmethod
-    def wanted(cls, options, estimator) -> bool:
-        return options.force_scale is not None
+    name, option, table = store.CALIBRATED, "force_scale", CALIBRATED
 
     def finish(self) -> None:
         for row in self.clip.calibration.rows if self.clip.calibration else ():

@@ -141,8 +141,9 @@ def _numbers(field: ParticleField) -> dict[str, Any]:
 def _values(field: ParticleField) -> dict[str, Any]:
     """Of every particle: both stiffnesses with the ends of their intervals where they are known."""
     found: dict[str, Any] = {}
-    for column, (fitted, known) in field.stiffness.items():
-        name, value = column.removeprefix("distance_"), Quantity(np.where(known, fitted.value, np.nan), fitted.log_sd)
+    for column, fitted in field.maps.items():
+        name = column.removeprefix("distance_")
+        value = Quantity(np.where(fitted.known, fitted.value, np.nan), fitted.log_sd)
         found |= {f"{name}{end}": value.end(side) for end, side in ENDS.items()}
         found[f"simulated_{name}"] = fitted.value
     return found

@@ -26,7 +26,7 @@ from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
-from palpate.estimators.online.particle_field import FieldResult, ParticleField
+from palpate.estimators.online.particle_field import FieldResult, ParticleField, StiffnessMap
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
@@ -134,12 +134,11 @@ class _Followed:
     def field(self) -> ParticleField:
         """As it is now."""
         surface, session = self._driven.surface, self._driven.session
-        (distance_sd, shape_sd), (known, shape_known) = self._driven.determined()
         size = surface.camera.height, surface.camera.width
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
-        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
-        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
+        maps = map(StiffnessMap, session.fields[:2], *self._driven.determined())
+        return ParticleField(self._number, *tissue, *maps, self._driven.alone.skill, self._gap)
 
 
 class OnlineSession(RunSession):

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
-from palpate.estimators.result import LEAST_SKILL, Quantity, column
+from palpate.estimators.result import LEAST_SKILL, column
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,18 @@ class FieldNumbers:
 
 
 @dataclass(frozen=True, eq=False)
+class StiffnessMap:
+    """Stiffness of N particles."""
+
+    value: np.ndarray
+    """Shape [N] [m/Δt²]."""
+    log_sd: np.ndarray
+    """Standard deviation of the logarithm of `value` over its mean where tissue has stretched, shape [N]."""
+    known: np.ndarray
+    """Where the motion so far determines it, shape [N], bool; nowhere where the fit does not explain the motion."""
+
+
+@dataclass(frozen=True, eq=False)
 class ParticleField:
     """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
 
@@ -64,44 +76,31 @@ class ParticleField:
     """Particles now, without the background's motion, shape [N, 3] [scene units]."""
     pixels: np.ndarray
     """Where they are in the picture, with it, shape [N, 2] [px of the source frame]."""
-    distance: np.ndarray
-    """Stiffness against stretch along the surface, shape [N] [m/Δt²]."""
-    shape: np.ndarray
-    """Against changes of a neighbourhood's shape, likewise."""
-    distance_log_sd: np.ndarray
-    """Standard deviation of the logarithm of `distance` over its mean where tissue has stretched, shape [N]."""
-    shape_log_sd: np.ndarray
-    """Likewise of `shape`."""
-    known: np.ndarray
-    """Where the motion so far determines `distance`, shape [N], bool; nowhere where the fit does not explain it."""
-    shape_known: np.ndarray
-    """Likewise of `shape`."""
+    distance: StiffnessMap
+    """Against stretch along the surface."""
+    shape: StiffnessMap
+    """Against changes of a neighbourhood's shape."""
     skill: float
     """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
 
     @property
-    def stiffness(self) -> dict[str, tuple[Quantity, np.ndarray]]:
-        """Both stiffnesses of all particles and where they are known, by the beginning of their columns."""
-        distance = Quantity(self.distance, self.distance_log_sd), self.known
-        return {
-            "distance_stiffness": distance,
-            "shape_stiffness": (Quantity(self.shape, self.shape_log_sd), self.shape_known),
-        }
+    def maps(self) -> dict[str, StiffnessMap]:
+        """Both stiffnesses by the beginning of their columns."""
+        return {"distance_stiffness": self.distance, "shape_stiffness": self.shape}
 
     @property
     def numbers(self) -> FieldNumbers:
         """Columns of a frame."""
-        found = {"field_known": float(self.known.mean()), "shape_known": float(self.shape_known.mean())}
-        for name, (values, known) in self.stiffness.items():
-            if known.any():
-                ends = zip(
-                    ("_low", "", "_high"), np.quantile(values.value[known], (0.1, 0.5, 0.9)).tolist(), strict=True
-                )
-                found |= {f"{name}{end}": value for end, value in ends}
-                found[f"{name}_log_sd"] = float(np.median(values.log_sd[known]))
-        return FieldNumbers(**found, skill=self.skill, gap=self.gap)
+        shares = {"field_known": float(self.distance.known.mean()), "shape_known": float(self.shape.known.mean())}
+        found: dict[str, float] = {}
+        for name, stiffness in self.maps.items():
+            if stiffness.known.any():
+                for end, share in (("_low", 0.1), ("", 0.5), ("_high", 0.9)):
+                    found[f"{name}{end}"] = float(np.quantile(stiffness.value[stiffness.known], share))
+                found[f"{name}_log_sd"] = float(np.median(stiffness.log_sd[stiffness.known]))
+        return FieldNumbers(**found, **shares, skill=self.skill, gap=self.gap)
 
     @property
     def explained(self) -> bool:
@@ -111,7 +110,7 @@ class ParticleField:
     @property
     def verdict(self) -> str:
         """`stiffness_ratios` where something is known of either stiffness, else `undetermined`."""
-        return "stiffness_ratios" if self.known.any() or self.shape_known.any() else "undetermined"
+        return "stiffness_ratios" if any(each.known.any() for each in self.maps.values()) else "undetermined"
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +179,8 @@ class FieldResult:
                 f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "
                 "others explain the motion as well, so none is given or coloured."
             )
+        shares = [f"{each.known.mean():.0%}" for each in self.last.maps.values()]
         return (
-            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at "
-            f"{self.last.known.mean():.0%} of the particles against stretch, at {self.last.shape_known.mean():.0%} "
-            "against bending."
+            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at {shares[0]} of the "
+            f"particles against stretch, at {shares[1]} against bending."
         )

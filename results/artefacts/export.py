@@ -105,11 +105,10 @@ def _field(found: FieldResult) -> Deformation:
     rest, places = found.driven.surface.body.rest, np.stack(found.driven.past)
     moved = session.objective.stepped(session.fields, rest, places).positions[0, 1:] - rest
     fields: dict[str, np.ndarray] = {}
-    for (name, (given, known)), values in zip(last.stiffness.items(), session.fields, strict=False):
+    for (name, one), values in zip(last.maps.items(), session.fields, strict=False):
         # VTK reads no infinite numbers.
-        spread = Quantity(np.asarray(values), np.minimum(given.log_sd, 50.0))
-        name = name.removeprefix("distance_")
-        fields |= {name: np.stack([spread.end(side) for side in ENDS.values()], 1), f"{name}_known": known}
+        spread, name = Quantity(np.asarray(values), np.minimum(one.log_sd, 50.0)), name.removeprefix("distance_")
+        fields |= {name: np.stack([spread.end(side) for side in ENDS.values()], 1), f"{name}_known": one.known}
     solid = last.tetrahedra if len(last.tetrahedra) else None
     return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, solid)
 

@@ -39,10 +39,13 @@ class FieldFile(Artefact):
             if len(field.tetrahedra):
                 self._add(f"run_{self._run}/tetrahedra", field.tetrahedra.astype(np.int32))
         self._add(f"frame_{frame}/run", np.array(field.onset_frame))
-        for name in ("positions", "pixels", "distance", "shape", "distance_log_sd", "shape_log_sd"):
-            self._add(f"frame_{frame}/{name}", getattr(field, name).astype(np.float32))
-        self._add(f"frame_{frame}/known", field.known)
-        self._add(f"frame_{frame}/shape_known", field.shape_known)
+        distance, shape = field.distance, field.shape
+        reals = {"positions": field.positions, "pixels": field.pixels, "distance": distance.value, "shape": shape.value}
+        reals |= {"distance_log_sd": distance.log_sd, "shape_log_sd": shape.log_sd}
+        for name, values in reals.items():
+            self._add(f"frame_{frame}/{name}", values.astype(np.float32))
+        self._add(f"frame_{frame}/known", distance.known)
+        self._add(f"frame_{frame}/shape_known", shape.known)
 
     def close(self) -> None:
         self._file.close()

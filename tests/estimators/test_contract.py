@@ -138,8 +138,8 @@ def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: li
             assert field.positions.shape == (count, 3)
             assert field.pixels.shape == (count, 2)
             assert field.faces.max() < count
-            assert ((field.distance > 0) & (field.distance < 10)).all()
-            assert ((field.shape > 0) & (field.shape < 0.02)).all()
+            assert ((field.distance.value > 0) & (field.distance.value < 10)).all()
+            assert ((field.shape.value > 0) & (field.shape.value < 0.02)).all()
 
 
 def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[Said]) -> None:

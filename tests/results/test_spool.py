@@ -24,7 +24,7 @@ def test_frames_come_back_in_order(tmp_path: Path) -> None:
     for index, frame in enumerate(found[:3]):
         assert np.abs(frame.image.astype(int) - picture(9 * index)).max() <= 12
         np.testing.assert_array_equal(frame.labels, labels)
-        np.testing.assert_array_equal(frame.field.distance, FIELD_SEEN.distance)
+        np.testing.assert_array_equal(frame.field.positions, FIELD_SEEN.positions)
     assert found[3].image is None
     assert found[3].labels is None
     spool.add(Shown(picture(20), None, None))  # a drained spool takes frames again

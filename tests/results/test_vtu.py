@@ -9,6 +9,7 @@ import pytest
 
 from palpate.estimators.direct.estimator import fitted_press
 from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.online.particle_field import StiffnessMap
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.result import values_of
@@ -66,8 +67,9 @@ def test_a_field_has_a_stiffness_at_every_particle(thickness, tmp_path):
     tissue = driven(surface, np.linspace(0.1, 1, 10), method=Method("PBD"))  # one field from the beginning on
     body, count = surface.body, len(surface.body.rest)
     last = dataclasses.replace(
-        PULL.last, distance_log_sd=np.full(count, 0.2), shape_log_sd=np.full(count, np.inf), faces=body.faces,
-        tetrahedra=body.tetrahedra, known=np.ones(count, bool), shape_known=np.zeros(count, bool),
+        PULL.last, faces=body.faces, tetrahedra=body.tetrahedra,
+        distance=StiffnessMap(body.rest[:, 0], np.full(count, 0.2), np.ones(count, bool)),
+        shape=StiffnessMap(body.rest[:, 0], np.full(count, np.inf), np.zeros(count, bool)),
     )  # fmt: skip
     times = 0.04 * np.arange(len(tissue.past) + 1)
     found = deformation_of(

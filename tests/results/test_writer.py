@@ -22,7 +22,7 @@ from palpate.results.calibrated import ClipCalibration
 from palpate.results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
 from palpate.results.verdicts import state
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
-from tests.results.fields import PULL, SIZE, opened
+from tests.results.fields import PULL, SIZE, UNKNOWN, opened
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -171,9 +171,8 @@ def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
 
 
 def test_fields_that_are_not_explained_or_not_determined_are_undetermined(tmp_path: Path) -> None:
-    lost = dataclasses.replace(PULL.last, known=np.zeros(4, bool))
     runs = [
-        dataclasses.replace(PULL, last=dataclasses.replace(lost, skill=skill), stretched=stretched)
+        dataclasses.replace(PULL, last=dataclasses.replace(UNKNOWN, skill=skill), stretched=stretched)
         for skill, stretched in ((0.0, True), (0.6, True), (0.6, False), (float("nan"), False))
     ]
     with opened(tmp_path / "clip") as output:

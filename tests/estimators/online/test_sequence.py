@@ -49,7 +49,7 @@ def test_the_field_ranks_and_moves_as_the_truth(long: tuple[SequenceTissue, Part
     """Less well than the session that is given the simulated sheet itself: 0.72 in place of 0.79."""
     drawn, field = pull(60), long[1]
     rest, now = ((places - SHIFT) @ TURN for places in (field.rest, field.positions))
-    assert spearmanr(field.distance, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7
+    assert spearmanr(field.distance.value, np.where(rest[:, 0] < SIDE / 2, 3.0, 1.0))[0] > 0.7
     assert field.skill > 0.8
     inner = (drawn.body.rest[:, :2] > 0.01).all(axis=1) & (drawn.body.rest[:, :2] < SIDE - 0.01).all(axis=1)
     found = LinearNDInterpolator(rest[:, :2], now - rest)(drawn.body.rest[inner, :2])
@@ -63,7 +63,7 @@ def test_the_field_ranks_and_moves_as_the_truth(long: tuple[SequenceTissue, Part
 
 def test_clouds_alone_move_the_particles_but_determine_nothing(tmp_path: Path) -> None:
     field = followed(write_sequence(tmp_path, 6, points=None))
-    assert not field.known.any()
+    assert not field.distance.known.any()
     assert np.linalg.norm(field.positions - field.rest, axis=1).max() > 0.002
 
 
@@ -91,7 +91,7 @@ def test_pins_and_clouds_of_which_no_tissue_can_be_made_are_a_sentence(tmp_path:
 def test_intervals_of_what_is_determined_hold(long: tuple[SequenceTissue, ParticleField]) -> None:
     tissue, field = long
     soft = ((field.rest - SHIFT) @ TURN)[:, 0] > SIDE / 2
-    off = np.log(field.distance / np.where(soft, 1.0, 3.0))
-    held = np.abs(off - off[tissue.driven.stretched].mean()) < NINETY * field.distance_log_sd
-    assert field.known.mean() > 0.4
-    assert held[field.known].mean() > 0.85  # of 90 % intervals
+    off = np.log(field.distance.value / np.where(soft, 1.0, 3.0))
+    held = np.abs(off - off[tissue.driven.stretched].mean()) < NINETY * field.distance.log_sd
+    assert field.distance.known.mean() > 0.4
+    assert held[field.distance.known].mean() > 0.85  # of 90 % intervals

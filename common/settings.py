@@ -4,6 +4,7 @@ import functools
 import itertools
 import reprlib
 import types
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 WORDS: dict[Any, str] = {
@@ -95,8 +96,9 @@ NotNegative = Annotated[float, 0, LARGEST]
 """A number of 0 or more."""
 
 
+@dataclass(frozen=True)
 class Checked:
-    """Base of dataclasses whose values must be as their annotations say.
+    """Base of frozen dataclasses whose values must be as their annotations say.
 
     `Literal` is a choice, `Annotated[float, 0, 1]` a number from 0 to 1, or a range within; None is always allowed.
 
@@ -121,7 +123,7 @@ class Checked:
             if ends is not None:
                 start, end = ("a positive number", "up to") if least == 1e-15 else (f"{least:g}", "to")
                 wanted = f"{start} {end} {most:g}" if most < LARGEST else f"{start}{' or more' * (end == 'to')}"
-            raise ValueError(f"{self._group}{name} is {value!r}; give {wanted}.")
+            raise ValueError(f"{self._group}{name} is {shown(value)}; give {wanted}.")
 
 
 @functools.cache

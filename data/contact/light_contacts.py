@@ -36,8 +36,10 @@ FIRST, FEWEST_REST = 6, 3
 """So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
-EARLIER, EARLIEST, HIDDEN_FOR = 1, 3, 8
-"""Frames by which a press begins before its dent shows next to the instrument; at most, if the instrument has come to
+FAINT = 2.0
+"""A dent begins where it is darker than at rest by so many standard deviations, if it is clearly so a frame later."""
+EARLIEST, HIDDEN_FOR = 3, 8
+"""Frames by which a press begins before its dent shows next to the instrument, at most, if the instrument has come to
 the tissue by then; and at most where the instrument hides the dent's middle."""
 BARED, HELD = 2, 20
 """Successive frames that show a dent where an instrument was, and how many frames wait at most for it to go."""
@@ -161,7 +163,8 @@ class LightContacts:
             at_tissue = [one.is_at(self._place) for one in before[1:HIDDEN_FOR]]
         else:
             at_tissue = [one.prepared.in_contact for one in before[1:EARLIEST]]
-        arrived = (at_tissue.index(False) if False in at_tissue else len(at_tissue)) + EARLIER
+        arrived = at_tissue.index(False) if False in at_tissue else len(at_tissue)
+        arrived += bool(before) and before[0].shows(self._place, FAINT)
         decided = self._at_rest(len(before) - arrived)
         self._pressing, self._deepest = True, None
         for one in self._waiting:
@@ -181,6 +184,9 @@ class LightContacts:
             first -= 1
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
+        moves = [one.moves for one in self._waiting[first:last]]
+        if False in moves:  # the tip stops where the tissue is
+            first += max(moves.index(False) - 1, 0)
         decided, pressed = self._at_rest(first), last - first
         waited, self._waiting, self._deepest = self._waiting, [], None
         for one in waited[:pressed]:
@@ -223,7 +229,7 @@ class LightContacts:
         # Tissue moves all over, or the light flickers: nothing can be said.
         if noise > 0.03:
             return
-        lit.change = mean
+        lit.change, lit.noise = mean, noise
         least = max(DARKER, CLEAR * noise)
         lit.darkness = darkest(mean, lit.near <= REACH)[1]
         place, darkness, dark = darkest(mean, lit.standing <= REACH)

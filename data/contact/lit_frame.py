@@ -49,6 +49,8 @@ class LitFrame:
     change: np.ndarray | None = None
     """Logarithm of light over that at rest, averaged around every place; None where it isn't known, or where so much
     changes that a dent would not show."""
+    noise: float = math.inf
+    """Its standard deviation where nothing changes."""
     dark: tuple[int, int] | None = None
     """Row and column of the darkest place of the lattice next to an instrument that stands; None where nothing is
     clearly darker than at rest."""
@@ -96,6 +98,10 @@ class LitFrame:
             return None
         (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
         return self.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+
+    def shows(self, place: tuple[int, int], clear: float) -> bool:
+        """Whether a place [grid pixels] is darker than at rest by so many standard deviations."""
+        return self.change is not None and bool(self.change[FINE * place[0], FINE * place[1]] < -clear * self.noise)
 
     def is_at(self, place: tuple[int, int]) -> bool:
         """Whether an instrument is at a place [grid pixels]."""

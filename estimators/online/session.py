@@ -17,14 +17,10 @@ from palpate.physics.pbd.stiffness import Stiffness
 
 
 @dataclass
-class Adam(Checked):
-    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed: its running means, at first none.
+class Adam:
+    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed: its running means, at first none."""
 
-    Raises:
-        ValueError: a rate that is not positive.
-    """
-
-    rate: Positive = 0.1
+    rate: float = 0.1
     """Liang 2024, section III-B."""
     decay: tuple[float, float] = (0.9, 0.999)
     """Of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""

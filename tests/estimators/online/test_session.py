@@ -107,9 +107,8 @@ def test_snapshots_are_four_of_the_last_twenty_frames():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
+        (lambda: Method(rate=0.0), "rate is 0.0; give a positive number"),
         (lambda: Method("RM"), "name is 'RM'; give one of PBD, PBD-RM, PBD-RM-ON"),  # ty: ignore[invalid-argument-type]
-        (lambda: Adam(0.0), "rate is"),
-        (lambda: Adam(np.inf), "rate is"),
     ],
 )
 def test_another_method_and_a_rate_out_of_range_are_refused(make, sentence):

@@ -43,11 +43,6 @@ class Quantity:
     log_sd: Any = None
     """Standard deviation of the logarithm; None = the estimator gives none."""
 
-    @classmethod
-    def within(cls, value: float, low: float, high: float) -> Self:
-        """Quantity with a given 90 % interval."""
-        return cls(value, abs(float(np.log(high / low))) / (2 * NINETY))
-
     @property
     def sd(self) -> Any:
         """Standard deviation of the log-normal distribution."""

@@ -7,6 +7,9 @@ from palpate.data.prepared import PreparedFrame
 from palpate.estimators.contract import Output, Session
 from palpate.estimators.records import FrameEstimate
 
+Framed = tuple[Output, PreparedFrame | None]
+"""Estimate with its frame; None for runs of contact."""
+
 
 def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[Output]:
     """Estimates of a clip's frames, gaps included, and runs of contact, as they are ready.
@@ -18,13 +21,11 @@ def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[
     return (output for output, _ in estimates_with_frames(session, frames))
 
 
-def estimates_with_frames(
-    session: Session, frames: Iterable[PreparedFrame]
-) -> Iterator[tuple[Output, PreparedFrame | None]]:
-    """The same, each with its frame; None for runs of contact."""
+def estimates_with_frames(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[Framed]:
+    """Yield what `estimates_of` does, each estimate with its frame."""
     waiting: deque[PreparedFrame] = deque()
 
-    def with_gaps(outputs: Iterable[Output]) -> Iterator[tuple[Output, PreparedFrame | None]]:
+    def with_gaps(outputs: Iterable[Output]) -> Iterator[Framed]:
         for output in outputs:
             if not isinstance(output, FrameEstimate):
                 yield output, None

@@ -1,9 +1,16 @@
 """Components by name: those that come along, and those that installed packages register as entry points."""
 
+import functools
 import importlib.metadata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint
 from typing import Any
+
+
+@functools.cache
+def _registered(find: Callable[..., Any], group: str) -> list[EntryPoint]:
+    """Entry points of a group; finding them takes as long as reading the names of all installed packages."""
+    return list(find(group=group))
 
 
 class Registry:
@@ -22,7 +29,7 @@ class Registry:
     @property
     def entries(self) -> dict[str, EntryPoint]:
         """All components by name, built-in ones first."""
-        found = {entry.name: entry for entry in importlib.metadata.entry_points(group=self.group)}
+        found = {entry.name: entry for entry in _registered(importlib.metadata.entry_points, self.group)}
         return self._built_in | found | self._built_in
 
     def __getitem__(self, name: str) -> Any:

@@ -74,7 +74,7 @@ def test_a_press_at_a_known_instant_is_known_better(results, tmp_path) -> None:
     assert record["estimator"] == {
         "name": "network",
         "onset": "between",
-        "observation": "auto",
+        "observation": None,
         "horizon": None,
         "rate": "full",
     }

@@ -25,8 +25,8 @@ from palpate.physics.observation import Observation
 PRESS = "press"
 Horizon = int | Literal["press"] | None
 """How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
-FIELD, SHADING = OBSERVATIONS = ("depth", "shading")
-"""What of a contact is looked at: the depth of all tissue around it, its light, or both."""
+SHADING = "shading"
+"""Observation of how the tissue's light changes around a contact."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 

@@ -1,6 +1,6 @@
 """How the clips of a batch went: in words, in counts, the closing table and the page."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -86,35 +86,27 @@ def _contacts(folder: Path) -> list[tuple[str, ...]]:
     return [(str(at), one["row"]["onset_frame"], _estimated(one), one["words"]) for at, one in found]
 
 
-def _estimates(outcomes: list[Outcome]) -> Table:
-    """What was estimated, a line a contact."""
-    table = Table(title="Estimates (± is half the 90 % interval; units: scene units)", title_justify="left")
-    for name in ("clip", "contact", "frame", "estimate", "verdict"):
-        table.add_column(name, no_wrap=name != "estimate", max_width=24 if name == "clip" else None)
-    for outcome in outcomes:
-        for line in outcome.contacts:
-            table.add_row(*(Text(plain(cell)) for cell in (outcome.name, *line)))
-    return table
-
-
-def _table(outcomes: list[Outcome]) -> Table:
-    """Clips with what was counted in them, and where the results lie."""
-    table = Table(title="Clips", title_justify="left")
-    for name in ("clip", "result", "found"):
-        table.add_column(name, no_wrap=True, max_width=24 if name == "clip" else None)
-    table.add_column("results in, or why not", overflow="fold")
-    for outcome in outcomes:
-        # A line a status: a column each would leave no room for the rest on a narrow terminal.
-        counts = "\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items())
-        table.add_row(Text(plain(outcome.name)), outcome.state, Text(counts), Text(plain(outcome.where)))
-    return table
+def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table of cells that do nothing to a terminal."""
+    table = Table(title=title, title_justify="left")
+    for name in columns:
+        wide = name in ("estimate", "results in, or why not")
+        table.add_column(name, no_wrap=not wide, overflow="fold", max_width=24 if name == "clip" else None)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table, soft_wrap=True)
 
 
 def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
-    """Print the closing table, write the batch's page and its clips', and say where, or why not."""
-    if any(outcome.contacts for outcome in outcomes):
-        Console().print(_estimates(outcomes), soft_wrap=True)
-    Console().print(_table(outcomes), soft_wrap=True)
+    """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
+    estimates = [(plain(outcome.name), *map(plain, line)) for outcome in outcomes for line in outcome.contacts]
+    if estimates:
+        title = "Estimates (± is half the 90 % interval; units: scene units)"
+        _print(title, ("clip", "contact", "frame", "estimate", "verdict"), estimates)
+    # A line a status: a column each would leave no room for the rest on a narrow terminal.
+    counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]
+    clips = [(plain(one.name), one.state, found, plain(one.where)) for one, found in zip(outcomes, counts, strict=True)]
+    _print("Clips", ("clip", "result", "found", "results in, or why not"), clips)
     failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:
         say(console, f"Look at {write_pages(output, failed, anew=False)}")

@@ -1,16 +1,19 @@
 """Options of `palpate infer` besides those of preparation and of the estimator."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from palpate.common.options import flag_of, option
-from palpate.common.settings import LARGEST
+from palpate.common.settings import Positive
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.contract import Estimator, Preparation
 from palpate.estimators.open import ESTIMATORS
+
+FRAME_FORCE = ("force_seconds", "the force of every frame")
+"""Needs of options about the force of frames."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,7 @@ class Forces:
     shaft_diameter: Annotated[float, 1, 30] | None = option(None, metavar="MM")
     """of an instrument's shaft in view, such as 5 or 8 mm: tells how long a scene unit is where depth has no metres of
     its own, so that results are in mm and N/m (docs/inputs.md)"""
-    force_limit: Annotated[float, 1e-9, LARGEST] | None = option(
-        None, metavar="X", needs=("force_seconds", "the force of every frame")
-    )
+    force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
     """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is reached
     in every frame, by the upper end of its 90 % interval (docs/forces.md). Research software, not a medical device"""
 
@@ -84,14 +85,15 @@ def in_options(text: str) -> str:
     return text
 
 
-def require_able(estimator: Estimator, values: Mapping[str, Any]) -> None:
+def require_able(estimator: Estimator, values: Mapping[str, Any], kinds: Sequence[type[Any]] = KINDS) -> None:
     """Raise a ValueError where an option is given that needs what an estimator can't do, or a package.
 
     Args:
         estimator: opened.
         values: of options, by name.
+        kinds: dataclasses of these options.
     """
-    for kind in KINDS:
+    for kind in kinds:
         for name, field in kind.__dataclass_fields__.items():
             needs, given = field.metadata.get("needs"), values.get(name) not in (None, False)
             if given and needs and not getattr(estimator, needs[0]):

@@ -156,8 +156,11 @@ def test_stiffness_place_by_place_is_estimated_live(tmp_path, monkeypatch, capsy
     assert any("gap" in line for line in lines if line.get("decided"))
     assert "Relative stiffness place by place" in lines[-1]["interaction"]["detail"]
     for given, said in (
-        (["--estimator", "direct"], "--estimator direct estimates no frames while they come"),
-        (["--estimator", "online", "--force-limit", "1"], "needs the force of every frame, which online does not give"),
+        (["--estimator", "direct"], "needs estimates while frames come, which --estimator direct does not give"),
+        (
+            ["--estimator", "online", "--force-limit", "1"],
+            "needs the force of every frame, which --estimator online does not give",
+        ),
     ):
         assert main(["-", "--size", "214x120", *given]) == 2
         assert said in capsys.readouterr().err

@@ -150,12 +150,9 @@ class Calibrated:
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
         results = self.validation, self.pressed, self.between
-        if (self.model is None) == (self.weights is None):
-            raise ValueError("give either --weights or --model.")
-        if self.model is not None and not all(results):
-            raise ValueError("give --validation, --pressed and --between with --model.")
-        if self.weights is not None and any(results):
-            raise ValueError("give --model with results; --weights are exported as they are.")
+        whole = not any(results) if self.model is None else all(results)
+        if (self.model is None) == (self.weights is None) or not whole:
+            raise ValueError("give --weights alone, or --model with --validation, --pressed and --between.")
 
 
 def calibration_of(asked: Any) -> Calibration:

@@ -31,7 +31,7 @@ from palpate.common.command_line import size_of
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.common.options import filled, option, parse
-from palpate.common.settings import LARGEST
+from palpate.common.settings import LARGEST, Positive
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import halves
@@ -43,6 +43,7 @@ from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate
 from palpate.estimators.result import UNITS
 from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm
+from palpate.results.options import FRAME_FORCE, require_able
 
 WAITING, UNDECIDED = 1, 16
 """Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
@@ -85,7 +86,9 @@ class Live:
 
     source: str = option(positional=True, metavar="SOURCE")
     """camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"""
-    estimator: str | None = option(None, choices=lambda: [*ESTIMATORS.entries])
+    estimator: str | None = option(
+        None, choices=lambda: [*ESTIMATORS.entries], needs=("live", "estimates while frames come")
+    )
     """one that estimates while frames come (default: what --model is for, else network)"""
     max_latency: Annotated[float, 1e-3, LARGEST] = option(1.0, metavar="SECONDS")
     """frames that have waited longer are dropped and counted [s]"""
@@ -99,7 +102,7 @@ class Live:
     """serve every line to an OpenIGTLink client, such as 3D Slicer, on this port of this machine (palpate[live])"""
     right: Literal["side-by-side", "top-bottom"] | None = None
     """pictures hold both of a stereo pair, the left one first: with --depth stereo and a camera file with a baseline"""
-    force_limit: Annotated[float, 1e-9, LARGEST] | None = option(None, metavar="X")
+    force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
     """limit of the force in the unit of the column force (docs/forces.md). Research software, not a medical device"""
 
     @property
@@ -122,12 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
     options: Live = filled(Live, values)
     try:
         estimator = filled(ESTIMATORS[values["estimator"]], values).build()
-        if not estimator.live:
-            raise ValueError(
-                f"--estimator {estimator.name} estimates no frames while they come; give network or online."
-            )
-        if options.force_limit is not None and estimator.force_seconds is None:
-            raise ValueError(f"--force-limit needs the force of every frame, which {estimator.name} does not give.")
+        require_able(estimator, values, (Live,))
         chosen = filled(Preparation, values | {"layout": ClipLayout(right=options.right)})
         settings = preparation(estimator, chosen)
         # The depth's scale is found in so much of the beginning [s]; a source won't begin again.

@@ -5,6 +5,7 @@
 `palpate infer` writes them itself; this is for results that were moved, copied together or made by another version.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,16 +27,10 @@ class PageOptions:
 
     def __post_init__(self) -> None:
         """Raise a ValueError where the folder holds no results."""
-        try:
-            found = self.results.is_dir() and clip_folders(self.results)
-        except OSError as error:
-            raise ValueError(
-                f"{self.results} can't be read ({error.strerror}); give the folder that was --output."
-            ) from error
-        if not found:
-            raise ValueError(
-                f"{self.results} holds no results of palpate infer; give the folder that was its --output."
-            )
+        with suppress(OSError):
+            if self.results.is_dir() and clip_folders(self.results):
+                return
+        raise ValueError(f"{self.results} holds no results, or can't be read; give --output of palpate infer.")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -173,14 +173,10 @@ def test_an_exported_posterior_is_calibrated_by_its_results(tmp_path, capsys, po
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--model", "x.onnx"], "give --validation, --pressed and --between with --model"),
-        (["--weights", "x.pt", "--pressed", "results"], "give --model with results"),
-        (["--weights", "x.pt", "--model", "x.onnx"], "give either --weights or --model"),
-    ],
+    "options",
+    [("--model", "x.onnx"), ("--weights", "x.pt", "--pressed", "r"), ("--weights", "x.pt", "--model", "x.onnx")],
 )
-def test_options_that_don_t_go_together_are_wrong_usage(tmp_path, capsys, options: list[str], told: str) -> None:
+def test_options_that_don_t_go_together_are_wrong_usage(tmp_path, capsys, options: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit, match=r"^2$"):
         main(["--output", str(tmp_path / "out.onnx"), *options])
-    assert told in capsys.readouterr().err
+    assert "give --weights alone, or --model with --validation, --pressed" in capsys.readouterr().err
